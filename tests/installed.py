@@ -22,7 +22,7 @@ MUST_HOLD = (
     "sigmaswarm/py.typed",
     "sigmaswarm_carla/__main__.py",
     "sigmaswarm/exports/templates/ins_gps.c.in",
-    "sigmaswarm/reports/draw/page/page.html",
+    "sigmaswarm/reports/assets/page.html",
 )
 
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ def script(name: str):
 
 
 generate = script("generate")
+commands = cache(generate.commands)
 
 
 REACHABLE = {*sigmaswarm.__all__, *sigmaswarm._HOME_OF}
@@ -44,7 +46,7 @@ COMMANDS = [name for name in app if not name.startswith("-")]
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_is_in_the_command_s_page(name: str):
-    page = generate.commands()[name]
+    page = commands()[name]
     assert page.startswith(f"# sigmaswarm {name}\n")
     assert f"```console\nsigmaswarm {name} " in page  # an example that can be copied
     arguments = [a for a in app[name].assemble_argument_collection() if a.parameter.show is not False]

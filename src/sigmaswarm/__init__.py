@@ -110,9 +110,7 @@ if TYPE_CHECKING:
     from sigmaswarm.reports.study import (
         study_figures as study_figures,
     )
-    from sigmaswarm.reports.study import (
-        study_tables as study_tables,
-    )
+    from sigmaswarm.reports.study_tables import study_tables as study_tables
     from sigmaswarm.scoring.consistency import Consistency as Consistency
     from sigmaswarm.scoring.consistency import consistency as consistency
     from sigmaswarm.scoring.evaluation import Evaluation
@@ -126,112 +124,50 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.result import Tuning
     from sigmaswarm.tuning.tune import tune
 
-_PUBLIC = {
-    "api": (
-        "evaluate",
-        "export",
-        "import_log",
-        "inspect_log",
-        "plot",
-        "report",
-        "run",
-        "split",
-    ),
-    "doctor.diagnose": ("diagnose",),
-    "drives.drive": ("Drive",),
-    "drives.reader": ("read_drive",),
-    "drives.writer": ("write_drive",),
-    "errors": (
-        "AlignmentError",
-        "DriveError",
-        "DriveWarning",
-        "InputError",
-        "SigmaswarmError",
-        "SigmaswarmWarning",
-    ),
-    "filters.bank.live": ("LiveFilterBank",),
-    "filters.custom.model": ("Model",),
-    "filters.live": ("LiveFilter",),
-    "filters.parameters": ("FilterParameters",),
-    "filters.presets": ("baseline",),
-    "filters.run": ("Estimate",),
-    "references.reference": ("reference",),
-    "scoring.evaluation": ("Evaluation",),
-    "scoring.verified_repair": ("repair",),
-    "simulation.scenarios": ("simulate",),
-    "tuning.batch": ("run_batch",),
-    "tuning.result": ("Tuning",),
-    "tuning.tune": ("tune",),
+_HOMES = {
+    "api": "evaluate export import_log inspect_log plot report run split",
+    "doctor.diagnose": "diagnose",
+    "doctor.findings": "Diagnosis Finding",
+    "drives.alignment": "InitialState initial_state",
+    "drives.drive": "Drive Gps Imu Odometer Truth",
+    "drives.reader": "read_drive",
+    "drives.split": "clip split_drives split_time",
+    "drives.writer": "write_drive",
+    "errors": "AlignmentError DriveError DriveWarning InputError SigmaswarmError SigmaswarmWarning",
+    "experiments.compare": "compare",
+    "experiments.comparison": "Comparison",
+    "experiments.study.config": "StudyConfig",
+    "experiments.study.study": "Study run_study",
+    "filters.bank.live": "LiveFilterBank",
+    "filters.bank.run": "run_bank",
+    "filters.custom.log": "Log",
+    "filters.custom.model": "Model Tunable",
+    "filters.custom.run": "ModelEstimate run_model smooth_model",
+    "filters.dating_back": "dated_back",
+    "filters.live": "LiveFilter",
+    "filters.parameters": "FilterParameters",
+    "filters.presets": "baseline preset",
+    "filters.run": "Estimate Innovations run_filter run_innovations run_textbook",
+    "filters.smoothing": "smooth",
+    "filters.textbook": "ExtendedKalmanFilter SigmaPoints UnscentedKalmanFilter",
+    "references.reference": "reference",
+    "reports.compare": "comparison_table",
+    "reports.study": "save_study study_figures",
+    "reports.study_tables": "study_tables",
+    "scoring.consistency": "Consistency consistency",
+    "scoring.evaluation": "Evaluation",
+    "scoring.score": "Score",
+    "scoring.verified_repair": "repair",
+    "simulation.conditions": "simulate_many",
+    "simulation.scenarios": "simulate",
+    "tuning.batch": "BatchResult run_batch",
+    "tuning.config": "TuneConfig",
+    "tuning.result": "Tuning",
+    "tuning.tune": "tune",
 }
-_ADVANCED = {
-    "doctor.findings": (
-        "Diagnosis",
-        "Finding",
-    ),
-    "drives.alignment": (
-        "InitialState",
-        "initial_state",
-    ),
-    "drives.drive": (
-        "Gps",
-        "Imu",
-        "Odometer",
-        "Truth",
-    ),
-    "drives.split": (
-        "clip",
-        "split_drives",
-        "split_time",
-    ),
-    "experiments.compare": ("compare",),
-    "experiments.comparison": ("Comparison",),
-    "experiments.study.config": ("StudyConfig",),
-    "experiments.study.study": (
-        "Study",
-        "run_study",
-    ),
-    "filters.bank.run": ("run_bank",),
-    "filters.custom.log": ("Log",),
-    "filters.custom.model": ("Tunable",),
-    "filters.custom.run": (
-        "ModelEstimate",
-        "run_model",
-        "smooth_model",
-    ),
-    "filters.dating_back": ("dated_back",),
-    "filters.presets": ("preset",),
-    "filters.run": (
-        "Innovations",
-        "run_filter",
-        "run_innovations",
-        "run_textbook",
-    ),
-    "filters.smoothing": ("smooth",),
-    "filters.textbook": (
-        "ExtendedKalmanFilter",
-        "SigmaPoints",
-        "UnscentedKalmanFilter",
-    ),
-    "reports.compare": ("comparison_table",),
-    "reports.study": (
-        "save_study",
-        "study_figures",
-        "study_tables",
-    ),
-    "scoring.consistency": (
-        "Consistency",
-        "consistency",
-    ),
-    "scoring.score": ("Score",),
-    "simulation.conditions": ("simulate_many",),
-    "tuning.batch": ("BatchResult",),
-    "tuning.config": ("TuneConfig",),
-}
-"""Types of results, parts of the functions above, experiments and the filters of textbooks: not in ``dir``."""
-
-_HOME_OF = {
-    name: module for homes in (_PUBLIC, _ADVANCED) for module, names in homes.items() for name in names
-}
+"""Modules and the names that they define. Those in ``__all__`` are public; the others are types of results, parts of
+the public functions, experiments and the filters of textbooks, which ``dir`` does not list."""
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
 """Names of 0.3.0, kept for one release."""
 

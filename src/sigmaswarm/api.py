@@ -258,8 +258,8 @@ def report(results: Any, out: str | Path | None = None) -> str:
         ``results`` has no page, or a file in the folder is missing or damaged.
     """
     from sigmaswarm.files import write_whole
+    from sigmaswarm.reports.folders import read_report
     from sigmaswarm.reports.page import page
-    from sigmaswarm.reports.pages.folders import read_report
     from sigmaswarm.reports.tuning import save_history
     from sigmaswarm.scoring.evaluation import Evaluation
 

@@ -51,14 +51,7 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 class Recipe:
     """A function that is made only if its machine code is not cached: to write a kernel out takes half a second.
 
-    Attributes
-    ----------
-    like : callable
-        A function of the same name with the same parameters.
-    key : str
-        Identifies the function among those of this name, as the source text does otherwise.
-    make : callable
-        Makes the function.
+    ``like`` has its name and parameters; ``key`` identifies it among those of this name, as its source text would.
     """
 
     like: Callable[..., Any]

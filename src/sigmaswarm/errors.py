@@ -30,16 +30,7 @@ class SigmaswarmWarning(UserWarning):
 class Mistake(NamedTuple):
     """The first error that pydantic found.
 
-    Attributes
-    ----------
-    key : str
-        The key, with dots; empty for the whole record.
-    value
-        The value of that key.
-    kind : str
-        Pydantic's name of the error.
-    message : str
-        The error on one line.
+    ``key`` has dots, and is empty for the whole record; ``kind`` is pydantic's name of the error.
     """
 
     key: str

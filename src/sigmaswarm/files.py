@@ -62,13 +62,7 @@ def finite(content: Any) -> Any:
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
-    """Make a folder and its missing parents.
-
-    Raises
-    ------
-    InputError
-        If something is in the way; the message names it and ``remedy``.
-    """
+    """Make a folder and its missing parents; an `InputError` names what is in the way, and ``remedy``."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -78,13 +72,7 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
 
 @contextmanager
 def held_folder(path: Path) -> Generator[Path]:
-    """Make a folder where it is missing, and lock it against other runs until the block ends.
-
-    Raises
-    ------
-    InputError
-        Another run has locked it, or it can't be made.
-    """
+    """Make a folder where it is missing, and lock it against other runs until the block ends."""
     file = make_folder(path) / ".sigmaswarm.lock"
     try:
         lock = _lock(file, wait=False)
@@ -103,68 +91,44 @@ def held_folder(path: Path) -> Generator[Path]:
 
 @contextmanager
 def whole_file(path: Path) -> Generator[BinaryIO]:
-    """Open a file for bytes that takes its place when the block ends, and never if the block fails.
-
-    Raises
-    ------
-    InputError
-        If the file can't be written (a full disk, no permission, something in the way); the message names it.
-    """
+    """Open a file for bytes that takes its place when the block ends, and never if the block fails."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if path.exists() and not path.is_file():  # as root, /dev/null could be replaced
         raise InputError(f"{path}: is no regular file; name another")
     with _staging(path) as new:
-        part = None
+        part = _Part(str(new), "xb")
         try:
-            part = _Part(str(new), "xb")
             with io.BufferedWriter(part) as file:
                 yield file
                 file.flush()
                 os.fsync(part.fileno())
-            new.replace(path)
-        except BaseException as error:
-            failure = (part and part.failure) or error
-            if isinstance(failure, OSError) and failure.filename in (None, str(new)):
-                raise _unwritable(path, failure) from None
+        except BaseException:
+            if part.failure:
+                raise part.failure from None
             raise
+        new.replace(path)
 
 
 @contextmanager
 def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
     """Yield a path at which to make a folder, which takes its own place when the block ends.
 
-    Parameters
-    ----------
-    path : Path
-        Of the folder; its parent exists.
-    replace : bool
-        If true, replace a folder that exists and is not empty.
-
-    Raises
-    ------
-    InputError
-        If the folder can't be written, or another process has made it in the meantime; the message names it.
+    With ``replace`` it may take the place of a folder that is not empty.
     """
     with _staging(path) as hidden:
         new, old = hidden / "new" / path.name, hidden / "old" / path.name
+        new.parent.mkdir(parents=True)
+        yield new
+        _flush(new)
+        if replace and path.exists():
+            old.parent.mkdir()
+            path.rename(old)
         try:
-            hidden.mkdir()
-            new.parent.mkdir()
-            yield new
-            _flush(new)
-            if replace and path.exists():
-                old.parent.mkdir()
-                path.rename(old)
-            try:
-                new.rename(path)
-            except OSError:
-                if old.exists():
-                    old.rename(path)
-                raise
-        except OSError as error:
-            if error.filename is None or str(error.filename).startswith(str(hidden)):
-                raise _unwritable(path, error) from None
+            new.rename(path)
+        except OSError:
+            if old.exists():
+                old.rename(path)
             raise
 
 
@@ -174,28 +138,18 @@ def staged_files(folder: Path) -> Generator[Path]:
 
     They replace files of the same names; others stay. If the block or a replacement fails, the old files stay. The next
     run that writes into the folder restores them if this one is killed between two replacements.
-
-    Raises
-    ------
-    InputError
-        If a file can't be written; the message names it.
     """
     make_folder(folder)
-    with _staging(folder / "results") as hidden:
+    with _staging(folder / "results", folder) as hidden:
         new = hidden / "new"
+        new.mkdir(parents=True)
+        (hidden / "old").mkdir()
         try:
-            hidden.mkdir()
-            new.mkdir()
-            (hidden / "old").mkdir()
             yield new
-            _flush(new)
-            _exchange(hidden, folder)
         except InputError as error:  # it names a hidden file
             raise InputError(str(error).replace(str(new), str(folder))) from None
-        except OSError as error:
-            if error.filename is None or str(error.filename).startswith(str(hidden)):
-                raise _unwritable(folder, error) from None
-            raise
+        _flush(new)
+        _exchange(hidden, folder)
 
 
 def _exchange(hidden: Path, folder: Path) -> None:
@@ -251,8 +205,11 @@ class _Part(io.FileIO):
 
 
 @contextmanager
-def _staging(path: Path) -> Generator[Path]:
-    """Yield a free, hidden path next to ``path`` with a locked lock file; remove what is left there at the end."""
+def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
+    """Yield a free, hidden path next to ``path`` with a locked lock file; remove what is left there at the end.
+
+    An error of the hidden path, or of none, becomes one of ``named``, by default ``path``.
+    """
     _sweep(path.parent.resolve())
     stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes
     hidden = path.with_name(f".{stem}.sigmaswarm-{secrets.token_hex(6)}")
@@ -260,6 +217,10 @@ def _staging(path: Path) -> Generator[Path]:
     lock = _lock(file)
     try:
         yield hidden
+    except OSError as error:
+        if error.filename is None or str(error.filename).startswith(str(hidden)):
+            raise _unwritable(named or path, error) from None
+        raise
     finally:
         _remove(hidden)
         if lock is not None:
@@ -279,10 +240,7 @@ def _remove(hidden: Path) -> None:
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
     """Lock a file, made if missing, until its release or the end of the process; None where files can't be locked.
 
-    Raises
-    ------
-    TimeoutError
-        Another run has the lock, and ``wait`` is false.
+    Without ``wait`` a `TimeoutError` says that another run has the lock.
     """
     from filelock import FileLock, Timeout  # not needed by commands that only read
 

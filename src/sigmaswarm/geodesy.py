@@ -15,13 +15,7 @@ def wrap_angle(angle: float) -> float: ...
 @overload
 def wrap_angle(angle: Array) -> Array: ...
 def wrap_angle(angle: ArrayLike) -> float | Array:
-    """Wrap angles to (-pi, pi].
-
-    Parameters
-    ----------
-    angle : array_like
-        rad, any shape.
-    """
+    """Wrap angles, rad, to (-pi, pi]."""
     a = np.asarray(angle, dtype=np.float64)
     wrapped = np.pi - np.mod(np.pi - a, 2 * np.pi)
     return float(wrapped) if wrapped.ndim == 0 else wrapped

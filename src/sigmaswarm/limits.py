@@ -43,13 +43,7 @@ _LONG_KEY = re.compile(rb"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
 
 
 def require_regular(path: Path) -> None:
-    """Refuse what is no regular file: reading a pipe, a socket or a device may never end.
-
-    Raises
-    ------
-    InputError
-        If something is there that is neither a file nor a folder.
-    """
+    """Refuse what is neither a file nor a folder: reading a pipe, a socket or a device may never end."""
     try:
         mode = path.stat().st_mode
     except OSError:
@@ -59,13 +53,7 @@ def require_regular(path: Path) -> None:
 
 
 def require_text(path: Path) -> bytes:
-    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes; return its first line.
-
-    Raises
-    ------
-    InputError
-        The message names the file and the line.
-    """
+    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes; return its first line."""
     require_regular(path)
     with path.open("rb") as file:
         _require_unpacked(path, file.read(8))
@@ -94,15 +82,7 @@ def _require_lines(path: Path, file: BinaryIO) -> None:
 
 
 def read_bounded(path: Path, most: int) -> bytes:
-    """Read a file of at most ``most`` bytes.
-
-    Raises
-    ------
-    InputError
-        If it is larger, or no regular file.
-    OSError
-        If it can't be read.
-    """
+    """Read a regular file of at most ``most`` bytes."""
     require_regular(path)
     with path.open("rb") as file:
         content = file.read(most + 1)
@@ -114,15 +94,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def read_toml_text(path: Path) -> str:
-    """Read the text of a TOML file that can be parsed within seconds; a byte-order mark is left out.
-
-    Raises
-    ------
-    InputError
-        If it is too large, a key has too many parts, or it is no regular file.
-    OSError, UnicodeDecodeError
-        If it can't be read.
-    """
+    """Read the text of a TOML file that can be parsed within seconds; a byte-order mark is left out."""
     content = read_bounded(path, MOST_TOML)
     if found := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, found.start()) + 1
@@ -131,13 +103,7 @@ def read_toml_text(path: Path) -> str:
 
 
 def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
-    """Refuse an npz file of too many or too large arrays.
-
-    Raises
-    ------
-    InputError
-        The message names the file.
-    """
+    """Refuse an npz file of too many or too large arrays."""
     unpacked = sum(member.file_size for member in members)
     if len(members) > MOST_MEMBERS or unpacked > MOST_UNPACKED:
         raise InputError(

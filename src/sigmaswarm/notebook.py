@@ -58,13 +58,8 @@ def listed(title: str, sentences: Sequence[str]) -> str:
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
     """Draw paths from above, north up and to scale, with a sentence that describes the picture.
 
-    Parameters
-    ----------
-    title : str
-        Of the picture.
-    paths : mapping of str to (x, y)
-        m east and north, shape (n,) each; NaN where unknown. The path called fixes is drawn as dots. Names in
-        `COLORS` have these colors.
+    ``paths``: m east and north, shape (n,) each; NaN where unknown. The path called fixes is drawn as dots, and names
+    in `COLORS` have these colors.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}
@@ -112,13 +107,7 @@ def _shape(name: str, path: Any, low: Any, high: Any, scale: float) -> str:
 
 
 def to_pandas(columns: Mapping[str, Any]) -> "pd.DataFrame":
-    """Make a pandas data frame.
-
-    Raises
-    ------
-    InputError
-        If pandas is not installed.
-    """
+    """Make a pandas data frame; an `InputError` says that pandas is not installed."""
     try:
         import pandas as pd
     except ImportError:

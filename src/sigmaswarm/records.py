@@ -37,24 +37,10 @@ Vector = Annotated[NDArray[Any], BeforeValidator(_vector)]
 def load_record(
     kind: type[R], path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> R:
-    """Read a record: JSON or npz by its suffix, else TOML.
+    """Read a record, a pydantic model or a dataclass: JSON or npz by its suffix, else TOML.
 
-    Parameters
-    ----------
-    kind : type
-        A pydantic model or a dataclass.
-    path : Path
-    remedy : str
-        End of the message if the file is damaged, as "delete it to redo this trial".
-    missing : str
-        End of the message if the file is missing.
-    infinite : bool
-        If true, keep NaN and inf of a JSON file, which otherwise become None.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read; the message names the file, the key and what is wrong.
+    ``remedy`` and ``missing`` end the message about a damaged or a missing file; an `InputError` names file and key.
+    NaN and inf of a JSON file become None unless ``infinite``.
     """
     content = read_content(path, remedy, missing=missing, infinite=infinite)
     try:
@@ -67,13 +53,7 @@ def load_record(
 def read_content(
     path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> dict[str, Any]:
-    """Read the keys of a TOML, JSON or npz file.
-
-    Raises
-    ------
-    InputError
-        As `load_record`.
-    """
+    """Read the keys of a TOML, JSON or npz file, with the options and errors of `load_record`."""
     try:
         if path.suffix == ".npz":
             return {**read_arrays(path)}

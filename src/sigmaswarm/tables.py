@@ -1,8 +1,10 @@
 """Tables of results, written once: the terminal, notebooks, pages, Markdown, LaTeX and CSV render the same record."""
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -28,17 +30,9 @@ MOST_PRINTED = 10
 class Column:
     """A column of a table.
 
-    Attributes
-    ----------
-    title : str
-    unit : str
-        Empty where it has none.
-    number : callable, optional
-        Format of a number and of both ends of a range; by default four digits, three for the ends of a range.
-    printed : callable, optional
-        Format in Markdown, LaTeX and CSV, where it differs.
-    joined : bool
-        Printed in the cell of the column before it in those: ``1.28 [1.26, 1.30]``.
+    ``number`` formats a number and both ends of a range; by default with four digits, three for the ends of a range.
+    ``printed`` replaces it in Markdown, LaTeX and CSV. There a ``joined`` column is printed in the cell before it:
+    ``1.28 [1.26, 1.30]``.
     """
 
     title: str
@@ -57,15 +51,7 @@ class Column:
 class Table:
     """A table; a notebook shows it as it is.
 
-    Attributes
-    ----------
-    caption : str
-    columns : tuple of Column, length n
-    rows : tuple of tuple of Cell, each of length n
-    strong : frozenset of int
-        Rows to emphasize.
-    note : str
-        Explanation of the figures.
+    The rows whose indices are in ``strong`` are emphasized; ``note`` explains the figures.
     """
 
     caption: str
@@ -76,9 +62,10 @@ class Table:
 
     def to_markdown(self) -> str:
         """Return the table with its caption and note as Markdown."""
-        header = self._header()
+        header, *rows = self._printed()
+        rule = ["---", *["---:"] * (len(header) - 1)]
         lines = [f"**{self.caption}**", ""] if self.caption else []
-        lines += [_bar(header), _bar(["---", *["---:"] * (len(header) - 1)]), *map(_bar, self._printed())]
+        lines += [f"| {' | '.join(row)} |" for row in (header, rule, *rows)]
         return "\n".join([*lines, *(["", self.note] if self.note else [])]) + "\n"
 
     _repr_markdown_ = to_markdown
@@ -97,18 +84,19 @@ class Table:
 
     def to_latex(self) -> str:
         """Return a booktabs table."""
-        header = self._header()
-        body = " \\\\\n".join(" & ".join(map(_escaped, row)) for row in self._printed())
+        header, *rows = (" & ".join(map(_escaped, row)) for row in self._printed())
+        body = " \\\\\n".join(rows)
         return (
             f"% {self.note}\n\\begin{{table}}\n\\caption{{{_escaped(self.caption)}}}\n"
-            f"\\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}\n\\toprule\n"
-            f"{' & '.join(map(_escaped, header))} \\\\\n\\midrule\n{body} \\\\\n"
+            f"\\begin{{tabular}}{{l{'r' * header.count(' & ')}}}\n\\toprule\n"
+            f"{header} \\\\\n\\midrule\n{body} \\\\\n"
             "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
         )
 
     def to_csv(self) -> str:
         """Return the table as comma-separated values."""
-        return pl.DataFrame(self._printed(), schema=self._header(), orient="row").write_csv()
+        header, *rows = self._printed()
+        return pl.DataFrame(rows, schema=header, orient="row").write_csv()
 
     def to_rich(self, *, grouped: bool = False) -> "RichTable":
         """Return the table for a terminal of 80 columns, with emphasized rows in bold.
@@ -143,25 +131,22 @@ class Table:
             drawn.add_row(*map(Text, row[grouped:]), style="bold" if i in self.strong else None)
         return drawn
 
-    def _header(self) -> list[str]:
-        header: list[str] = []
+    def _printed(self) -> list[list[str]]:
+        """Heading and rows for print; the text of a joined column is part of that before it."""
+        lines: list[list[str]] = [[]]
         for column in self.columns:
             if column.joined:
-                header[-1] += f" [{column.title}]"
+                lines[0][-1] += f" [{column.title}]"
             else:
-                header.append(column.heading)
-        return header
-
-    def _printed(self) -> list[list[str]]:
-        rows: list[list[str]] = []
+                lines[0].append(column.heading)
         for cells in self.rows:
-            rows.append([])
+            lines.append([])
             for cell, column in zip(cells, self.columns, strict=True):
                 if not column.joined:
-                    rows[-1].append(_printed(cell, column))
+                    lines[-1].append(_printed(cell, column))
                 elif cell is not None:
-                    rows[-1][-1] += f" {_printed(cell, column)}"
-        return rows
+                    lines[-1][-1] += f" {_printed(cell, column)}"
+        return lines
 
 
 def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
@@ -171,7 +156,7 @@ def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
     known = numbers_of(cell)
     if known is None:
         return unknown
-    return " to ".join((column.number or _digits(5 - len(known)))(end) for end in known)
+    return " to ".join((column.number or partial(_short, 5 - len(known)))(end) for end in known)
 
 
 def numbers_of(cell: Cell) -> list[float] | None:
@@ -181,14 +166,10 @@ def numbers_of(cell: Cell) -> list[float] | None:
     return known if len(known) == len(ends) else None
 
 
-def _digits(digits: int) -> Callable[[float], str]:
+def _short(digits: int, value: float) -> str:
     """Format with so many significant digits; whole numbers in full."""
-
-    def number(value: float) -> str:
-        whole = value == int(value) or abs(value) >= 10**digits
-        return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
-
-    return number
+    whole = value == int(value) or abs(value) >= 10**digits
+    return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
 
 
 def _printed(cell: Cell, column: Column) -> str:
@@ -199,11 +180,5 @@ def _printed(cell: Cell, column: Column) -> str:
     return shown(cell, column)
 
 
-def _bar(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
 def _escaped(text: str) -> str:
-    for plain in ("&", "%", "_", "#"):
-        text = text.replace(plain, f"\\{plain}")
-    return text.replace("+-", "$\\pm$")
+    return re.sub("([&%_#])", r"\\\1", text).replace("+-", "$\\pm$")

@@ -17,7 +17,7 @@ from sigmaswarm.files import staged_files, write_whole
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.records import load_record
 from sigmaswarm.reports.evaluation import save_evaluation
-from sigmaswarm.reports.pages.folders import read_report
+from sigmaswarm.reports.folders import read_report
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.tuning.record import History, TuningRecord

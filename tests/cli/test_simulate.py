@@ -1,5 +1,6 @@
 """`sigmaswarm simulate` and `sigmaswarm plot`: every option, the same bytes, interrupted and resumed."""
 
+import dataclasses
 import hashlib
 import inspect
 import json
@@ -10,8 +11,7 @@ import numpy as np
 import pytest
 
 import sigmaswarm as library
-from sigmaswarm.cli.simulate import JITTER, VIBRATION
-from sigmaswarm.cli.simulate import simulate as command
+from sigmaswarm.cli.simulate import JITTER, VIBRATION, SimulateOptions
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.simulation import (
     ENVIRONMENTS,
@@ -124,7 +124,8 @@ def test_workers_are_as_many_threads(sigmaswarm, here: Path, monkeypatch):
 
 
 def test_the_defaults_are_the_library_s():
-    said, meant = inspect.signature(command).parameters, inspect.signature(library.simulate).parameters
+    said = {field.name: field for field in dataclasses.fields(SimulateOptions)}
+    meant = inspect.signature(library.simulate).parameters
     for name in ("imu", "gps", "vehicle", "seed", "duration"):
         assert said[name].default == meant[name].default, name
     assert said["runs"].default == inspect.signature(library.simulate_many).parameters["runs"].default

@@ -28,8 +28,9 @@ from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS
-from sigmaswarm.reports.pages.folders import read_report
-from sigmaswarm.reports.study import save_study, study_tables
+from sigmaswarm.reports.folders import read_report
+from sigmaswarm.reports.study import save_study
+from sigmaswarm.reports.study_tables import study_tables
 from sigmaswarm.scoring.targets import outage_windows, tracking_replay
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.search import Search

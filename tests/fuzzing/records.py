@@ -45,8 +45,8 @@ from sigmaswarm.learned.folder import Learned, LearnedRecord, load_learned
 from sigmaswarm.learned.outage_lstm import untrained
 from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
+from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import page
-from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.reports.study import save_study
 from support import make_drive
 

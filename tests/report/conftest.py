@@ -7,7 +7,7 @@ import pytest
 from browsing import open_browser
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[object]:
     with open_browser() as opened:
         yield opened

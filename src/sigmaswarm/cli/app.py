@@ -19,7 +19,7 @@ from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.export import export
 from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.learn import learn
-from sigmaswarm.cli.options import HELP_ALL, has_more
+from sigmaswarm.cli.options import HELP_ALL
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.record_carla import record_carla
 from sigmaswarm.cli.reference import reference
@@ -52,12 +52,14 @@ No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm de
     suppress_keyboard_interrupt=False,
 )
 PLAIN = Parameter(negative=(), consume_multiple=1)
+WITH_MORE = (tune, compare, simulate, import_)
+"""Commands whose short help leaves options out."""
 for command in (
     doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
     record_carla, plot, demo, import_,
 ):  # fmt: skip
     name = command.__name__.strip("_").replace("_", "-")
-    more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if has_more(command) else None
+    more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if command in WITH_MORE else None
     app.command(command, name=name, default_parameter=PLAIN, help_epilogue=more)
 
 

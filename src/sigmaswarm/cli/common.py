@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.files import finite
-from sigmaswarm.wording import TO_DO
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
 
-
 MOST_SENTENCES = 3
 """Sentences of an evaluation or a tuning that the terminal shows by default."""
 
@@ -29,11 +27,11 @@ def read_known(place: "Location") -> "Drive":
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
-    warn_of_reading(warned, gaps=False)
+    _warn_of_reading(warned, gaps=False)
     return drive
 
 
-def warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
+def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
     """Print the warnings of reading a drive, those about gaps only with ``gaps``."""
     for warning in warned:
         if gaps or not getattr(warning, "code", "").endswith("-gap"):
@@ -82,7 +80,7 @@ def read_datasets(
         with progress_bar("reading", "drives, remaining") as show:
             remote, warned = remote_datasets(Cluster(cluster), locations, progress=show)
         datasets = [*remote]
-    warn_of_reading(warned, gaps=gaps)
+    _warn_of_reading(warned, gaps=gaps)
     if not trusted:
         for drives, group in zip(datasets, locations, strict=True):
             warn_of_serious(drives, group)
@@ -98,10 +96,12 @@ def tuned_as_recorded(tuning: Path) -> bool:
     return load_record(TuningConfigRecord, file).config.get("as_recorded", False) is True
 
 
-def numbers_of(text: str, count: int, option: str, example: str) -> tuple[float, ...]:
-    """Parse an option of ``count`` numbers separated by commas."""
+def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
+    """Parse an option of ``count`` numbers separated by commas; None if it is not given."""
     from sigmaswarm.errors import InputError
 
+    if text is None:
+        return None
     try:
         numbers = tuple(float(v) for v in text.split(","))
     except ValueError:
@@ -118,15 +118,16 @@ def stdout() -> "Console":
     return console(soft_wrap=True)
 
 
+def say(*lines: object) -> None:
+    """Print lines for people."""
+    console = stdout()
+    for line in lines:
+        console.print(line)
+
+
 def print_json(content: Any) -> None:
     """Print for machines; NaN and inf, which JSON does not know, become null."""
     print(json.dumps(finite(content), indent=2))
-
-
-def print_remarks(remarks: "Iterable[str]", indent: str = "") -> None:
-    """Print the remarks on a tuning, one per line; those that ask for action begin with TO DO."""
-    for remark in remarks:
-        stdout().print(f"{indent}{'' if remark.startswith(TO_DO) else 'note: '}{remark}")
 
 
 def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "Iterable[str]" = ()) -> None:
@@ -138,7 +139,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
 
     from sigmaswarm.scoring.remarks import said_of_drives
 
-    console, view = stdout(), evaluation.view
+    view = evaluation.view
     several = len(view.scores.drives) > 1
     each, mean, sentences = view.drive_table(), view.mean_table(), view.sentences(more)
     table = mean if several else each
@@ -146,12 +147,11 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
         strong = each.strong | {len(each.rows) + i for i in mean.strong}
         table = replace(each, rows=each.rows + mean.rows, strong=strong)
     title = f"On {said_of_drives(view.setup.data)} (lower is better)"
-    console.print(replace(table, caption=title).to_rich(grouped=True))
+    say(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
         caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
-        console.print(replace(view.consistency_table(), caption=caption).to_rich())
-    for text in sentences if verbose else sentences[:MOST_SENTENCES]:
-        console.print(text)
-    if not verbose:
-        left = f", {len(sentences) - MOST_SENTENCES} more remarks" if len(sentences) > MOST_SENTENCES else ""
-        console.print(f"--verbose adds {'each drive, ' if several else ''}consistency{left}")
+        say(replace(view.consistency_table(), caption=caption).to_rich(), *sentences)
+        return
+    left = f", {len(sentences) - MOST_SENTENCES} more remarks" if len(sentences) > MOST_SENTENCES else ""
+    adds = f"--verbose adds {'each drive, ' if several else ''}consistency{left}"
+    say(*sentences[:MOST_SENTENCES], adds)

@@ -1,19 +1,26 @@
 """`sigmaswarm compare`."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import sigmaswarm
+from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, say
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
+from sigmaswarm.cli.progress import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
 
+if TYPE_CHECKING:
+    from sigmaswarm.datasets.dataset import Dataset
+    from sigmaswarm.experiments.comparison import Comparison
+
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
 """Options of the comparison, and those that only guard a tuning's result."""
+SHOWN = ("objective", "particles", "generations", "model")
 
 
-@options_of(
-    TuneConfig, shown=("objective", "particles", "generations", "model"), apart=APART, by_data=DECIDED_LATER
-)
+@options_of(TuneConfig, shown=SHOWN, apart=APART, by_data=DECIDED_LATER)
 def compare(
     drives: Places,
     /,
@@ -58,36 +65,28 @@ def compare(
     resume
         Continue an interrupted comparison; the result is the same, except for the times.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, stdout
-    from sigmaswarm.cli.progress import progress_bar
-    from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.reports.compare import comparison_table, save_comparison
+
+    asked: dict[str, Any] = {"seeds": seeds, "out": out, "resume": resume, "workers": workers}
+    asked |= {name: value for name, value in (("optimizers", optimizers), ("scales", scales)) if value}
+    with cluster_at(cluster) as client:
+        found, model = _compare(read_datasets(drives, validation or [], cluster=client), asked, options)
+    written = save_comparison(found, out)
+    if json:
+        print_json({"comparison": found.frame.to_dicts(), "written": [str(path) for path in written]})
+    else:
+        say(*model, comparison_table(found).to_markdown(), *(f"wrote {path}" for path in written))
+
+
+def _compare(
+    groups: "Sequence[Dataset]", asked: Mapping[str, Any], options: dict[str, Any]
+) -> "tuple[Comparison, list[str]]":
+    """Compare; return the result and a line about the model, if it was chosen."""
+    from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.tuning.defaults import with_filter
 
-    chosen = {"optimizers": optimizers, "scales": scales}
-    with cluster_at(cluster) as client:
-        read, held_out = read_datasets(drives, validation or [], cluster=client)
-        said = with_filter(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
-        with progress_bar("comparing", "tunings, remaining") as show:
-            comparison = sigmaswarm.compare(
-                read,
-                **{name: value for name, value in chosen.items() if value},  # pyright: ignore[reportArgumentType]
-                seeds=seeds,
-                validation=held_out,
-                out=out,
-                resume=resume,
-                workers=workers,
-                progress=show,
-                **options,
-            )
-    written = save_comparison(comparison, out)
-    if json:
-        print_json({"comparison": comparison.frame.to_dicts(), "written": [str(path) for path in written]})
-        return
-    console = stdout()
-    if said:
-        console.print(f"model: {said}")
-    console.print(comparison_table(comparison).to_markdown())
-    for path in written:
-        console.print(f"wrote {path}")
+    read, held_out = groups
+    chosen = with_filter(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
+    with progress_bar("comparing", "tunings, remaining") as show:
+        found = sigmaswarm.compare(read, validation=held_out, progress=show, **asked, **options)
+    return found, [f"model: {chosen}"] if chosen else []

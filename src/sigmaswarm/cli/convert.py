@@ -5,7 +5,10 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_known, say
 from sigmaswarm.cli.options import Json
+from sigmaswarm.errors import InputError
 
 
 def convert(
@@ -31,19 +34,16 @@ def convert(
     to
         parquet or csv.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_known, stdout
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.table_files import TABLES
     from sigmaswarm.drives.urls import is_url
-    from sigmaswarm.errors import InputError
 
     if len(drives) < 2:
         raise InputError("convert takes drives and, last, a folder for what they are converted to")
     *given, last = drives
     if is_url(last):
         raise InputError(f"{last}: drives are written to folders; name one")
-    out, written = Path(last), dict[str, Path]()
+    out, written = Path(last), list[str]()
     if any((out / table).exists() for table in TABLES):
         raise InputError(f"{last}: is a drive; name, last, the folder in which the converted drives are made")
     for place in all_drive_locations(given):
@@ -52,8 +52,9 @@ def convert(
             raise InputError(
                 f"{place}: a second drive is called {drive.name}; convert it into another folder"
             )
-        written[drive.name] = sigmaswarm.write_drive(drive, out / drive.name, form=to)
+        written.append(drive.name)
+        sigmaswarm.write_drive(drive, out / drive.name, form=to)
         if not json:
-            stdout().print(f"wrote {out / drive.name}")
+            say(f"wrote {out / drive.name}")
     if json:
         print_json({"drives": [str(out / name) for name in written]})

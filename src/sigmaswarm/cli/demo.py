@@ -3,16 +3,11 @@
 from pathlib import Path
 
 from sigmaswarm.cli.options import Json, Seed
-from sigmaswarm.cli.study import study
+from sigmaswarm.cli.study import StudyOptions, study
 from sigmaswarm.errors import InputError
 
 
-def demo(
-    *,
-    out: Path = Path("demo"),
-    seed: Seed = 0,
-    json: Json = False,
-) -> None:
+def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> None:
     """Run the paper's experiment in small in a minute, as does `study --quick`.
 
     Example:
@@ -28,4 +23,4 @@ def demo(
     """
     if out.is_dir() and any(out.iterdir()) and not (out / "study.toml").exists():
         raise InputError(f"{out}: is not empty, and no earlier demo made it; choose another --out")
-    study(out=out, quick=True, seed=seed, resume=True, json=json)
+    study(options=StudyOptions(out=out, quick=True, seed=seed, resume=True, json=json))

@@ -1,11 +1,16 @@
 """`sigmaswarm doctor`."""
 
+import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_drives, say
+from sigmaswarm.cli.findings import print_diagnosis
 from sigmaswarm.cli.options import Json
+from sigmaswarm.errors import DriveWarning, InputError
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive
@@ -37,39 +42,30 @@ def doctor(
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout
-    from sigmaswarm.cli.findings import print_diagnosis
 
     read = _read(drives)
     if fix is not None:
         _check_names(read, fix)
-    result: list[dict[str, object]] = []
+    result: list[dict[str, Any]] = []
     serious = False
     for drive in read:
         diagnosis = sigmaswarm.diagnose(drive)
-        told = diagnosis.to_dict()
+        found = diagnosis.to_dict()
         if not json:
             print_diagnosis(diagnosis)
         if fix is not None:
-            folder = fix / drive.name
-            copy = sigmaswarm.repair(drive, diagnosis)
+            folder, copy = fix / drive.name, sigmaswarm.repair(drive, diagnosis)
             sigmaswarm.write_drive(copy, folder)
-            withheld = set(copy.metadata.get("withheld", ()))
-            mended = list(
-                dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code not in withheld)
-            )
+            codes = dict.fromkeys(f.code for f in diagnosis.findings if f.repair)
+            mended = [code for code in codes if code not in copy.metadata.get("withheld", ())]
             diagnosis = sigmaswarm.diagnose(copy)
-            told["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
-            if not json:
-                if mended:
-                    stdout().print(f"wrote {folder}, mended: {', '.join(mended)}. What is left:\n")
-                    print_diagnosis(diagnosis)
-                else:
-                    stdout().print(
-                        f"wrote {folder}, a plain copy: there is nothing that the doctor can mend\n"
-                    )
-        result.append(told)
+            found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
+            if mended and not json:
+                say(f"wrote {folder}, mended: {', '.join(mended)}. What is left:\n")
+                print_diagnosis(diagnosis)
+            elif not json:
+                say(f"wrote {folder}, a plain copy: there is nothing that the doctor can mend\n")
+        result.append(found)
         serious |= diagnosis.serious
     if json:
         print_json({"drives": result, "serious": serious})
@@ -79,10 +75,6 @@ def doctor(
 
 def _read(paths: list[Path]) -> "list[Drive]":
     """Read the drives without the warnings of reading, since the diagnosis checks more."""
-    import warnings
-
-    from sigmaswarm.cli.common import read_drives
-    from sigmaswarm.errors import DriveWarning
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
@@ -91,7 +83,6 @@ def _read(paths: list[Path]) -> "list[Drive]":
 
 def _check_names(drives: "list[Drive]", out: Path) -> None:
     """Refuse, before anything is written, copies that would take each other's or another folder's place."""
-    from sigmaswarm.errors import InputError
 
     names = [drive.name for drive in drives]
     for name in names:

@@ -1,15 +1,67 @@
 """`sigmaswarm evaluate`."""
 
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.options import Cluster, Json, Places, Seed, TrustLog
+import sigmaswarm
+from sigmaswarm.cli.common import (
+    cluster_at,
+    print_evaluation,
+    print_json,
+    read_datasets,
+    say,
+    tuned_as_recorded,
+)
+from sigmaswarm.cli.options import FIELDS, Cluster, Json, Places, Seed, TrustLog
+from sigmaswarm.errors import InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
+    from sigmaswarm.learned.folder import Learned
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Options of `sigmaswarm evaluate`.
+
+    Attributes
+    ----------
+    against
+        A second tuning to compare with, or a file with your own parameters in a table [filter].
+    out
+        Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` needs.
+    outage_length
+        Length of the outages at whose end the drift is measured, s.
+    outage_seed
+        Seed of the outage windows.
+    as_recorded
+        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
+    smooth
+        Also evaluate the smoothed estimates of the tuned filter.
+    swarm
+        Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture.
+    verbose
+        Also print each drive, the consistency, all remarks and the files.
+    """
+
+    against: Path | None = None
+    out: Path | None = None
+    outage_length: float = 5.0
+    outage_seed: Seed = 0
+    as_recorded: bool = False
+    trust_log: TrustLog = False
+    smooth: bool = False
+    swarm: bool = False
+    cluster: Cluster = None
+    verbose: bool = False
+    json: Json = False
 
 
 def evaluate(
@@ -17,17 +69,7 @@ def evaluate(
     drives: Places,
     /,
     *,
-    against: Path | None = None,
-    out: Path | None = None,
-    outage_length: float = 5.0,
-    outage_seed: Seed = 0,
-    as_recorded: bool = False,
-    trust_log: TrustLog = False,
-    smooth: bool = False,
-    swarm: bool = False,
-    cluster: Cluster = None,
-    verbose: bool = False,
-    json: Json = False,
+    options: Annotated[EvaluateOptions, FIELDS] = EvaluateOptions(),
 ) -> None:
     """Evaluate a tuned filter on drives.
 
@@ -49,85 +91,61 @@ def evaluate(
     ----------
     tuning
         A tuning.toml, or the folder that holds it; also a folder of `sigmaswarm learn`.
-    against
-        A second tuning to compare with, or a file with your own parameters in a table [filter].
-    out
-        Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` needs.
-    outage_length
-        Length of the outages at whose end the drift is measured, s.
-    outage_seed
-        Seed of the outage windows.
-    as_recorded
-        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
-    smooth
-        Also evaluate the smoothed estimates of the tuned filter.
-    swarm
-        Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture.
-    verbose
-        Also print each drive, the consistency, all remarks and the files.
+    options
+        The options of the command line.
     """
-    from functools import partial
-
-    import sigmaswarm
-    from sigmaswarm.cli.common import (
-        cluster_at,
-        print_evaluation,
-        print_json,
-        read_datasets,
-        stdout,
-        tuned_as_recorded,
-    )
-    from sigmaswarm.errors import InputError
-    from sigmaswarm.learned.folder import load_learned, seen_in
+    from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.records import load_record
     from sigmaswarm.reports.evaluation import save_evaluation
-    from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
-    from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
+    from sigmaswarm.tuning.record import FILE, TuningRecord
 
-    parameters = sigmaswarm.FilterParameters.load(tuning)
-    file = tuning / FILE if tuning.is_dir() else tuning
-    learned = load_learned(tuning)
-    more = (
-        {} if learned is None else {learned.kind: partial(learned.run, parameters=parameters, recover=True)}
-    )
-    own = None if against is None else sigmaswarm.FilterParameters.load(against)
-    if not 0 < outage_length < inf:
-        raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
-    with cluster_at(cluster) as client:
-        (read,) = read_datasets(drives, cluster=client, trusted=trust_log)
-        result = evaluate_drives(
-            read,
-            parameters,
-            against=own,
-            outage_length=outage_length,
-            outage_seed=outage_seed,
-            as_recorded=as_recorded or tuned_as_recorded(tuning),
-            seen=[*seen_by(file), *seen_in(tuning)] or None,
-            smooth=smooth,
-            swarm=swarm,
-            more=more,
-        )
+    learned, out = load_learned(tuning), options.out
+    result = _evaluated(tuning, drives, options, learned)
     _warn_of_training_drives(result)
-    written: list[Path] = []
-    if out:
-        written = save_evaluation(result, out, tuning, learned)
-    if json:
+    written = save_evaluation(result, out, tuning, learned) if out else []
+    if options.json:
         print_json(result.to_dict())
         return
-    tuned = load_record(TuningRecord, file).result
-    print_evaluation(result, verbose=verbose, more=tuned.warnings if tuned else ())
+    tuned = load_record(TuningRecord, tuning / FILE if tuning.is_dir() else tuning).result
+    print_evaluation(result, verbose=options.verbose, more=tuned.warnings if tuned else ())
     if written:
-        names = ", ".join(path.name for path in written) if verbose else f"{len(written)} files"
-        stdout().print(f"wrote {names} to {out}")
+        names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
+        say(f"wrote {names} to {out}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
-    stdout().print(f"next: {page}")
+    say(f"next: {page}")
+
+
+def _evaluated(
+    tuning: Path, drives: Sequence[str], options: EvaluateOptions, learned: "Learned | None"
+) -> "Evaluation":
+
+    from sigmaswarm.learned.folder import seen_in
+    from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
+    from sigmaswarm.tuning.record import FILE, seen_by
+
+    parameters = sigmaswarm.FilterParameters.load(tuning)
+    other = options.against and sigmaswarm.FilterParameters.load(options.against)
+    if not 0 < options.outage_length < inf:
+        raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
+    run = learned and partial(learned.run, parameters=parameters, recover=True)
+    with cluster_at(options.cluster) as client:
+        (read,) = read_datasets(drives, cluster=client, trusted=options.trust_log)
+        return evaluate_drives(
+            read,
+            parameters,
+            against=other,
+            outage_length=options.outage_length,
+            outage_seed=options.outage_seed,
+            as_recorded=options.as_recorded or tuned_as_recorded(tuning),
+            seen=[*seen_by(tuning / FILE if tuning.is_dir() else tuning), *seen_in(tuning)] or None,
+            smooth=options.smooth,
+            swarm=options.swarm,
+            more={learned.kind: run} if learned and run else {},
+        )
 
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Warn of drives that the tuning has seen: scores on them are too good."""
-    import warnings
-
-    from sigmaswarm.errors import SigmaswarmWarning
 
     for name, found in evaluation.drives.items():
         if found.seen:

@@ -1,29 +1,55 @@
 """`sigmaswarm export`."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.options import Json
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_drives, read_known, say, tuned_as_recorded
+from sigmaswarm.cli.options import FIELDS, Json
 
 if TYPE_CHECKING:
     from sigmaswarm.exports.check import Checked
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Options of `sigmaswarm export`.
+
+    Attributes
+    ----------
+    to
+        filterpy: a Python script. c99: a C library. robot_localization: parameters, initial ones unless tuned with
+        --model robot-localization.
+    out
+        Folder to write to; created if missing.
+    replay
+        c99: a drive, written as input of the replay program.
+    check
+        c99: drives on which the compiled C is compared with `sigmaswarm run`.
+    lanes
+        c99: number of filters in a filter bank, 1 to 16, without its searches.
+    seed
+        Seed of the variants in the filter bank.
+    """
+
+    to: Literal["filterpy", "c99", "robot_localization", "robot-localization"]
+    out: Path
+    replay: Path | None = None
+    check: list[Path] | None = None
+    lanes: int = 1
+    seed: int = 0
+    json: Json = False
 
 
 def export(
     tuning: Annotated[Path, Parameter(name="TUNING")],
     /,
     *,
-    to: Literal["filterpy", "c99", "robot_localization", "robot-localization"],
-    out: Path,
-    replay: Path | None = None,
-    check: list[Path] | None = None,
-    lanes: int = 1,
-    seed: int = 0,
-    json: Json = False,
+    options: Annotated[ExportOptions, FIELDS],
 ) -> None:
     """Export a tuned filter as C, as a Python script or for robot_localization.
 
@@ -40,47 +66,29 @@ def export(
     ----------
     tuning
         A tuning.toml, or the folder that holds it.
-    to
-        filterpy: a Python script. c99: a C library. robot_localization: parameters, initial ones unless tuned with
-        --model robot-localization.
-    out
-        Folder to write to; created if missing.
-    replay
-        c99: a drive, written as input of the replay program.
-    check
-        c99: drives on which the compiled C is compared with `sigmaswarm run`.
-    lanes
-        c99: number of filters in a filter bank, 1 to 16, without its searches.
-    seed
-        Seed of the variants in the filter bank.
+    options
+        The options of the command line.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_drives, read_known, stdout, tuned_as_recorded
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_filter
 
+    to, out, lanes, seed = options.to, options.out, options.lanes, options.seed
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    if check and to != "c99":
+    if options.check and to != "c99":
         raise sigmaswarm.InputError(f"--check is for --to c99 only: {to} is not C that could be built here")
-    drive, drives = read_known(replay) if replay else None, read_drives(check or [])
-    as_recorded = tuned_as_recorded(tuning)
-    written = export_filter(
-        parameters, to, out, replay=drive, as_recorded=as_recorded, lanes=lanes, seed=seed
-    )
-    checked = (
-        check_export(out, parameters, drives, as_recorded=as_recorded, lanes=lanes, seed=seed)
-        if drives
-        else []
-    )
-    if json:
-        found = {"checked": [asdict(each) for each in checked]} if check else {}
+    drive = read_known(options.replay) if options.replay else None
+    drives = read_drives(options.check or [])
+    recorded = tuned_as_recorded(tuning)
+    written = export_filter(parameters, to, out, replay=drive, as_recorded=recorded, lanes=lanes, seed=seed)
+    checked: list[Checked] = []
+    if drives:
+        checked = check_export(out, parameters, drives, as_recorded=recorded, lanes=lanes, seed=seed)
+    if options.json:
+        found = {"checked": [asdict(each) for each in checked]} if options.check else {}
         print_json({"written": [str(path) for path in written], **found})
         return
-    for path in written:
-        stdout().print(f"wrote {path}")
-    for each in checked:
-        stdout().print(_found(each, lanes))
-    stdout().print(f"next: {_next_step(to, out, replay=replay is not None)}")
+    say(*(f"wrote {path}" for path in written), *(_found(each, lanes) for each in checked))
+    say(f"next: {_next_step(to, out, replay=drive is not None)}")
 
 
 def _found(checked: "Checked", lanes: int) -> str:

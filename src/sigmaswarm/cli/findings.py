@@ -3,7 +3,7 @@
 import shlex
 import warnings
 from collections.abc import Sequence
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,16 +23,32 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     from rich.table import Table
     from rich.text import Text
 
+    serious, warned, noted = (sum(f.severity == s for f in diagnosis.findings) for s in _STYLES)
+    summary = f"{serious} SERIOUS" if serious else "nothing serious"
+    summary += f", {counted(warned, 'warning')}, {counted(noted, 'note')}"
     out = console(soft_wrap=True)
-    out.print(Text.assemble((diagnosis.drive, "bold"), f": {_summary(diagnosis)}"))
+    out.print(Text.assemble((diagnosis.drive, "bold"), f": {summary}"))
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(width=9)
     table.add_column(overflow="fold")
     for finding in diagnosis.findings:
-        style = _STYLES[finding.severity]
-        table.add_row(Text(f"  {finding.severity}", style), Text(_said(finding)))
+        table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(_said(finding)))
     out.print(table)
     out.print()
+
+
+def _said(finding: "Finding") -> str:
+    """Format a finding as three lines: fault, place with confidence, remedy; a note as one line."""
+    what = f"{finding.what[0].upper()}{finding.what[1:]}."
+    if finding.severity == "note":
+        return f"{what} [{finding.where}]"
+    start, end = finding.span
+    return (
+        f"{what}\n"
+        f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; "
+        f"confidence {100 * finding.confidence:.3g}%\n"
+        f"-> {finding.remedy}{' (--fix does it)' if finding.repair else ''}"
+    )
 
 
 def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
@@ -58,27 +74,6 @@ def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | Non
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
     if not any(f.severity == "serious" and f.repair for f in diagnosis.findings):
         return command, None
-    folders = chain([Path("mended")], (Path(f"mended-{i}") for i in count(2)))
+    folders = (Path("mended" if i == 1 else f"mended-{i}") for i in count(1))
     out = next(out for out in folders if not (out / diagnosis.drive).exists())
     return f"{command} --fix {out}", out / diagnosis.drive
-
-
-def _summary(diagnosis: "Diagnosis") -> str:
-    counts = {s: sum(f.severity == s for f in diagnosis.findings) for s in _STYLES}
-    serious = f"{counts['serious']} SERIOUS" if counts["serious"] else "nothing serious"
-    return f"{serious}, {counted(counts['warning'], 'warning')}, {counted(counts['note'], 'note')}"
-
-
-def _said(finding: "Finding") -> str:
-    """Format a finding as three lines: fault, place with confidence, remedy; a note as one line."""
-    what = f"{finding.what[0].upper()}{finding.what[1:]}."
-    if finding.severity == "note":
-        return f"{what} [{finding.where}]"
-    start, end = finding.span
-    fixes = " (--fix does it)" if finding.repair else ""
-    return (
-        f"{what}\n"
-        f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; "
-        f"confidence {100 * finding.confidence:.3g}%\n"
-        f"-> {finding.remedy}{fixes}"
-    )

@@ -1,84 +1,35 @@
 """`sigmaswarm import`."""
 
 import re
-import shlex
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.options import MORE, Json
+from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
+from sigmaswarm.cli.findings import mending, print_diagnosis
+from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json
+from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.errors import InputError
 from sigmaswarm.wording import shown
 
 if TYPE_CHECKING:
-    from sigmaswarm.importing.convert import Imported
-    from sigmaswarm.importing.limits import Limits
-    from sigmaswarm.importing.look import Look
-    from sigmaswarm.importing.recipe import Recipe
+    from sigmaswarm.importing.convert import Imported, Request
+    from sigmaswarm.importing.look import Glance, Look
 
 MOST_UNREAD = 100
 """Names of unused columns shown per table."""
 
-_Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
 
+@dataclass(frozen=True)
+class ImportOptions:
+    """Options of `sigmaswarm import`.
 
-def import_(
-    source: Annotated[Path, Parameter(name="SOURCE")],
-    /,
-    *,
-    out: Path | None = None,
-    show: bool = False,
-    format: str | None = None,
-    gps: Path | None = None,
-    truth: Path | None = None,
-    odometer: Annotated[Path | None, MORE] = None,
-    map: list[str] | None = None,
-    time: str | None = None,
-    recipe: Path | None = None,
-    save_recipe: Annotated[Path | None, MORE] = None,
-    imu_topic: Annotated[str | None, Parameter(name=("--imu-topic", "--imu-table"))] = None,
-    gps_topic: Annotated[str | None, Parameter(name=("--gps-topic", "--gps-table"))] = None,
-    velocity_topic: Annotated[
-        str | None, MORE, Parameter(name=("--velocity-topic", "--velocity-table"))
-    ] = None,
-    truth_topic: Annotated[str | None, MORE, Parameter(name=("--truth-topic", "--truth-table"))] = None,
-    odometer_topic: Annotated[
-        str | None, MORE, Parameter(name=("--odometer-topic", "--odometer-table"))
-    ] = None,
-    receive_times: Annotated[bool, MORE] = False,
-    part: int | None = None,
-    msg: Annotated[list[Path] | None, MORE] = None,
-    mount: _Values = None,
-    gps_offset: Annotated[float | None, MORE] = None,
-    truth_offset: Annotated[float | None, MORE] = None,
-    odometer_offset: Annotated[float | None, MORE] = None,
-    origin: Annotated[_Values, MORE] = None,
-    lever_arm: Annotated[_Values, MORE] = None,
-    heading_from_north: Annotated[float | None, MORE, Parameter(allow_leading_hyphen=True)] = None,
-    gps_from_truth: Annotated[_Values, MORE] = None,
-    max_rows: Annotated[int | None, MORE] = None,
-    max_columns: Annotated[int | None, MORE] = None,
-    max_unpacked_mb: Annotated[int | None, MORE] = None,
-    name: Annotated[str | None, MORE] = None,
-    overwrite: Annotated[bool, MORE] = False,
-    json: Annotated[Json, MORE] = False,
-) -> None:
-    """Import a log as a drive.
-
-    ROS bags, MCAP, CSV, Parquet, data sets, receivers, flight logs and phones; the format is detected. Begin with
-    --show, which writes nothing.
-
-    Examples:
-
-        sigmaswarm import monday.mcap --show
-        sigmaswarm import monday.mcap --out drives/monday --imu-topic /imu/data --mount 90
-        sigmaswarm import imu.csv --out drives/monday --gps track.ubx --truth rtk.pos
-        sigmaswarm import log.csv --out drives/monday --time "stamp*1e-3" --map "ax=-acc_y*9.80665" "gz=radians(gyro_z)"
-
-    Parameters
+    Attributes
     ----------
-    source
-        The log, a file or a folder, with the IMU and often everything else.
     out
         Folder of the new drive.
     show
@@ -143,119 +94,155 @@ def import_(
     overwrite
         Replace an existing drive.
     """
-    from sigmaswarm.cli.common import numbers_of
-    from sigmaswarm.errors import InputError
+
+    out: Path | None = None
+    show: bool = False
+    format: str | None = None
+    gps: Path | None = None
+    truth: Path | None = None
+    odometer: Annotated[Path | None, MORE] = None
+    map: list[str] | None = None
+    time: str | None = None
+    recipe: Path | None = None
+    save_recipe: Annotated[Path | None, MORE] = None
+    imu_topic: Annotated[str | None, Parameter(name=("--imu-topic", "--imu-table"))] = None
+    gps_topic: Annotated[str | None, Parameter(name=("--gps-topic", "--gps-table"))] = None
+    velocity_topic: Annotated[str | None, MORE, Parameter(name=("--velocity-topic", "--velocity-table"))] = (
+        None
+    )
+    truth_topic: Annotated[str | None, MORE, Parameter(name=("--truth-topic", "--truth-table"))] = None
+    odometer_topic: Annotated[str | None, MORE, Parameter(name=("--odometer-topic", "--odometer-table"))] = (
+        None
+    )
+    receive_times: Annotated[bool, MORE] = False
+    part: int | None = None
+    msg: Annotated[list[Path] | None, MORE] = None
+    mount: Hyphened = None
+    gps_offset: Annotated[float | None, MORE] = None
+    truth_offset: Annotated[float | None, MORE] = None
+    odometer_offset: Annotated[float | None, MORE] = None
+    origin: Annotated[Hyphened, MORE] = None
+    lever_arm: Annotated[Hyphened, MORE] = None
+    heading_from_north: Annotated[float | None, MORE, Parameter(allow_leading_hyphen=True)] = None
+    gps_from_truth: Annotated[Hyphened, MORE] = None
+    max_rows: Annotated[int | None, MORE] = None
+    max_columns: Annotated[int | None, MORE] = None
+    max_unpacked_mb: Annotated[int | None, MORE] = None
+    name: Annotated[str | None, MORE] = None
+    overwrite: Annotated[bool, MORE] = False
+    json: Annotated[Json, MORE] = False
+
+
+def import_(
+    source: Annotated[Path, Parameter(name="SOURCE")],
+    /,
+    *,
+    options: Annotated[ImportOptions, FIELDS] = ImportOptions(),
+) -> None:
+    """Import a log as a drive.
+
+    ROS bags, MCAP, CSV, Parquet, data sets, receivers, flight logs and phones; the format is detected. Begin with
+    --show, which writes nothing.
+
+    Examples:
+
+        sigmaswarm import monday.mcap --show
+        sigmaswarm import monday.mcap --out drives/monday --imu-topic /imu/data --mount 90
+        sigmaswarm import imu.csv --out drives/monday --gps track.ubx --truth rtk.pos
+        sigmaswarm import log.csv --out drives/monday --time "stamp*1e-3" --map "ax=-acc_y*9.80665" "gz=radians(gyro_z)"
+
+    Parameters
+    ----------
+    source
+        The log, a file or a folder, with the IMU and often everything else.
+    options
+        The options of the command line.
+    """
+
+    request, heading = _request(source, options), options.heading_from_north
+    if heading is not None and not abs(heading) <= 360:
+        raise InputError(f"--heading-from-north {heading:g} is no angle; give degrees, 0 to 360")
+    if options.show:
+        _show(request, options)
+    elif options.out is None:
+        raise InputError("--out is missing: name the drive's folder to be made, or use --show to look first")
+    else:
+        _import(request, options.out, options)
+
+
+def _request(source: Path, options: ImportOptions) -> "Request":
+
     from sigmaswarm.importing.convert import Request
+    from sigmaswarm.importing.limits import Limits
     from sigmaswarm.importing.recipe import Recipe
     from sigmaswarm.importing.source import Choice
 
     topics = {
-        "imu": imu_topic,
-        "gps": gps_topic,
-        "velocity": velocity_topic,
-        "truth": truth_topic,
-        "odometer": odometer_topic,
+        name: getattr(options, f"{name}_topic") for name in ("imu", "gps", "velocity", "truth", "odometer")
     }
     settings: dict[str, Any] = {
-        "mount": mount,
-        "gps_offset_s": gps_offset,
-        "truth_offset_s": truth_offset,
-        "odometer_offset_s": odometer_offset,
-        "origin": None if origin is None else numbers_of(origin, 3, "--origin", "50.1,8.7,120"),
-        "gps_lever_arm_m": None
-        if lever_arm is None
-        else numbers_of(lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
-        "gps_from_truth": None
-        if gps_from_truth is None
-        else numbers_of(gps_from_truth, 2, "--gps-from-truth", "5,1"),
+        "mount": options.mount,
+        "gps_offset_s": options.gps_offset,
+        "truth_offset_s": options.truth_offset,
+        "odometer_offset_s": options.odometer_offset,
+        "origin": numbers_of(options.origin, 3, "--origin", "50.1,8.7,120"),
+        "gps_lever_arm_m": numbers_of(options.lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
+        "gps_from_truth": numbers_of(options.gps_from_truth, 2, "--gps-from-truth", "5,1"),
     }
-    request = Request(
-        source=source,
-        gps=gps,
-        truth=truth,
-        odometer=odometer,
-        form=format,
-        recipe=_with(Recipe.load(recipe) if recipe else Recipe(), settings),
-        maps=map or (),
-        time=time,
-        choice=Choice({k: v for k, v in topics.items() if v}, receive_times),
-        limits=_limits(rows=max_rows, columns=max_columns, unpacked_mb=max_unpacked_mb),
-        part=part,
-        definitions=msg or (),
-    )
-    if heading_from_north is not None and not abs(heading_from_north) <= 360:
-        raise InputError(f"--heading-from-north {heading_from_north:g} is no angle; give degrees, 0 to 360")
-    if show:
-        _show(request, save_recipe, json)
-        return
-    if out is None:
-        raise InputError("--out is missing: name the drive's folder to be made, or use --show to look first")
-    stated = {} if heading_from_north is None else {"heading_deg": (90.0 - heading_from_north) % 360.0}
-    _import(request, (out, name or out.resolve().name), stated, save_recipe, overwrite=overwrite, json=json)
-
-
-def _limits(**given: int | None) -> "Limits":
-    from sigmaswarm.errors import InputError
-    from sigmaswarm.importing.limits import Limits
-
-    for name, value in given.items():
+    recipe = Recipe.load(options.recipe) if options.recipe else Recipe()
+    limits = {name: getattr(options, f"max_{name}") for name in ("rows", "columns", "unpacked_mb")}
+    for name, value in limits.items():
         if value is not None and value < 1:
             raise InputError(f"--max-{name.replace('_', '-')} {value} can't be; give a number above 0")
-    return Limits(**{name: value for name, value in given.items() if value is not None})
+    return Request(
+        source=source,
+        gps=options.gps,
+        truth=options.truth,
+        odometer=options.odometer,
+        form=options.format,
+        recipe=replace(recipe, **{key: value for key, value in settings.items() if value is not None}),
+        maps=options.map or (),
+        time=options.time,
+        choice=Choice({k: v for k, v in topics.items() if v}, options.receive_times),
+        limits=Limits(**{name: value for name, value in limits.items() if value is not None}),
+        part=options.part,
+        definitions=options.msg or (),
+    )
 
 
-def _with(recipe: "Recipe", settings: dict[str, Any]) -> "Recipe":
-    from dataclasses import replace
-
-    return replace(recipe, **{key: value for key, value in settings.items() if value is not None})
-
-
-def _import(
-    request: Any,
-    target: tuple[Path, str],
-    stated: dict[str, float],
-    save_recipe: Path | None,
-    *,
-    overwrite: bool,
-    json: bool,
-) -> None:
+def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     """Import and write; print the assumptions."""
-    from dataclasses import replace
 
-    from sigmaswarm.cli.common import print_json, stdout
-    from sigmaswarm.cli.findings import mending, print_diagnosis
-    from sigmaswarm.cli.progress import percent_bar
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
 
-    out, name = target
-    require_replaceable(out.resolve(), overwrite, "add --overwrite, or name another folder")
-    with percent_bar("importing") as progress:
-        imported = import_drive(request, name, progress)
-    drive = replace(imported.drive, metadata={**imported.drive.metadata, **stated})
-    imported = replace(imported, drive=drive)
-    write_drive(drive, out, overwrite=overwrite)
-    if save_recipe:
-        imported.recipe.save(save_recipe)
+    require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or name another folder")
+    with progress_bar("importing") as show:
+        imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))
+    if (heading := options.heading_from_north) is not None:
+        stated = {**imported.drive.metadata, "heading_deg": (90.0 - heading) % 360.0}
+        imported = replace(imported, drive=replace(imported.drive, metadata=stated))
+    write_drive(imported.drive, out, overwrite=options.overwrite)
+    if options.save_recipe:
+        imported.recipe.save(options.save_recipe)
     diagnosis = diagnose(imported.drive)
-    if json:
+    if options.json:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
-    else:
-        _tell(imported, out)
-        print_diagnosis(diagnosis)
-        ready = out
-        if diagnosis.serious:
-            command, mended = mending(diagnosis, out)
-            ready = mended or out
-            go_on = (
-                f"go on with {mended}, not with {out}" if mended else "what it can't mend, mend in the log"
-            )
-            stdout().print(f"next: {command}    (then {go_on})")
-        else:
-            stdout().print(f"next: sigmaswarm plot {shlex.quote(str(out))}")
-        stdout().print(f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned")
-        stdout().print("      (or keep this drive back, to evaluate on it what was tuned on others)")
+        return
+    say(*_told(imported, out))
+    print_diagnosis(diagnosis)
+    ready, following = out, f"sigmaswarm plot {quote(str(out))}"
+    if diagnosis.serious:
+        command, mended = mending(diagnosis, out)
+        ready = mended or out
+        go_on = f"go on with {mended}, not with {out}" if mended else "what it can't mend, mend in the log"
+        following = f"{command}    (then {go_on})"
+    say(
+        f"next: {following}",
+        f"then: sigmaswarm tune {quote(str(ready))} --out tuned",
+        "      (or keep this drive back, to evaluate on it what was tuned on others)",
+    )
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -265,94 +252,79 @@ def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
         "duration_s": drive.duration,
         "imu_samples": len(drive.imu),
         "fixes": len(drive.gps),
-        "truth_samples": len(drive.truth) if drive.truth else 0,
-        "odometer_samples": len(drive.odometer) if drive.odometer else 0,
+        "truth_samples": len(drive.truth or ()),
+        "odometer_samples": len(drive.odometer or ()),
         "recipe": imported.recipe.to_toml(),
         "notes": list(imported.notes),
     }
 
 
-def _tell(imported: "Imported", out: Path) -> None:
-    from sigmaswarm.cli.common import stdout
-
-    drive, console = imported.drive, stdout()
+def _told(imported: "Imported", out: Path) -> Iterator[str]:
+    drive = imported.drive
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
-    for read in imported.recipe.said():
-        console.print(f"read: {shown(read, 1000)}")
-    for note in imported.notes:
-        console.print(f"note: {shown(note, 1000)}")
+    yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
+    yield from (f"note: {shown(note, 1000)}" for note in imported.notes)
     if not imported.recipe.mount:
-        console.print("note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount")
+        yield "note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount"
     rate = 1 / drive.nominal_interval
-    console.print(
+    yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
-        f"{len(drive.gps)} fixes{wheels}{truth}",
+        f"{len(drive.gps)} fixes{wheels}{truth}"
     )
 
 
-def _show(request: Any, save_recipe: Path | None, json: bool) -> None:
-    from sigmaswarm.cli.common import print_json
+def _show(request: "Request", options: ImportOptions) -> None:
+
     from sigmaswarm.importing.look import look
 
     seen = look(request)
-    if save_recipe:
-        seen.recipe.save(save_recipe)
-    if json:
-        from dataclasses import asdict
-
-        told = {"recipe": seen.recipe.to_toml(), "notes": seen.notes}
-        asked = {"proposal": seen.proposal, "evidence": seen.evidence}
-        print_json({"tables": [asdict(t) for t in seen.tables], **told, **asked})
+    if options.save_recipe:
+        seen.recipe.save(options.save_recipe)
+    if options.json:
+        content = {"recipe": seen.recipe.to_toml(), "notes": seen.notes}
+        content |= {"proposal": seen.proposal, "evidence": seen.evidence}
+        print_json({"tables": [asdict(t) for t in seen.tables], **content})
     else:
         _print_look(seen)
 
 
 def _print_look(seen: "Look") -> None:
-    from sigmaswarm.cli.common import stdout
 
     console = stdout()
     for glance in seen.tables:
         rows = f", {glance.rows} rows" if glance.rows is not None else ""
         rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
-        title = f"{shown(glance.table)}: {shown(glance.kind)}{rows}{rate}"
-        console.print(title, style="bold")
-        told = [r for r in glance.ranges if r.low or r.high or r.low is None]
-        width = max((len(shown(r.column)) for r in told), default=0)
-        for r in told:
-            cells = (
-                f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
-            )
-            console.print(
-                f"  {shown(r.column):{width}} {shown(r.example) if r.low is None and r.example else cells}",
-                markup=False,
-            )
-        if left := len(glance.ranges) - len(told):
-            console.print(f"  and {left} columns that are 0")
-    console.print("(each column's lowest value, median and highest, over the first rows)")
-    console.print(
-        "\nWhat import would do by itself (save it with --save-recipe, change it with --map):", style="bold"
-    )
+        console.print(f"{shown(glance.table)}: {shown(glance.kind)}{rows}{rate}", style="bold")
+        say(*_columns(glance))
+    say("(each column's lowest value, median and highest, over the first rows)")
+    planned = "What import would do by itself (save it with --save-recipe, change it with --map):"
+    console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
-    console.print(recipe or "nothing was recognized; say what is what with --map")
-    for note in seen.notes:
-        console.print(f"note: {shown(note, 1000)}")
+    say(recipe or "nothing was recognized; say what is what with --map")
+    say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
     if seen.proposal:
         console.print("\nTo read the rest, add to the command:", style="bold")
-        console.print(shown(seen.proposal, 4000), markup=False)
-        times = (
-            "; imu.t and gps.t are the times of their rows"
-            if re.search(r"\b(imu|gps)\.t=", seen.proposal)
-            else ""
-        )
-        console.print(f"({shown(seen.evidence, 1000)}{times}; nothing of it is done unless you ask for it)")
+        of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
+        times = "; imu.t and gps.t are the times of their rows" if of_rows else ""
+        evidence = f"({shown(seen.evidence, 1000)}{times}; nothing of it is done unless you ask for it)"
+        say(shown(seen.proposal, 4000), evidence)
     if seen.unread:
         console.print("\nWhat neither reads:", style="bold")
-        for table, columns in seen.unread.items():
-            more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
-            console.print(
-                f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}", markup=False
-            )
+    for table, columns in (seen.unread or {}).items():
+        more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
+        say(f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}")
+
+
+def _columns(glance: "Glance") -> Iterator[str]:
+    """A line a column with values other than 0: lowest, median and highest, or an example."""
+    told = [r for r in glance.ranges if r.low or r.high or r.low is None]
+    width = max((len(shown(r.column)) for r in told), default=0)
+    for r in told:
+        ends = f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
+        yield f"  {shown(r.column):{width}} {shown(r.example) if r.low is None and r.example else ends}"
+    if left := len(glance.ranges) - len(told):
+        yield f"  and {left} columns that are 0"
 
 
 def _short(value: float | None) -> str:

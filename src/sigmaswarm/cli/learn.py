@@ -1,26 +1,58 @@
 """`sigmaswarm learn`."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Parameter, validators
+from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_drives, say
+from sigmaswarm.cli.options import FIELDS, Seed
+from sigmaswarm.cli.progress import progress_bar
 from sigmaswarm.filters.names import NetworkName
+
+if TYPE_CHECKING:
+    from sigmaswarm.learned.folder import LearnedRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnOptions:
+    """Options of `sigmaswarm learn`.
+
+    Attributes
+    ----------
+    out
+        Folder for learned.toml, weights.npz and the filter.
+    validation
+        Held-out drives for early stopping and calibration; by default a part of the drives.
+    search
+        Number of further settings (units, window, learning rate) to try.
+    seed
+        Same seed, same result.
+    resume
+        Continue an interrupted training; the result is the same as without interruption.
+    json
+        Print learned.toml as JSON.
+    """
+
+    out: Path
+    validation: list[str] | None = None
+    search: Seed = 0
+    seed: Seed = 0
+    resume: bool = False
+    json: bool = False
 
 
 def learn(
     network: Annotated[NetworkName, Parameter(name="NETWORK")],
     tuning: Annotated[Path, Parameter(name="TUNING")],
-    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Annotated[list[str], Parameter(name="DRIVE")],
     /,
     *,
-    out: Path,
-    validation: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
-    search: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
-    seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
-    resume: Annotated[bool, Parameter(negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    options: Annotated[LearnOptions, FIELDS],
 ) -> None:
     """Train a network that helps a tuned filter.
 
@@ -44,58 +76,55 @@ def learn(
         A tuning.toml, or its folder.
     drives
         Drive folders to learn from, or folders of drive folders.
-    out
-        Folder for learned.toml, weights.npz and the filter.
-    validation
-        Held-out drives for early stopping and calibration; by default a part of the drives.
-    search
-        Number of further settings (units, window, learning rate) to try.
-    seed
-        Same seed, same result.
-    resume
-        Continue an interrupted training; the result is the same as without interruption.
-    json
-        Print learned.toml as JSON.
+    options
+        The options of the command line.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_drives, stdout
-    from sigmaswarm.cli.progress import progress_bar
+
+    record = _learn(network, tuning, drives, options)
+    if options.json:
+        print_json(record.model_dump(mode="json"))
+    else:
+        say(*_summary(record, options.out))
+
+
+def _learn(network: NetworkName, tuning: Path, drives: list[str], options: LearnOptions) -> "LearnedRecord":
     from sigmaswarm.learned.learn import learn as train
     from sigmaswarm.tuning.record import FILE
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    read, held_back = read_drives(drives), read_drives(validation or [])
-    waiting = "getting ready (smoothing the drives)"
-    with progress_bar(
-        "learning", "epochs at most, loss {task.fields[loss]}, remaining", waiting, loss="-"
-    ) as show:
+    read, held_back = read_drives(drives), read_drives(options.validation or [])
+    counted, waiting = (
+        "epochs at most, loss {task.fields[loss]}, remaining",
+        "getting ready (smoothing the drives)",
+    )
+    with progress_bar("learning", counted, waiting, loss="-") as show:
         learned = train(
             network,
             parameters,
             read,
-            out=out,
+            out=options.out,
             validation=held_back,
             tuning=tuning / FILE if tuning.is_dir() else tuning,
-            search=search,
-            seed=seed,
-            resume=resume,
+            search=options.search,
+            seed=options.seed,
+            resume=options.resume,
             progress=lambda now: show(now.done, now.total, loss=f"{now.loss:.3f}"),
         )
-    record = learned.record
-    if json:
-        print_json(record.model_dump(mode="json"))
-        return
-    console, net, training = stdout(), record.network, record.training
-    console.print(
+    return learned.record
+
+
+def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
+    net, training = record.network, record.training
+    yield (
         f"{record.kind}: {net.numbers} numbers, {net.units} units, window {net.window:.3g} s, learned from "
         f"{training.driven_s / 60:.1f} minutes of driving in {training.epochs} epochs"
     )
-    console.print(f"loss on {training.held_back}: {training.loss:.4f}, untrained {training.loss_before:.4f}")
+    yield f"loss on {training.held_back}: {training.loss:.4f}, untrained {training.loss_before:.4f}"
     if record.kind == "outage-lstm":
-        console.print(
+        yield (
             f"calibration: factor {net.inflation:.3g} of its variances"
             if net.inflation
             else "note: hidden fixes are most likely without the network, so the filter does not use its forecasts"
         )
-    console.print(f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}")
-    console.print(f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE...")
+    yield f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}"
+    yield f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."

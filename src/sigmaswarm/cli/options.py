@@ -2,7 +2,7 @@
 
 import inspect
 import sys
-from collections.abc import Callable, Collection, Generator
+from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from types import NoneType, UnionType
@@ -36,9 +36,14 @@ class _MoreOptions(Group):
 
 MORE = Parameter(group=_MoreOptions("More options"))
 """Marks an option that the short help leaves out."""
+FIELDS = Parameter(name="*")
+"""Marks a record whose fields are the options of a command."""
 AT_LEAST_1 = Parameter(validator=validators.Number(gte=1))
 AT_LEAST_0 = Parameter(validator=validators.Number(gte=0))
+Count = Annotated[int | None, AT_LEAST_1]
 Seed = Annotated[int, AT_LEAST_0]
+Hyphened = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
+"""A text that may begin with a minus."""
 Places = Annotated[
     list[str], Parameter(name="DRIVE", help="Drive folders or URLs, or folders of drive folders.")
 ]
@@ -63,42 +68,34 @@ def options_of(
     shown: Collection[str],
     apart: Collection[str] = (),
     by_data: Collection[str] = (),
-    renamed: dict[str, str] | None = None,
+    renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command with ``**options`` the fields of a model as options; it gets those that the user gave.
 
-    Parameters
-    ----------
-    model : type
-        States each option's type, default and help.
-    shown : collection of str
-        Fields in the short help.
-    apart : collection of str
-        Fields that are no options of the command.
-    by_data : collection of str
-        Fields whose default is not a constant, and so is not shown.
-    renamed : dict, optional
-        Deprecated names and the current ones.
+    ``shown`` are the fields in the short help, ``apart`` those that are no options of the command, ``by_data`` those
+    whose default is not a constant. ``renamed`` maps deprecated names to the current ones.
     """
     old = {new: name for name, new in (renamed or {}).items()}
-    fields = {name: field for name, field in model.model_fields.items() if name not in apart}
-    added = [
-        inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=None,
-            annotation=_annotation(name, field, old.get(name), name in shown, name not in by_data),
-        )
-        for name, field in fields.items()
-    ]
+    added = {
+        name: _annotation(name, field, old.get(name), name in shown, name not in by_data)
+        for name, field in model.model_fields.items()
+        if name not in apart
+    }
 
     def decorated(command: Callable[..., None]) -> Callable[..., None]:
         own = [p for p in inspect.signature(command).parameters.values() if p.kind is not p.VAR_KEYWORD]
         required = [p for p in own if p.default is p.empty]
-        parameters = [*required, *added, *(p for p in own if p not in required)]
+        parameters = [
+            *required,
+            *(
+                inspect.Parameter(n, own[-1].KEYWORD_ONLY, default=None, annotation=a)
+                for n, a in added.items()
+            ),
+            *(p for p in own if p not in required),
+        ]
 
         def run(*arguments: Any, **named: Any) -> None:
-            command(*arguments, **{k: v for k, v in named.items() if k not in fields or v is not None})
+            command(*arguments, **{k: v for k, v in named.items() if k not in added or v is not None})
 
         run.__name__, run.__doc__ = command.__name__, command.__doc__
         run.__annotations__ = {p.name: p.annotation for p in parameters}
@@ -109,27 +106,16 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Type and `Parameter` of a field, for Cyclopts."""
-    kind, option = _plain(field.annotation), name.replace("_", "-")
+    """Type and `Parameter` of a field; of a union the first type, since others are for Python."""
+    kind, option = field.annotation, f"--{name.replace('_', '-')}"
+    if get_origin(kind) in (Union, UnionType):
+        kind = next(member for member in get_args(kind) if member is not NoneType)
     look: dict[str, Any] = {"help": " ".join((field.description or "").split()), "show_default": False}
     if get_origin(kind) is tuple:
         kind = list[get_args(kind)[0]]
-        look["negative"] = f"--{option}-nothing"
+        look["negative"] = f"{option}-nothing"
     elif kind is not bool and constant and field.default is not None:
         look["show_default"] = lambda _: str(field.default)  # pyright: ignore[reportUnknownLambdaType]
     if old:
         look["alias"] = f"--{old.replace('_', '-')}"
     return Annotated[kind | None, Parameter(**look), *(() if shown else (MORE,))]
-
-
-def _plain(annotation: Any) -> Any:
-    """Return the first type of a union, without None and types that only Python can pass."""
-    if get_origin(annotation) in (Union, UnionType):
-        return next(member for member in get_args(annotation) if member is not NoneType)
-    return annotation
-
-
-def has_more(command: Callable[..., None]) -> bool:
-    """Check if the short help of a command leaves options out."""
-    hints = inspect.get_annotations(command).values()
-    return any(MORE in getattr(hint, "__metadata__", ()) for hint in hints)

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.common import print_json, read_known, say
 from sigmaswarm.cli.options import Json
 
 
@@ -31,7 +32,6 @@ def plot(
     out
         NAME.png; by default the drive's name, in the current folder.
     """
-    from sigmaswarm.cli.common import print_json, read_known, stdout
     from sigmaswarm.reports.drive import drive_figure
     from sigmaswarm.reports.figures import check_file, save
 
@@ -44,4 +44,4 @@ def plot(
     if json:
         print_json({"out": str(picture)})
     else:
-        stdout().print(f"wrote {picture}")
+        say(f"wrote {picture}")

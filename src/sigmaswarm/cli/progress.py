@@ -1,12 +1,10 @@
 """Progress bars on stderr."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, ProgressColumn
-
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
@@ -20,67 +18,40 @@ def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]"
 
 @contextmanager
 def progress_bar(
-    title: str, counted: str, waiting: str = "", **fields: Any
+    title: str, counted: str = "", waiting: str = "", **fields: Any
 ) -> Generator[Callable[..., None]]:
     """Show a bar and the remaining time on stderr; yield the function that moves it: done, total, fields.
 
-    ``waiting`` is shown on a terminal until there is progress.
+    The bar appears with the first progress, so that an error stays one line. Until then a terminal shows ``waiting``.
+    Without ``counted`` the bar shows percent.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(counted),
-        TimeRemainingColumn(),
-    )
-    with _late_bar(columns, waiting) as bar:
-        task = bar.add_task(title, total=None, **fields)
-
-        def show(done: int, total: int, **changed: Any) -> None:
-            bar.start()
-            bar.update(task, total=total, completed=done, **changed)
-
-        yield show
-
-
-@contextmanager
-def percent_bar(title: str) -> Generator[Callable[[float], None]]:
-    """Show a bar and the remaining time on stderr; yield the function that moves it to a share."""
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with _late_bar(columns) as bar:
-        task = bar.add_task(title, total=1.0)
-
-        def show(done: float) -> None:
-            bar.start()
-            bar.update(task, completed=done)
-
-        yield show
-
-
-@contextmanager
-def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Generator[Progress]":
-    """Create a bar that appears with the first progress, so that an error stays one line."""
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     console = Console(stderr=True)
     status = console.status(waiting) if waiting and console.is_terminal else None
+    done_of = (MofNCompleteColumn(), TextColumn(counted)) if counted else (TaskProgressColumn(),)
+    columns = (TextColumn("{task.description}"), BarColumn(), *done_of, TimeRemainingColumn())
+    bar = Progress(*columns, console=console)
+    task = bar.add_task(title, total=None, **fields)
 
-    class Late(Progress):
-        def start(self) -> None:
-            if status:
-                status.stop()
-            super().start()
+    def show(done: float, total: float, **changed: Any) -> None:
+        if status:
+            status.stop()
+        bar.start()
+        bar.update(task, total=total, completed=done, **changed)
 
-    bar = Late(*columns, console=console)
     if status:
         status.start()
     try:
-        yield bar
+        yield show
     finally:
         if status:
             status.stop()

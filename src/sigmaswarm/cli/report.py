@@ -5,6 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.common import print_json, say
 from sigmaswarm.cli.options import Json
 
 
@@ -32,11 +33,10 @@ def report(
     out
         NAME.html; by default page.html in that folder.
     """
-    from sigmaswarm.cli.common import print_json, stdout
-    from sigmaswarm.reports.pages.folders import save_page
+    from sigmaswarm.reports.folders import save_page
 
     file = save_page(folder, out)
     if json:
         print_json({"out": str(file)})
     else:
-        stdout().print(f"wrote {file}")
+        say(f"wrote {file}")

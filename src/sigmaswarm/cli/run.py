@@ -1,18 +1,60 @@
 """`sigmaswarm run`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_known, say, tuned_as_recorded
+from sigmaswarm.cli.options import FIELDS
+from sigmaswarm.errors import InputError
+
 if TYPE_CHECKING:
-    from sigmaswarm import Estimate
-    from sigmaswarm.filters.bank.run import BankRun
+    from sigmaswarm import Drive
+    from sigmaswarm.filters.run import Run
 
-
-NOT_WORTH_TELLING = 5.0
+LATE_START = 5.0
 """s without an estimate that a drive which begins while driving has anyway."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Options of `sigmaswarm run`.
+
+    Attributes
+    ----------
+    out
+        NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
+    origin
+        LAT,LON of x = y = 0, degrees, for maps of a drive without an origin.
+    truth
+        Also write the drive's truth, in the format that this file's ending names.
+    beside
+        With --out NAME.ros2: the drive's original ROS 2 bag; its messages are copied unchanged into the new bag.
+    before
+        Also write what is known before the filter's start, the fixes, to NAME.csv, .geojson, .gpx or .kml.
+    as_recorded
+        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
+    smooth
+        Write smoothed estimates: each uses all fixes, also later ones.
+    bank
+        Estimate with a bank of sixteen filters with different parameters. --swarm is the deprecated name.
+    json
+        Print a summary as JSON.
+    """
+
+    out: Path
+    origin: str | None = None
+    truth: Path | None = None
+    beside: Path | None = None
+    before: Path | None = None
+    as_recorded: bool = False
+    smooth: bool = False
+    bank: Annotated[bool, Parameter(name=["--bank", "--swarm"])] = False
+    json: bool = False
 
 
 def run(
@@ -20,15 +62,7 @@ def run(
     drive: Annotated[Path, Parameter(name="DRIVE")],
     /,
     *,
-    out: Path,
-    origin: str | None = None,
-    truth: Path | None = None,
-    beside: Path | None = None,
-    before: Path | None = None,
-    as_recorded: Annotated[bool, Parameter(negative=())] = False,
-    smooth: Annotated[bool, Parameter(negative=())] = False,
-    bank: Annotated[bool, Parameter(name=["--bank", "--swarm"], negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    options: Annotated[RunOptions, FIELDS],
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
 
@@ -53,29 +87,19 @@ def run(
         A tuning.toml or its folder. A network of `sigmaswarm learn` helps the filter, except with --smooth or --bank.
     drive
         A drive folder.
-    out
-        NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
-    origin
-        LAT,LON of x = y = 0, degrees, for maps of a drive without an origin.
-    truth
-        Also write the drive's truth, in the format that this file's ending names.
-    beside
-        With --out NAME.ros2: the drive's original ROS 2 bag; its messages are copied unchanged into the new bag.
-    before
-        Also write what is known before the filter's start, the fixes, to NAME.csv, .geojson, .gpx or .kml.
-    as_recorded
-        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
-    smooth
-        Write smoothed estimates: each uses all fixes, also later ones.
-    bank
-        Estimate with a bank of sixteen filters with different parameters. --swarm is the deprecated name.
-    json
-        Print a summary as JSON.
+    options
+        The options of the command line.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded
-    from sigmaswarm.drives.fingerprint import START_RULE
-    from sigmaswarm.errors import InputError
+
+    read, summary, fixes = _run(tuning, drive, options)
+    if options.json:
+        print_json(summary)
+    else:
+        _print(summary, read, options, fixes)
+
+
+def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
+    """Run and write; return the drive, a summary and the number of fixes that were written."""
     from sigmaswarm.exports.trajectory import (
         check_fixes_target,
         check_target,
@@ -91,69 +115,68 @@ def run(
     from sigmaswarm.filters.smoothing import Smoothing
     from sigmaswarm.learned.folder import load_learned
 
-    if smooth and bank:
+    out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
+    if smooth and options.bank:
         raise InputError(
             "--smooth and --bank exclude each other: a filter bank is not smoothed; leave one out"
         )
-    learned = None if smooth or bank else load_learned(tuning)
-    place = _place(origin) if origin else None
+    learned = None if smooth or options.bank else load_learned(tuning)
+    place = _place(options.origin) if options.origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
     if place and read.origin:
         raise InputError(f"{drive}: says itself where its x = y = 0 is; leave --origin out")
-    place = place or read.origin
+    target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
-    check_target(out, place, beside)
+    check_target(out, target["origin"], options.beside)
     if truth:
-        check_target(truth, place)
+        check_target(truth, target["origin"])
     if before:
-        check_fixes_target(before, place)
-    began = time_origin_of(read)
-    as_recorded = as_recorded or tuned_as_recorded(tuning)
+        check_fixes_target(before, target["origin"])
+    as_recorded = options.as_recorded or tuned_as_recorded(tuning)
     replay = replay_of(read, as_recorded=as_recorded)
-    if bank:
+    if options.bank:
         _check_bank_files(out, (truth, before))
-    time = replay.timeline.imu_time
-    first, last = float(time[0]), float(time[-1])
-    restarts: list[float] = []
-    bank_run = BankRun(replay, parameters, recover=True, as_recorded=as_recorded) if bank else None
-    if bank_run is not None:
-        found = bank_run
+    found: Run
+    if options.bank:
+        found = BankRun(replay, parameters, recover=True, as_recorded=as_recorded)
     elif learned is not None:
         found = learned.run(replay, parameters, recover=True)
     else:
         found = (Smoothing if smooth else Recording)(replay, parameters, recover=True)
-    pieces = _watched(estimates_of(found), restarts)
-    write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside, name=read.name)
-    fixes = write_fixes(read, first, before, origin=place, time_origin=began) if before else 0
+    time = replay.timeline.imu_time
+    first, last = float(time[0]), float(time[-1])
+    write_pieces(estimates_of(found), (first, last), out, beside=options.beside, name=read.name, **target)
+    fixes = write_fixes(read, first, before, **target) if before else 0
     if truth and true:
-        write_estimate(true, truth, origin=place, time_origin=began, name=f"{read.name}: truth")
-    said = {} if bank_run is None else _save_bank(bank_run, out)
-    if json:
-        ends = {"start_s": first, "end_s": last}
-        print_json({"out": str(out), "estimates": len(time), **ends, "restarts_s": restarts, **said})
-    else:
-        if restarts:
-            at = ", ".join(f"{t:.2f}" for t in restarts)
-            stdout().print(f"the filter diverged and was reset at t = {at} s")
-        stdout().print(
-            f"wrote {len(time)} {'smoothed ' if smooth else ''}estimates from {first:.2f} s to {last:.2f} s to {out}"
-        )
-        for sentence in said.get("said", ()):
-            stdout().print(f"the filter bank: {sentence}")
-        for name in ("swarm", "settled"):
-            if name in said:
-                stdout().print(f"wrote {said[name]}")
-        earlier = first - float(read.imu.time[0])
-        if earlier > NOT_WORTH_TELLING:
-            stdout().print(
-                f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; "
-                + (
-                    f"wrote the {fixes} fixes before to {before}"
-                    if before
-                    else "--before NAME.csv writes the fixes"
-                )
-            )
+        write_estimate(true, truth, name=f"{read.name}: truth", **target)
+    summary: dict[str, Any] = {
+        "out": str(out),
+        "estimates": len(time),
+        "start_s": first,
+        "end_s": last,
+        "restarts_s": [*found.restarts],
+    }
+    summary |= _save_bank(found, out) if options.bank else {}
+    return read, summary, fixes
+
+
+def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixes: int) -> None:
+    from sigmaswarm.drives.fingerprint import START_RULE
+
+    first, last, out = summary["start_s"], summary["end_s"], options.out
+    if restarts := summary["restarts_s"]:
+        say(f"the filter diverged and was reset at t = {', '.join(f'{t:.2f}' for t in restarts)} s")
+    what = "smoothed estimates" if options.smooth else "estimates"
+    say(f"wrote {summary['estimates']} {what} from {first:.2f} s to {last:.2f} s to {out}")
+    if options.bank:
+        say(*(f"the filter bank: {sentence}" for sentence in summary["said"]))
+        say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
+    earlier = first - float(drive.imu.time[0])
+    if earlier > LATE_START:
+        rest = f"wrote the {fixes} fixes before to {options.before}"
+        rest = rest if options.before else "--before NAME.csv writes the fixes"
+        say(f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; {rest}")
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:
@@ -163,7 +186,6 @@ def _bank_files(out: Path) -> tuple[Path, Path]:
 
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
     """Refuse, before any work, files that can't be written or would replace another one."""
-    from sigmaswarm.errors import InputError
 
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
@@ -173,28 +195,19 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
             )
 
 
-def _save_bank(run: "BankRun", out: Path) -> dict[str, Any]:
-    """Write the log of a filter bank, and the filter that it settled on; gives a summary for --json."""
+def _save_bank(run: Any, out: Path) -> dict[str, Any]:
+    """Write the log of a filter bank, and the filter that it settled on; return their paths and its warnings."""
     from sigmaswarm.files import write_whole
 
     log, spread = run.log, run.bank.spread
     log_file, filter_file = _bank_files(out)
     write_whole(log_file, log.to_frame().write_csv())
     spread.parameters(log.settled).save(filter_file)
-    said = [*spread.warnings(log.settled)]
-    return {"swarm": str(log_file), "settled": str(filter_file), "said": said}
-
-
-def _watched(pieces: "Iterator[Estimate]", restarts: list[float]) -> "Iterator[Estimate]":
-    """Pass the pieces on, and collect the times of resets."""
-    for piece in pieces:
-        restarts.extend(piece.restarts)
-        yield piece
+    return {"swarm": str(log_file), "settled": str(filter_file), "said": [*spread.warnings(log.settled)]}
 
 
 def _place(text: str) -> tuple[float, float, float]:
     """Latitude and longitude (deg), and altitude (m, 0 where it is left out)."""
-    from sigmaswarm.errors import InputError
 
     try:
         latitude, longitude, *altitude = (float(part) for part in text.split(","))

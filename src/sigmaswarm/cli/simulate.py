@@ -1,10 +1,17 @@
 """`sigmaswarm simulate`."""
 
-from collections.abc import Iterable
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from sigmaswarm.cli.options import AT_LEAST_1, MORE, Cluster, Json, Seed, Workers
+import sigmaswarm
+from sigmaswarm.cli.common import cluster_at, print_json, say
+from sigmaswarm.cli.options import AT_LEAST_1, FIELDS, MORE, Cluster, Json, Seed, Workers
+from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.errors import InputError
+from sigmaswarm.wording import counted
 
 JITTER = 0.002
 """s, standard deviation of a sample's time with --jitter."""
@@ -12,40 +19,11 @@ VIBRATION = 1.0
 """Vibration level of two recordings of real cars."""
 
 
-def simulate(
-    *,
-    out: Path,
-    maneuver: list[str] | None = None,
-    environment: list[str] | None = None,
-    runs: Annotated[int, AT_LEAST_1] = 20,
-    imu: str = "icm-20602",
-    gps: str = "ublox-m8",
-    vehicle: Annotated[str, MORE] = "model3",
-    seed: Seed = 0,
-    duration: float | None = None,
-    jitter: Annotated[bool, MORE] = False,
-    vibration: bool = False,
-    gnss_degradation: Annotated[bool, MORE] = False,
-    terrain: Annotated[str, MORE] = "flat",
-    odometer: str | None = None,
-    workers: Annotated[Workers, MORE] = None,
-    cluster: Annotated[Cluster, MORE] = None,
-    resume: bool = False,
-    json: Json = False,
-) -> None:
-    """Simulate drives with known truth.
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions:
+    """Options of `sigmaswarm simulate`.
 
-    The car is a Tesla Model 3; maneuvers and weathers are the paper's; sensor errors are those of real sensors. By
-    default the paper's 25 conditions, 20 runs of each. The same seed gives the same bytes.
-
-    Examples:
-
-        sigmaswarm simulate --out drives
-        sigmaswarm simulate --out town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration
-        sigmaswarm simulate --out wet --maneuver brake turns --environment rain slippery --imu mpu-6050 --runs 5
-        sigmaswarm simulate --out hills --maneuver urban --environment clear --runs 8 --terrain hilly --vibration
-
-    Parameters
+    Attributes
     ----------
     out
         Folder for the drive folders; it must not hold drives yet.
@@ -79,57 +57,91 @@ def simulate(
     resume
         Keep existing drives and simulate the missing ones.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, print_json, stdout
-    from sigmaswarm.cli.progress import progress_bar
+
+    out: Path
+    maneuver: list[str] | None = None
+    environment: list[str] | None = None
+    runs: Annotated[int, AT_LEAST_1] = 20
+    imu: str = "icm-20602"
+    gps: str = "ublox-m8"
+    vehicle: Annotated[str, MORE] = "model3"
+    seed: Seed = 0
+    duration: float | None = None
+    jitter: Annotated[bool, MORE] = False
+    vibration: bool = False
+    gnss_degradation: Annotated[bool, MORE] = False
+    terrain: Annotated[str, MORE] = "flat"
+    odometer: str | None = None
+    workers: Annotated[Workers, MORE] = None
+    cluster: Annotated[Cluster, MORE] = None
+    resume: bool = False
+    json: Json = False
+
+
+OF_A_DRIVE = ("seed", "imu", "gps", "vehicle", "duration", "gnss_degradation", "terrain", "odometer")
+"""Options that `sigmaswarm.simulate` has under the same names."""
+
+
+def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
+    """Simulate drives with known truth.
+
+    The car is a Tesla Model 3; maneuvers and weathers are the paper's; sensor errors are those of real sensors. By
+    default the paper's 25 conditions, 20 runs of each. The same seed gives the same bytes.
+
+    Examples:
+
+        sigmaswarm simulate --out drives
+        sigmaswarm simulate --out town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration
+        sigmaswarm simulate --out wet --maneuver brake turns --environment rain slippery --imu mpu-6050 --runs 5
+        sigmaswarm simulate --out hills --maneuver urban --environment clear --runs 8 --terrain hilly --vibration
+
+    Parameters
+    ----------
+    options
+        The options of the command line.
+
+    Raises
+    ------
+    InputError
+        An option or a file is unusable.
+    """
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
     from sigmaswarm.simulation.conditions import simulated_on
     from sigmaswarm.simulation.scenarios import drive_name
-    from sigmaswarm.wording import counted
 
-    maneuvers = list(dict.fromkeys(maneuver or PAPER_MANEUVERS))
-    environments = list(dict.fromkeys(environment or ENVIRONMENTS))
-    options: dict[str, Any] = {
-        "seed": seed,
-        "imu": imu,
-        "gps": gps,
-        "vehicle": vehicle,
-        "duration": duration,
-        "jitter": JITTER if jitter else 0.0,
-        "vibration": VIBRATION if vibration else 0.0,
-        "gnss_degradation": gnss_degradation,
-        "terrain": terrain,
-        "odometer": odometer,
-    }
+    out, runs = options.out, options.runs
+    maneuvers = list(dict.fromkeys(options.maneuver or PAPER_MANEUVERS))
+    environments = list(dict.fromkeys(options.environment or ENVIRONMENTS))
+    made_with: dict[str, Any] = {name: getattr(options, name) for name in OF_A_DRIVE}
+    made_with |= {"jitter": JITTER * options.jitter, "vibration": VIBRATION * options.vibration}
     names = [drive_name(m, e, run) for m in maneuvers for e in environments for run in range(runs)]
-    kept = _kept(out, names, resume, options)
-    what: dict[str, Any] = {"leave_out": kept, **options}
+    kept = made_with["leave_out"] = _kept(out, names, options.resume, made_with)
 
     def write(drive: sigmaswarm.Drive) -> Path:
         return sigmaswarm.write_drive(drive, out / drive.name)
 
     written = 0
-    with cluster_at(cluster) as client, progress_bar("simulating", "drives, remaining") as show:
+    with cluster_at(options.cluster) as client, progress_bar("simulating", "drives, remaining") as show:
         made = (
-            sigmaswarm.simulate_many(maneuvers, environments, runs, workers=workers, use=write, **what)
+            sigmaswarm.simulate_many(
+                maneuvers, environments, runs, workers=options.workers, use=write, **made_with
+            )
             if client is None
-            else map(write, simulated_on(client, maneuvers, environments, runs, **what))
+            else map(write, simulated_on(client, maneuvers, environments, runs, **made_with))
         )
         for written, _ in enumerate(made, 1):
             show(written, len(names) - len(kept))
-    if json:
+    if options.json:
         print_json({"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)})
         return
-    console = stdout()
-    console.print(f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else ""))
+    say(f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else ""))
     if len({"clear", "night", "fog"} & set(environments)) > 1:
-        console.print("note: clear, night and fog share one physics; only their random numbers differ")
-    console.print(f"next: sigmaswarm plot {out / names[0]}")
+        say("note: clear, night and fog share one physics; only their random numbers differ")
+    say(f"next: sigmaswarm plot {out / names[0]}")
 
 
-def _kept(out: Path, names: Iterable[str], resume: bool, options: dict[str, Any]) -> set[str]:
+def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
     """Return the names of existing drives to keep; refuse anything else in the way before any work."""
-    from sigmaswarm.errors import InputError
 
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
@@ -141,15 +153,14 @@ def _kept(out: Path, names: Iterable[str], resume: bool, options: dict[str, Any]
             f"{out}: holds {drives[0]} already; name another folder, or keep what is there with --resume"
         )
     for name in sorted(found):
-        _require_made_with(out / name / "drive.toml", options)
+        _require_made_with(out / name / "drive.toml", made_with)
     return found
 
 
-def _require_made_with(file: Path, options: dict[str, Any]) -> None:
+def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
     """Refuse to continue a folder whose drives were made with other options."""
-    import tomllib
 
-    from sigmaswarm.errors import InputError
+    from sigmaswarm.simulation.journey import URBAN_DURATION
 
     try:
         about = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -168,18 +179,10 @@ def _require_made_with(file: Path, options: dict[str, Any]) -> None:
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None
-    urban = made["duration"] is not None
+    urban = URBAN_DURATION if options["duration"] is None else options["duration"]
+    wanted = {**options, "duration": None if made["duration"] is None else urban}  # of urban drives alone
     for key, value in made.items():
-        wanted = options[key]
-        if key == "duration":
-            wanted = _urban_duration(wanted) if urban else None
-        if value != wanted:
+        if value != wanted[key]:
             raise InputError(
-                f"{file}: was made with {key} {value}, not {wanted}; name another folder, or the same options"
+                f"{file}: was made with {key} {value}, not {wanted[key]}; name another folder, or the same options"
             )
-
-
-def _urban_duration(wanted: float | None) -> float:
-    from sigmaswarm.simulation.journey import URBAN_DURATION
-
-    return URBAN_DURATION if wanted is None else wanted

@@ -5,6 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_known, say
 from sigmaswarm.cli.options import Json
 
 
@@ -36,8 +38,6 @@ def split(
     at
         Time of the split on the drive's clock (`t` in its files), s.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_known, stdout
 
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("give --at or --train-fraction, not both: each says where to split")
@@ -45,10 +45,12 @@ def split(
     parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=at)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name)
+    train, test = (str(out / part.name) for part in parts)
     if json:
-        print_json({"drives": [str(out / part.name) for part in parts]})
-    else:
-        for part in parts:
-            stdout().print(f"wrote {out / part.name} ({part.duration:.0f} s)")
-        stdout().print(f"next: sigmaswarm tune {out / parts[0].name} --out tuned")
-        stdout().print(f"then: sigmaswarm evaluate tuned {out / parts[1].name}")
+        print_json({"drives": [train, test]})
+        return
+    say(
+        *(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts),
+        f"next: sigmaswarm tune {train} --out tuned",
+        f"then: sigmaswarm evaluate tuned {test}",
+    )

@@ -1,60 +1,25 @@
 """`sigmaswarm study`."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
 
-_Flag = Annotated[bool, Parameter(negative=())]
-_Count = Annotated[int | None, Parameter(validator=validators.Number(gte=1))]
+from sigmaswarm.cli.common import cluster_at, print_json, say
+from sigmaswarm.cli.options import AT_LEAST_0, FIELDS, Count
+from sigmaswarm.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from sigmaswarm.experiments.study.config import StudyConfig
+    from sigmaswarm.experiments.study.study import Study
 
 
-def study(
-    *,
-    out: Path,
-    config: Path | None = None,
-    quick: _Flag = False,
-    drives: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
-    trials: _Count = None,
-    runs: _Count = None,
-    particles: _Count = None,
-    generations: _Count = None,
-    seed: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
-    per_condition: _Flag = False,
-    racing: Annotated[bool | None, Parameter(negative="--no-racing")] = None,
-    rivals: _Flag = False,
-    learn_minutes: Annotated[float | None, Parameter(validator=validators.Number(gte=2))] = None,
-    elsewhere: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
-    workers: _Count = None,
-    cluster: str | None = None,
-    resume: _Flag = False,
-    json: _Flag = False,
-) -> None:
-    """Run the paper's experiment.
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """Options of `sigmaswarm study`: those that are None are as in the configuration.
 
-    Each trial tunes on another 70% of the simulated drives and scores all methods on the rest: IMU only, raw GPS,
-    manual EKF, adaptive UKF and UKF, PSO-UKF as in the paper, EKF, adaptive UKF and planar8 tuned with the same
-    budget, and the default filter of `tune`. There are two protocols. paper: cost against the GPS, linear search.
-    honest: cost against truth, logarithmic search.
-
-    Racing is the default with 96 training drives or more. --rivals tunes a fuzzy UKF, and a UKF by Bayesian
-    optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8 in each trial. It adds
-    drift over 15, 30 and 60 s, data and times, drives of another sensor grade and another car, and learning curves.
-    It needs pip install 'sigmaswarm[learned,bo]'.
-
-    The tables stand next to the paper's. A killed study continues with --resume and ends in the same bytes, which do
-    not depend on the number of workers.
-
-    Examples:
-
-        sigmaswarm study --out study
-        sigmaswarm study --out study --resume
-        sigmaswarm study --out quick --quick
-        sigmaswarm study --out whole --no-racing
-        sigmaswarm study --out mine --drives drives --trials 10
-        sigmaswarm study --out rivals --rivals --runs 4 --trials 5
-
-    Parameters
+    Attributes
     ----------
     out
         Folder for study.toml, results.json, scores.csv, tables, figures and the tunings of all trials.
@@ -93,59 +58,116 @@ def study(
     json
         Print results.json.
     """
-    from sigmaswarm.cli.common import cluster_at, print_json, stdout
-    from sigmaswarm.cli.progress import progress_bar
-    from sigmaswarm.experiments.study.config import BY_DEFAULT, QUICK, read_config
-    from sigmaswarm.experiments.study.study import run_study
-    from sigmaswarm.reports.pages.folders import save_page
-    from sigmaswarm.reports.study import save_study, study_tables
-    from sigmaswarm.reports.views.study_tables import objectives_compared, runtime_table
 
-    named: dict[str, Any] = {
-        "drives": None if drives is None else tuple(drives),
-        "trials": trials,
-        "runs": runs,
-        "particles": particles,
-        "generations": generations,
-        "seed": seed,
-        "per_condition": per_condition or None,
-        "racing": racing,
-        "rivals": rivals or None,
-        "learn_minutes": learn_minutes,
-        "elsewhere": None if elsewhere is None else tuple(elsewhere),
-    }
-    changes = {name: value for name, value in named.items() if value is not None}
-    started = out / "study.toml"
-    study_config = read_config(
-        config or (started if resume and started.exists() else None), **(QUICK if quick else {}) | changes
-    )
-    counted = "generations and epochs, remaining" if study_config.rivals else "generations, remaining"
-    with cluster_at(cluster) as client, progress_bar("study", counted) as show:
+    out: Path
+    config: Path | None = None
+    quick: bool = False
+    drives: list[str] | None = None
+    trials: Count = None
+    runs: Count = None
+    particles: Count = None
+    generations: Count = None
+    seed: Annotated[int | None, AT_LEAST_0] = None
+    per_condition: bool = False
+    racing: Annotated[bool | None, Parameter(negative="--no-racing")] = None
+    rivals: bool = False
+    learn_minutes: Annotated[float | None, Parameter(validator=validators.Number(gte=2))] = None
+    elsewhere: list[str] | None = None
+    workers: Count = None
+    cluster: str | None = None
+    resume: bool = False
+    json: bool = False
+
+
+OF_THE_RUN = ("out", "config", "quick", "workers", "cluster", "resume", "json")
+"""Options that are no part of a study's configuration."""
+
+
+def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
+    """Run the paper's experiment.
+
+    Each trial tunes on another 70% of the simulated drives and scores all methods on the rest: IMU only, raw GPS,
+    manual EKF, adaptive UKF and UKF, PSO-UKF as in the paper, EKF, adaptive UKF and planar8 tuned with the same
+    budget, and the default filter of `tune`. There are two protocols. paper: cost against the GPS, linear search.
+    honest: cost against truth, logarithmic search.
+
+    Racing is the default with 96 training drives or more. --rivals tunes a fuzzy UKF, and a UKF by Bayesian
+    optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8 in each trial. It adds
+    drift over 15, 30 and 60 s, data and times, drives of another sensor grade and another car, and learning curves.
+    It needs pip install 'sigmaswarm[learned,bo]'.
+
+    The tables stand next to the paper's. A killed study continues with --resume and ends in the same bytes, which do
+    not depend on the number of workers.
+
+    Examples:
+
+        sigmaswarm study --out study
+        sigmaswarm study --out study --resume
+        sigmaswarm study --out quick --quick
+        sigmaswarm study --out whole --no-racing
+        sigmaswarm study --out mine --drives drives --trials 10
+        sigmaswarm study --out rivals --rivals --runs 4 --trials 5
+
+    Parameters
+    ----------
+    options
+        The options of the command line.
+
+    Raises
+    ------
+    InputError
+        An option or a file is unusable.
+    """
+    from sigmaswarm.experiments.study.study import run_study
+    from sigmaswarm.reports.folders import save_page
+    from sigmaswarm.reports.study import save_study
+
+    out, config = options.out, _config(options)
+    counted = "generations and epochs, remaining" if config.rivals else "generations, remaining"
+    with cluster_at(options.cluster) as client, progress_bar("study", counted) as show:
         done = run_study(
-            study_config,
+            config,
             out,
-            resume=resume,
-            workers=workers,
+            resume=options.resume,
+            workers=options.workers,
             cluster=client,
             progress=lambda now: show(now.done, now.total),
         )
     save_study(done, out)
     page = save_page(out)
-    if json:
+    if options.json:
         print_json(done.results.content())
-        return
-    console = stdout()
-    tables = study_tables(done.results)
+    else:
+        _print(done, out, page)
+
+
+def _config(options: StudyOptions) -> "StudyConfig":
+    """Change the configuration of a file, of the study that is resumed, or of the paper by the options given."""
+    from sigmaswarm.experiments.study.config import QUICK, read_config
+
+    changes = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in vars(options).items()
+        if name not in OF_THE_RUN and value is not None and (value is not False or name == "racing")
+    }
+    started = options.out / "study.toml"
+    file = options.config or (started if options.resume and started.exists() else None)
+    return read_config(file, **(QUICK if options.quick else {}) | changes)
+
+
+def _print(done: "Study", out: Path, page: Path) -> None:
+    from sigmaswarm.experiments.study.config import BY_DEFAULT
+    from sigmaswarm.reports.study_tables import objectives_compared, runtime_table, study_tables
+
     shown = ("table-", "optimum", "rivals", "elsewhere-", "learning-")
-    for table in [
-        *(table for name, table in tables.items() if name.startswith(shown)),
-        runtime_table(done.results, done.record.live),
-    ]:
-        console.print(table.to_markdown() + "\n")
-    console.print(objectives_compared(done.results) + "\n")
+    tables = [table for name, table in study_tables(done.results).items() if name.startswith(shown)]
+    say(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
     name, _ = done.best_of("honest", BY_DEFAULT, 0)
-    console.print(f"results: {out / 'results.json'}, {out / 'scores.csv'}")
-    console.print(f"tables:  {out / 'tables'}")
-    console.print(f"figures: {out / 'figures'}")
-    console.print(f"page:    {page}")
-    console.print(f"next:    sigmaswarm evaluate {out / 'best' / name}.toml DRIVE...")
+    say(
+        f"{objectives_compared(done.results)}\n",
+        f"results: {out / 'results.json'}, {out / 'scores.csv'}",
+        f"tables:  {out / 'tables'}",
+        f"figures: {out / 'figures'}",
+        f"page:    {page}",
+        f"next:    sigmaswarm evaluate {out / 'best' / name}.toml DRIVE...",
+    )

@@ -1,17 +1,25 @@
 """`sigmaswarm tune`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from math import isfinite
 from os.path import relpath
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
+import sigmaswarm
+from sigmaswarm.cli.common import MOST_SENTENCES, cluster_at, print_json, read_datasets, say
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
+from sigmaswarm.cli.progress import tuning_progress
+from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.config import DECIDED_LATER, RENAMED, TuneConfig
+from sigmaswarm.wording import TO_DO, counted
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive, Tuning
+    from sigmaswarm.datasets.dataset import Dataset
+    from sigmaswarm.scoring.tracks import FirstLook
 
 MOST_LOOKED_AT = 20
 """Other tunings, the newest first, that are searched for one to compare with."""
@@ -60,84 +68,62 @@ def tune(
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
-    from concurrent.futures import ThreadPoolExecutor
-    from functools import partial
 
-    import sigmaswarm
-    from sigmaswarm.cli.common import (
-        MOST_SENTENCES,
-        cluster_at,
-        print_json,
-        print_remarks,
-        read_datasets,
-        stdout,
-    )
-    from sigmaswarm.cli.progress import tuning_progress
-    from sigmaswarm.drives.sensors import sensors_of
-    from sigmaswarm.scoring.jobs import cores
-    from sigmaswarm.scoring.remarks import said_of_first_look
-    from sigmaswarm.scoring.tracks import first_look
-    from sigmaswarm.tuning.defaults import with_filter
-
+    asked = {"out": out, "resume": resume, "paper": paper}
     with cluster_at(cluster) as client:
-        read, held_back = read_datasets(
-            drives, validation or [], cluster=client, trusted=trust_log, gaps=True
-        )
-        everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
-        chosen = "" if paper else with_filter(options, everywhere)[1]
-        with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
-            tuning = sigmaswarm.tune(
-                read,
-                validation=held_back,
-                out=out,
-                resume=resume,
-                paper=paper,
-                executor=pool,
-                progress=progress,
-                **options,
-            )
-        as_recorded = tuning.config.model_dump()["as_recorded"]
-        shown = partial(first_look, parameters=tuning.parameters, as_recorded=as_recorded)
-        (look,) = read.subset([0]).map(shown)
-        (part,) = read.subset([0]).map(_is_part)
+        groups = read_datasets(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
+        tuning, look, before, after = _tune(groups, drives[0], asked, options, workers)
     from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
     pictures = save_tuning_figures(tuning, look.picture, out)
     if json:
         print_json(tuning.to_dict())
-        return
-    if chosen:  # only now, so that an error stays one line
-        stdout().print(f"model:    {chosen}")
-    _print_costs(tuning)
+    else:  # only now, so that an error stays one line
+        files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
+        say(*before, *_costs(tuning), *_remarks(tuning, look), *files, *after)
+
+
+def _tune(
+    groups: "Sequence[Dataset]",
+    first: str,
+    asked: Mapping[str, Any],
+    options: dict[str, Any],
+    workers: int | None,
+) -> "tuple[Tuning[Any], FirstLook, list[str], list[str]]":
+    """Tune; return the result, its look at the first drive, and lines to print before and after the result."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from sigmaswarm.drives.sensors import sensors_of
+    from sigmaswarm.scoring.jobs import cores
+    from sigmaswarm.scoring.tracks import first_look
+    from sigmaswarm.tuning.defaults import with_filter
+
+    read, held_back = groups
+    everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
+    chosen = "" if asked["paper"] else with_filter(options, everywhere)[1]
+    with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
+        tuning = sigmaswarm.tune(
+            read, validation=held_back, executor=pool, progress=progress, **asked, **options
+        )
+    as_recorded = tuning.config.model_dump()["as_recorded"]
+    shown = partial(first_look, parameters=tuning.parameters, as_recorded=as_recorded)
+    (look,) = read.subset([0]).map(shown)
+    (part,) = read.subset([0]).map(_is_part)
+    out, alone = asked["out"], len(read) == 1 and not len(held_back)
+    lines = _next(out, first, everywhere[0].name, part=part) if alone else [_evaluate(out)]
+    lines += _compare(lines[0], out, [one["sha256"] for one in tuning.data])
+    return tuning, look, [f"model:    {chosen}"] if chosen else [], lines
+
+
+def _remarks(tuning: "Tuning[Any]", look: "FirstLook") -> Iterable[str]:
+    from sigmaswarm.scoring.remarks import said_of_first_look
+
     if position := said_of_first_look(look):
-        stdout().print(f"position: {position}")
-    print_remarks(tuning.remarks[:MOST_SENTENCES])
+        yield f"position: {position}"
+    for remark in tuning.remarks[:MOST_SENTENCES]:
+        yield remark if remark.startswith(TO_DO) else f"note: {remark}"
     if (left := len(tuning.remarks) - MOST_SENTENCES) > 0:
-        stdout().print(f"note: {left} more remarks in tuning.toml")
-    stdout().print(f"filter:   {out / 'tuning.toml'}")
-    stdout().print(f"pictures: {', '.join(str(p) for p in pictures)}")
-    alone = len(read) == 1 and not len(held_back)
-    lines = _next(out, drives[0], everywhere[0].name, part=part) if alone else [_usual_next(out)]
-    for line in [*lines, *_compare(lines[0], out, [one["sha256"] for one in tuning.data])]:
-        stdout().print(line)
-
-
-def _print_costs(tuning: "Tuning[Any]") -> None:
-    from sigmaswarm.cli.common import stdout
-    from sigmaswarm.wording import counted
-
-    before = tuning.trial_costs[tuning.best_trial]
-    inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
-    on = counted(len(tuning.data), "drive")
-    stdout().print(f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}")
-    if tuning.config.racing:
-        share = tuning.steps / tuning.full_steps
-        stdout().print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")
-    if tuning.validation:
-        gap = tuning.validation.gap
-        gap = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
-        on = counted(len(tuning.validation.drives), "validation drive")
-        stdout().print(f"cost {tuning.validation.cost:.4f} on {on}: {gap}")
+        yield f"note: {left} more remarks in tuning.toml"
 
 
 def _is_part(drive: "Drive") -> bool:
@@ -145,9 +131,24 @@ def _is_part(drive: "Drive") -> bool:
     return "cut_from" in drive.metadata
 
 
+def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
+
+    before = tuning.trial_costs[tuning.best_trial]
+    inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
+    on = counted(len(tuning.data), "drive")
+    yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
+    if tuning.config.racing:
+        share = tuning.steps / tuning.full_steps
+        yield f"racing: {tuning.steps} filter steps, {share:.0%} of those without it"
+    if tuning.validation:
+        gap = tuning.validation.gap
+        said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
+        on = counted(len(tuning.validation.drives), "validation drive")
+        yield f"cost {tuning.validation.cost:.4f} on {on}: {said}"
+
+
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
     """Suggest a comparison with the newest other tuning of the same drives in the parent folder."""
-    from sigmaswarm.errors import InputError
     from sigmaswarm.records import load_record
     from sigmaswarm.scoring.records import SCORES_FILE
     from sigmaswarm.tuning.record import FILE, TuningRecord
@@ -160,15 +161,16 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
         except InputError:
             continue
         if [one.sha256 for one in data] == [*tuned_on]:
-            beside = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
-            there = beside.exists() and beside.samefile(file.parent)
-            other = beside if there else relpath(file.parent)
-            return [f"compare:  {evaluate.removeprefix('next:     ')} --against {quote(str(other))}"]
+            sibling = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
+            there = sibling.exists() and sibling.samefile(file.parent)
+            other = quote(str(sibling if there else relpath(file.parent)))
+            return [f"compare:  {evaluate.removeprefix('next:     ')} --against {other}"]
     return []
 
 
-def _usual_next(out: Path) -> str:
-    return f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."
+def _evaluate(out: Path, drive: Path | None = None) -> str:
+    on = quote(str(drive)) if drive else "HELD_OUT_DRIVE..."
+    return f"next:     sigmaswarm evaluate {quote(str(out))} {on}"
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
@@ -177,18 +179,14 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
     from sigmaswarm.drives.urls import is_url
 
     if is_url(given):
-        return [_usual_next(out)]
+        return [_evaluate(out)]
     (folder, *_) = drive_folders(Path(given))  # the path may be that of its parent
     if part:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
-        return [
-            f"next:     sigmaswarm evaluate {quote(str(out))} {quote(str(rest))}"
-            if rest.is_dir()
-            else _usual_next(out)
-        ]
+        return [_evaluate(out, rest if rest.is_dir() else None)]
     train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
     return [
-        _usual_next(out),
+        _evaluate(out),
         f"one log?  this filter has seen all of it: sigmaswarm split {quote(str(folder))} --out parts",
         f"          then tune on {train}, and evaluate on {test}",
     ]

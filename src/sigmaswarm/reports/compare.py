@@ -1,14 +1,17 @@
-"""The table and the figure of a comparison of optimizers, as files."""
+"""The table and the figure of a comparison of optimizers, and their files."""
 
 from pathlib import Path
 
+import numpy as np
+import polars as pl
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.experiments.comparison import Comparison
+from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
 from sigmaswarm.files import write_whole
-from sigmaswarm.reports.figures import figure_of, save
-from sigmaswarm.reports.views import compare as views
-from sigmaswarm.tables import Table
+from sigmaswarm.reports.figures import Chart, band, curve, figure_of, name_rows, save
+from sigmaswarm.reports.style import NO_LINE, Look, many_looks
+from sigmaswarm.tables import Cell, Column, Table
 
 
 def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
@@ -21,10 +24,85 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
 
 def comparison_table(comparison: Comparison) -> Table:
     """Tabulate each optimizer: medians with intervals, worst runs and tests; print it with to_markdown() and others."""
-    return views.comparison_table(comparison)
+    same = all(c.config.objective == "truth-rmse" for c in comparison.contenders)
+    shown = [m for m in comparison.measures if not (same and m == "held_out_cost")]  # that is the RMSE
+    tested = comparison.seeds >= FEWEST_SEEDS
+    digits = "{:.4g}".format
+    columns = [Column("optimizer"), Column("scale")]
+    for measure in shown:
+        columns += [Column(COMPARED[measure], number=digits), Column("95%", number=digits, joined=True)]
+        columns += [Column("worst", number=digits), Column("p", number=_probability)]
+    columns += [Column("steps", number="{:.0%}".format), Column("touched bounds")]
+    rows: list[tuple[Cell, ...]] = []
+    for row in comparison.frame.iter_rows(named=True):
+        cells: list[Cell] = [f"`{row['optimizer']}`", row["scale"]]
+        for m in shown:
+            cells += [row[f"{m}_median"], (row[f"{m}_low"], row[f"{m}_high"]), row[f"{m}_worst"]]
+            cells.append(row[f"{m}_p"] if tested else None)
+        rows.append((*cells, row["steps_share"], str(row["touched_bounds"]).replace(" ", ", ") or "-"))
+    few = "" if tested else f"\n\nToo few seeds for a test: {FEWEST_SEEDS} or more."
+    note = (
+        f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Median [95% interval of the median], worst "
+        f"run, and p: paired Wilcoxon test against {comparison.contenders[0].label}, corrected after Holm over the "
+        "rows. Steps: filter steps spent, of what the budget takes on all drives. Touched bounds: in how many runs a "
+        f"parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
+        f"held out: {', '.join(comparison.test) or 'none'}.{few}"
+    )
+    return Table("", tuple(columns), tuple(rows), note=note)
+
+
+def _probability(p: float) -> str:
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
     """Draw cost against evaluations, with quartiles, and the last cost of every run."""
-    height = max(4.2, 1.6 + 0.28 * len(comparison.contenders))
-    return figure_of(*views.comparison_charts(comparison), size=(12, height), legend="below")
+    last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
+    contenders = comparison.contenders
+    looks = many_looks(len(contenders), 1.6)
+
+    def courses(ax: Axes) -> None:
+        for i, (contender, look) in enumerate(zip(contenders, looks, strict=True)):
+            rows = comparison.curves.filter(
+                (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
+            )
+            spent = rows["full_evaluations"].to_numpy()
+            over = spent > comparison.budget * (
+                comparison.frame["steps_share"][i] + 0.01
+            )  # beyond its last one
+            costs = (rows[name].to_numpy() for name in ("median", "quartile_1", "quartile_3"))
+            middle, low, high = (np.where(np.isfinite(c) & ~over, c, np.nan) for c in costs)
+            band(ax, spent, low, high, Look(look.color, opacity=0.12))
+            curve(ax, spent, middle, look, contender.label)
+        ax.set(xlabel="evaluations on all training drives", ylabel="training cost, lowest so far")
+        ax.set_ylim(*_frame(comparison))
+
+    def runs(ax: Axes) -> None:
+        for i, (contender, look) in enumerate(zip(contenders, looks, strict=True)):
+            values = comparison.values(contender.label, last)
+            values = values[np.isfinite(values)]
+            ring = Look(look.color, 0.0, NO_LINE, "o", 4.0, 0.7).line
+            ax.plot(values, np.full(len(values), i), **ring, mfc="none", mec=look.color)
+            if len(values):
+                curve(ax, [float(np.median(values))], [i], Look(look.color, 2.0, NO_LINE, "|", 16.0))
+        ax.set_xlabel(COMPARED[last])
+        name_rows(ax, [c.label for c in contenders])
+
+    charts = (
+        Chart(f"Median and quartiles of {comparison.seeds} seeds", courses),
+        Chart("Every run, and the medians", runs),
+    )
+    return figure_of(*charts, size=(12, max(4.2, 1.6 + 0.28 * len(contenders))), legend="below")
+
+
+def _frame(comparison: Comparison) -> tuple[float | None, float | None]:
+    """Return a range from the lowest cost to the median of the contenders at a tenth of the budget."""
+    medians = comparison.curves["median"].to_numpy().reshape(len(comparison.contenders), -1)
+    finite = medians[np.isfinite(medians)]
+    if not len(finite):
+        return None, None
+    early = medians[:, medians.shape[1] // 10]
+    early = early[np.isfinite(early)]
+    low, high = float(finite.min()), float(np.median(early)) if len(early) else float(finite.max())
+    margin = 0.05 * (high - low) or 0.05 * abs(low)
+    return low - margin, high + margin

@@ -12,8 +12,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.reports.style import BLUE, GREY, PURPLE, VERMILION
 
 Array = NDArray[np.float64]
-
-_TRUTH, _FIX, _OUTAGE, _THIRD = BLUE, VERMILION, GREY, PURPLE
+Gaps = list[tuple[float, float]]
+"""Beginning and end of each time without fixes, s."""
 
 
 def drive_figure(drive: Drive) -> Figure:
@@ -31,25 +31,28 @@ def drive_figure(drive: Drive) -> Figure:
     """
     figure = Figure(figsize=(12, 9), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.35])
-    origin = _start(drive)
-    gaps = _gaps(drive.gps.time)
+    imu, time = drive.imu, drive.gps.time
+    steps = np.diff(time)  # a gap: more than 2.5 of the usual intervals
+    after = np.flatnonzero(steps > 2.5 * np.median(steps)) if len(time) > 2 else []
+    gaps: Gaps = [(float(time[i]), float(time[i + 1])) for i in after]
+    first = float(imu.time[0])
+    origin = first if abs(first) > 1000 else 0.0  # seconds of a week or an epoch count from the beginning
     _draw_path(figure.add_subplot(grid[:3, 0]), drive, gaps)
     _draw_figures(figure.add_subplot(grid[3, 0]), drive)
     top = figure.add_subplot(grid[0, 1])
     panels = [top, *(figure.add_subplot(grid[i, 1], sharex=top) for i in range(1, 4))]
     _draw_speed(panels[0], drive, origin)
-    imu = drive.imu
     when = imu.time - origin
-    _draw_lines(
-        panels[1], when, {"forward": (imu.ax, _TRUTH), "left": (imu.ay, _FIX)}, "specific force\nm/s²"
-    )
-    rates = {"yaw": (imu.gz, _TRUTH), "roll": (imu.gx, _FIX), "pitch": (imu.gy, _THIRD)}
-    shown = {k: (np.degrees(v), color) for k, (v, color) in rates.items() if v is not None}
-    _draw_lines(panels[2], when, shown, "angular rate\ndeg/s")
-    _draw_fixes(panels[3], drive, origin)
+    _draw_lines(panels[1], when, {"forward": (imu.ax, BLUE), "left": (imu.ay, VERMILION)})
+    panels[1].set_ylabel("specific force\nm/s²")
+    rates = {"yaw": (imu.gz, BLUE), "roll": (imu.gx, VERMILION), "pitch": (imu.gy, PURPLE)}
+    known = {name: (np.degrees(rate), color) for name, (rate, color) in rates.items() if rate is not None}
+    _draw_lines(panels[2], when, known)
+    panels[2].set_ylabel("angular rate\ndeg/s")
+    _draw_fixes(panels[3], drive, gaps, origin)
     for panel in panels:
         for begin, end in gaps:
-            panel.axvspan(begin - origin, end - origin, color=_OUTAGE, alpha=0.25, lw=0)
+            panel.axvspan(begin - origin, end - origin, color=GREY, alpha=0.25, lw=0)
         panel.grid(alpha=0.3)
         panel.tick_params(labelbottom=panel is panels[-1])
     panels[-1].set_xlabel("time, s" + (" (gray: no fixes)" if gaps else ""))
@@ -57,58 +60,41 @@ def drive_figure(drive: Drive) -> Figure:
     return figure
 
 
-def _start(drive: Drive) -> float:
-    """Show large time stamps (seconds of a week, of an epoch) from the drive's beginning."""
-    first = float(drive.imu.time[0])
-    return first if abs(first) > 1000 else 0.0
-
-
-def _gaps(times: Array) -> list[tuple[float, float]]:
-    """Where fixes are missing for more than 2.5 of their usual intervals, s."""
-    if len(times) < 3:
-        return []
-    steps = np.diff(times)
-    return [(float(times[i]), float(times[i + 1])) for i in np.flatnonzero(steps > 2.5 * np.median(steps))]
-
-
-def _draw_path(axes: Axes, drive: Drive, gaps: list[tuple[float, float]]) -> None:
-    axes.plot(drive.gps.x, drive.gps.y, ".", color=_FIX, ms=4, label="fixes", zorder=1)
-    truth = drive.truth
+def _draw_path(axes: Axes, drive: Drive, gaps: Gaps) -> None:
+    axes.plot(drive.gps.x, drive.gps.y, ".", color=VERMILION, ms=4, label="fixes", zorder=1)
+    truth, path = drive.truth, drive.truth or drive.gps
     if truth is not None:
-        axes.plot(truth.x, truth.y, color=_TRUTH, lw=1.5, label="truth", zorder=2)
+        axes.plot(truth.x, truth.y, color=BLUE, lw=1.5, label="truth", zorder=2)
         for i, (begin, end) in enumerate(gaps):
             inside = (truth.time >= begin) & (truth.time <= end)
             label = "truth, no fixes" if i == 0 else None
             axes.plot(truth.x[inside], truth.y[inside], color="black", lw=3.5, label=label, zorder=3)
-    first = (drive.gps.x[0], drive.gps.y[0]) if truth is None else (truth.x[0], truth.y[0])
-    axes.plot(*first, "o", color="black", ms=7, label="start", zorder=4)
+    axes.plot(path.x[0], path.y[0], "o", color="black", ms=7, label="start", zorder=4)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("east, m")
-    axes.set_ylabel("north, m")
+    axes.set(xlabel="east, m", ylabel="north, m")
     axes.grid(alpha=0.3)
     axes.legend(loc="best", fontsize="small")
 
 
 def _draw_speed(axes: Axes, drive: Drive, origin: float) -> None:
     gps, truth = drive.gps, drive.truth
+    dots: dict[str, Any] = {"color": VERMILION, "ms": 3}
     if gps.speed is not None:
-        axes.plot(gps.time - origin, gps.speed * 3.6, ".", color=_FIX, ms=3, label="receiver")
+        axes.plot(gps.time - origin, gps.speed * 3.6, ".", **dots, label="receiver")
     if truth is not None:
-        axes.plot(
-            truth.time - origin, np.hypot(truth.vx, truth.vy) * 3.6, color=_TRUTH, lw=1.5, label="truth"
-        )
+        speed = np.hypot(truth.vx, truth.vy) * 3.6
+        axes.plot(truth.time - origin, speed, color=BLUE, lw=1.5, label="truth")
     if gps.speed is None and truth is None:
         steps = np.hypot(np.diff(gps.x), np.diff(gps.y)) / np.diff(gps.time)
-        axes.plot(gps.time[1:] - origin, steps * 3.6, ".", color=_FIX, ms=3, label="from fix to fix")
+        axes.plot(gps.time[1:] - origin, steps * 3.6, ".", **dots, label="from fix to fix")
     axes.set_ylabel("speed\nkm/h")
     _legend_above(axes)
 
 
-def _draw_lines(axes: Axes, when: Array, lines: dict[str, tuple[Array, str]], label: str) -> None:
+def _draw_lines(axes: Axes, when: Array, lines: dict[str, tuple[Array, str]]) -> None:
     # The first line, which matters most, is drawn on top of the others.
     for order, (name, (values, color)) in enumerate(lines.items()):
         axes.plot(when, values, color=color, lw=0.8, label=name, zorder=3 - 0.1 * order)
-    axes.set_ylabel(label)
     _legend_above(axes)
 
 
@@ -116,18 +102,18 @@ def _legend_above(axes: Axes) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), ncols=3, frameon=False, fontsize="small")
 
 
-def _draw_fixes(axes: Axes, drive: Drive, origin: float) -> None:
+def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
     """Errors of the fixes where the truth is known, else the time from fix to fix."""
     gps, truth = drive.gps, drive.truth
     if truth is None:
-        axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=_FIX, ms=3)
+        axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=VERMILION, ms=3)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("time from fix\nto fix, s")
         return
     # NaN where fixes are missing, so that no line pretends to know the error there.
-    after_gaps = np.searchsorted(gps.time, [end for _, end in _gaps(gps.time)])
+    after_gaps = np.searchsorted(gps.time, [end for _, end in gaps])
     when = np.insert(gps.time - origin, after_gaps, np.nan)
-    for values, true, color, name in ((gps.x, truth.x, _TRUTH, "east"), (gps.y, truth.y, _FIX, "north")):
+    for values, true, color, name in ((gps.x, truth.x, BLUE, "east"), (gps.y, truth.y, VERMILION, "north")):
         error = values - np.interp(gps.time, truth.time, true)
         axes.plot(when, np.insert(error, after_gaps, np.nan), ".-", color=color, ms=3, lw=0.5, label=name)
     axes.axhline(0, color="black", lw=0.5)
@@ -138,10 +124,18 @@ def _draw_fixes(axes: Axes, drive: Drive, origin: float) -> None:
 def _draw_figures(axes: Axes, drive: Drive) -> None:
     """Table of target and achieved figures of a simulated drive."""
     axes.axis("off")
-    target, achieved = (_numbers(drive.metadata.get(key)) for key in ("target", "achieved"))
+    tables: list[Any] = [drive.metadata.get(key) for key in ("target", "achieved")]
+    target, achieved = (
+        {
+            str(k): float(v)
+            for k, v in (table if isinstance(table, dict) else {}).items()
+            if isinstance(v, int | float)
+        }
+        for table in tables
+    )
     if not achieved:
         return
-    names = [*target, *(name for name in achieved if name not in target)]
+    names = dict.fromkeys((*target, *achieved))
     cells = [[name, *(f"{d[name]:.3g}" if name in d else "" for d in (target, achieved))] for name in names]
     place = Bbox.from_bounds(0, -0.05, 1, 1.1)
     table = axes.table(cells, colLabels=["", "target", "achieved"], colWidths=[0.56, 0.2, 0.24], bbox=place)
@@ -150,11 +144,3 @@ def _draw_figures(axes: Axes, drive: Drive) -> None:
     for (_, column), cell in table.get_celld().items():
         cell.set_edgecolor("#dddddd")
         cell.set_text_props(ha="left" if column == 0 else "right")
-
-
-def _numbers(table: Any) -> dict[str, float]:
-    return (
-        {str(k): float(v) for k, v in table.items() if isinstance(v, int | float)}
-        if isinstance(table, dict)
-        else {}
-    )

@@ -1,23 +1,58 @@
-"""The folder of an evaluation: its records, its pictures, and the tuning, so that its page needs nothing else."""
+"""The folder of an evaluation, and its charts: bars of the methods, consistency, tracks and errors over time."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import SEEN_FILE
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import staged_files, write_whole
 from sigmaswarm.learned.folder import Learned
-from sigmaswarm.reports.figures import figure_of, new_figure, save
-from sigmaswarm.reports.style import LABELS
-from sigmaswarm.reports.views.evaluation import consistency_charts, error_charts, method_bars, track_charts
+from sigmaswarm.reports.figures import (
+    Chart,
+    as_map,
+    band,
+    curve,
+    figure_of,
+    logarithmic,
+    name_rows,
+    save,
+    short_number,
+)
+from sigmaswarm.reports.style import (
+    BLACK,
+    BLUE,
+    CHARCOAL,
+    GREEN,
+    GREY,
+    LABELS,
+    LOOKS,
+    MIST,
+    NO_LINE,
+    ORANGE,
+    PURPLE,
+    SILVER,
+    Look,
+    many_looks,
+)
+from sigmaswarm.scoring.consistency import GATE_95
+from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
+from sigmaswarm.scoring.measures import Measure
 from sigmaswarm.scoring.records import seal
-from sigmaswarm.scoring.tracks import Picture
+from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
+from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE
 from sigmaswarm.wording import names_shown
+
+DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
+"""The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
+HEADING_SHOWN = (1.0, 30.0)
+"""deg: limits of half of the axis of heading errors; larger errors are those of a diverged filter."""
 
 
 def save_evaluation(
@@ -25,22 +60,21 @@ def save_evaluation(
 ) -> list[Path]:
     """Write the records and pictures of an evaluation; return the paths of all files.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-    folder : Path
-        Created if missing.
-    tuning : Path, optional
-        The tuning.toml that was evaluated, or the folder that holds it; copied.
-    network : Learned, optional
-        The network that was evaluated; copied.
+    ``tuning``, the tuning.toml that was evaluated or its folder, and ``network`` are copied into the folder.
     """
     with staged_files(folder) as new:
-        written = [*evaluation.save(new), *save_evaluation_figures(evaluation, new)]
-        if tuning is not None:
-            written += copy_tuning(tuning, new)
-        if network is not None:
-            written += network.save(new)
+        written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
+        labels = LABELS | dict(evaluation.names)
+        for name, found in evaluation.drives.items():
+            figures = {
+                "track": found.picture and tracks(found.picture, labels),
+                "consistency": consistency(name, found),
+                "error": found.picture and errors(found.picture, labels),
+            }
+            stem = name.replace("/", "-")
+            written += [save(f, new / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
+        written += copy_tuning(tuning, new) if tuning else []
+        written += network.save(new) if network else []
         seal(new)
     return [folder / file.relative_to(new) for file in written]
 
@@ -49,26 +83,11 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
     """Copy a tuning.toml or that of a folder, its history and its fingerprints; return the paths of the copies."""
     file = tuning / FILE if tuning.is_dir() else tuning
     written: list[Path] = []
-    sources = {FILE: file} | {name: file.parent / name for name in (HISTORY_FILE, SEEN_FILE)}
-    for name, source in sources.items():
+    for name in (FILE, HISTORY_FILE, SEEN_FILE):
+        source = file if name == FILE else file.parent / name
         if source.is_file():
             write_whole(folder / name, source.read_bytes())
             written.append(folder / name)
-    return written
-
-
-def save_evaluation_figures(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write the figures of an evaluation into its folder; return their paths."""
-    labels = LABELS | dict(evaluation.names)
-    written = [save(comparison(evaluation), folder / "comparison.png")]
-    for name, found in evaluation.drives.items():
-        stem = name.replace("/", "-")
-        figures = {
-            "track": found.picture and tracks(found.picture, labels),
-            "consistency": consistency(name, found),
-            "error": found.picture and errors(found.picture, labels),
-        }
-        written += [save(f, folder / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
     return written
 
 
@@ -80,34 +99,177 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
     return tracks(found.picture, LABELS | dict(evaluation.names))
 
 
+def comparison(evaluation: Evaluation) -> Figure:
+    """Bars of the mean scores of each method, where there are any."""
+    charts = method_bars(evaluation.view, titled=True)
+    if not charts:
+
+        def draw(ax: Axes) -> None:
+            ax.set_axis_off()
+            ax.text(0.5, 0.5, "nothing can be compared: no truth, and no outage fits", ha="center")
+
+        return figure_of(Chart("", draw), size=(6.4, 3.4))
+    columns = min(len(charts), 3)
+    rows = -(-len(charts) // columns)
+    return figure_of(*charts, size=(11 if columns > 1 else 6.4, 3.4 * rows), columns=columns)
+
+
+def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
+    """Bars of the means over the drives, a chart for each measure that any method has.
+
+    IMU only and fixes alone do not set the scale: their bars end at the longest other bar, with an arrow at the text.
+    ``titled``: the measure is the title, not the label of the axis.
+    """
+
+    def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
+        longest = max([v for m, v in values.items() if m not in ("imu_only", FIXES)] or values.values())
+
+        def draw(ax: Axes) -> None:
+            shown = [min(v, longest) for v in values.values()]
+            ax.barh(range(len(shown)), shown, color=[LOOKS[m].color for m in values], alpha=1.0, lw=0.0)
+            for i, value in enumerate(values.values()):
+                text = f" {short_number(value)}{' →' * (value > longest)}"
+                ax.annotate(text, (shown[i], i), va="center", fontsize=8)
+            ax.set(xlabel="" if titled else measure.heading, xlim=(0.0, 1.3 * longest))
+            name_rows(ax, [view.names[m] for m in values])
+
+        title = measure.heading if titled else f"{measure.title}, mean over drives"
+        return Chart(title, draw, rows=len(values))
+
+    known = {
+        name: {m: v for m in view.names if (v := view.scores.mean_of(m, name))} for name in view.measures
+    }
+    return tuple(bars(view.measures[name], values) for name, values in known.items() if values)
+
+
+def consistency(name: str, evaluated: Evaluated) -> Figure | None:
+    """NIS of the tuned filter over time and as a histogram, and the autocorrelation of its innovations.
+
+    None where the filter failed or had too few fixes.
+    """
+    found, innovations = evaluated.consistency, evaluated.innovations
+    if found is None or innovations is None:
+        return None
+    nis, tuned = innovations.nis, LOOKS["tuned"].color
+    low, high = found.nis_band
+
+    def over_time(ax: Axes) -> None:
+        curve(ax, innovations.time, nis, Look(tuned, 0.0, NO_LINE, ".", 3.0))
+        ax.axhline(GATE_95, **Look(CHARCOAL, 1.0, "--").line)
+        behind = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1}
+        across = ax.get_yaxis_transform()
+        ax.annotate("95% gate", (0.01, GATE_95), xycoords=across, va="bottom", bbox=behind, fontsize=8)
+        ax.set(xlabel="time, s", ylabel="NIS")
+        logarithmic(ax.yaxis)
+        ax.set_ylim(1e-2, None)
+
+    def histogram(ax: Axes) -> None:
+        edges = np.linspace(0, max(12.0, float(np.quantile(nis, 0.98))), 30)
+        share, _ = np.histogram(np.minimum(nis, edges[-1]), edges, density=True)
+        middle = (edges[1:] + edges[:-1]) / 2
+        ax.bar(middle, share, float(edges[1]), color=SILVER, alpha=1.0, lw=1.0, edgecolor=GREY)
+        curve(ax, middle, np.exp(-middle / 2) / 2, Look(BLACK, 1.2), "consistent filter")
+        ax.set(xlabel="NIS (the last bar: and above)", ylabel="share per unit")
+
+    def lags(ax: Axes) -> None:
+        ax.axhspan(-found.white_band, found.white_band, color=MIST, alpha=1.0, lw=0)
+        ax.axhline(0.0, **Look(GREY, 0.8).line)
+        at = np.arange(1, len(found.autocorrelation) + 1)
+        ax.vlines(at, 0.0, found.autocorrelation, color=tuned, lw=3.0, alpha=1.0)
+        ax.set(xlabel="fixes apart", ylabel="autocorrelation", ylim=(-1.0, 1.0))
+
+    charts = (
+        Chart(f"{name}: {found.inside_gate:.1%} inside", over_time),
+        Chart(f"mean {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", histogram),
+        Chart("innovations (grey: white, 95%)", lags),
+    )
+    return figure_of(*charts, size=(11, 3.4))
+
+
 def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
     """The whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
-    return figure_of(*track_charts(picture, labels), size=(11, 5.4), legend="below")
+    half, (x, y) = CLOSE_UP / 2, picture.turn
+
+    def paths(ax: Axes, series: Mapping[str, Columns]) -> None:
+        for name in (name for name in DRAWN if name in series):
+            curve(ax, series[name]["x"], series[name]["y"], LOOKS[name], labels[name])
+
+    def whole(ax: Axes) -> None:
+        paths(ax, picture.whole.series)
+        start = Look(BLACK, 0.0, NO_LINE, "^", 7.0)
+        curve(ax, picture.start[:1], picture.start[1:], start, "filter starts")
+        corners = half * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+        curve(ax, x + corners[0], y + corners[1], Look(CHARCOAL, 0.8))
+        low, high = picture.frame
+        margin = 0.08 * float((high - low).max())  # the fixes: a filter that runs away must not set the scale
+        as_map(ax, *zip(low - margin, high + margin, strict=True))
+
+    def close(ax: Axes) -> None:
+        paths(ax, picture.close)
+        as_map(ax, (x - half, x + half), (y - half, y + half))
+
+    charts = Chart(picture.whole.name, whole), Chart("close-up of the sharpest turn", close)
+    return figure_of(*charts, size=(11, 5.4), legend="below")
 
 
 def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
-    """Position and heading error over time; None without truth."""
-    charts = error_charts(picture, labels)
-    return figure_of(*charts, size=(9, 6), columns=1, legend="below", sharex=True) if charts else None
+    """Position and heading error over time with the 3-sigma bounds of the tuned and the smoothed filter.
+
+    None without truth.
+    """
+    series = picture.whole.series
+    if "position_error" not in series["tuned"]:
+        return None
+    methods = [name for name in DRAWN if "heading_error" in series.get(name, {})]
+    bounds = [name for name in ("tuned", "smoothed") if name in series]
+
+    def position(ax: Axes) -> None:
+        for name, style in zip(bounds, ("-", ":"), strict=False):
+            radius, text = series[name]["position_3sigma"], f"3 sigma of the {labels[name]}"
+            curve(ax, series[name]["time"], radius, Look(GREY, 1.0, style), text)
+        for name in methods:
+            curve(ax, series[name]["time"], series[name]["position_error"], LOOKS[name], labels[name])
+        ax.set(ylabel="position error, m")
+        logarithmic(ax.yaxis)  # from centimetres to hundreds of metres: else not all methods are visible
+        ax.set_ylim(0.03, None)
+
+    def heading(ax: Axes) -> None:
+        for name, color in zip(bounds, (MIST, SILVER), strict=False):
+            sigma = series[name]["heading_3sigma"]
+            band(ax, series[name]["time"], -sigma, sigma, Look(color))
+        for name in methods:
+            curve(ax, series[name]["time"], series[name]["heading_error"], LOOKS[name])
+        values = [np.abs(series[name]["heading_error"]) for name in methods]
+        shown = np.concatenate([*values, series["tuned"]["heading_3sigma"]])
+        known = np.isfinite(shown).any()
+        most = float(np.clip(1.2 * np.nanquantile(shown, 0.98), *HEADING_SHOWN)) if known else 30.0
+        ax.set(xlabel="time, s", ylabel="heading error, deg", ylim=(-most, most))
+
+    charts = Chart(f"{picture.whole.name}: error against truth", position), Chart("", heading)
+    return figure_of(*charts, size=(9, 6), columns=1, legend="below", sharex=True)
 
 
-def comparison(evaluation: Evaluation) -> Figure:
-    """Bars of the mean scores of each method, where there are any."""
-    charts = [
-        replace(chart, title=chart.x.title, x=replace(chart.x, title=""))
-        for chart in method_bars(evaluation.record, evaluation.names, evaluation.measures)
-    ]
-    if charts:
-        columns = min(len(charts), 3)
-        rows = -(-len(charts) // columns)
-        return figure_of(*charts, size=(11 if columns > 1 else 6.4, 3.4 * rows), columns=columns)
-    figure, (ax,) = new_figure(6.4, 3.4)
-    ax.set_axis_off()
-    ax.text(0.5, 0.5, "nothing can be compared: no truth, and no outage fits", ha="center")
-    return figure
+def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
+    """Weights of the filters of a swarm over time, stacked, and their distance from the tuning."""
+    shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
+    if shares is None or moved is None:
+        return ()
 
+    def weights(ax: Axes) -> None:
+        names = [name for name in shares if name != "time"]
+        sums = [*accumulate((shares[name] for name in names), initial=np.zeros(len(shares["time"])))]
+        for name, color, low, high in zip(names, (BLUE, ORANGE, GREEN, PURPLE), sums, sums[1:], strict=False):
+            band(ax, shares["time"], low, high, Look(color, opacity=0.7), name)
+        ax.set(xlabel="time, s", ylabel="share", ylim=(0.0, 1.0))
 
-def consistency(name: str, found: Evaluated) -> Figure | None:
-    """Consistency of the tuned filter; None where it failed or had too few fixes."""
-    charts = consistency_charts(name, found)
-    return figure_of(*charts, size=(11, 3.4)) if charts else None
+    def distance(ax: Axes) -> None:
+        ax.axhline(0.0, **Look(GREY, 0.8).line)
+        offsets = [name for name in moved if name not in ("time", "rear_axle")]
+        for name, look in zip(offsets, many_looks(len(offsets), 1.2), strict=True):
+            curve(ax, moved["time"], moved[name], look, name)
+        ax.set(xlabel="time, s", ylabel="decades of variance")
+
+    return (
+        Chart(f"{tracks.name}: weights of the filters of the swarm", weights),
+        Chart(f"{tracks.name}: distance of the swarm from its tuning", distance),
+    )

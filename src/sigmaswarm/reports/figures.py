@@ -1,88 +1,145 @@
-"""Draw charts with matplotlib, as PNG, as SVG files and as SVG for pages.
+"""Charts, drawn with matplotlib as PNG, as SVG files and as SVG for pages.
 
 The same chart gives the same bytes. The global state of pyplot is not touched.
 """
 
 import re
 import warnings
-from base64 import urlsafe_b64decode
-from collections.abc import Iterator
-from dataclasses import replace
+from base64 import urlsafe_b64decode, urlsafe_b64encode
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis as MatplotlibAxis
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import Formatter
+from numpy.typing import ArrayLike
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import whole_file, write_whole
-from sigmaswarm.reports.views.charts import Chart
+from sigmaswarm.reports.style import Look
 from sigmaswarm.wording import visible
 
-Legend = Literal["none", "inside", "below"]
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A plot: ``draw`` draws marks and labels on matplotlib's axes.
+
+    ``rows`` is the number of names along the vertical axis, which decides the height on a page. A page shows at most
+    two ``broad`` charts in a row.
+    """
+
+    title: str
+    draw: Callable[[Axes], None]
+    rows: int = 0
+    broad: bool = False
+
+
+def curve(ax: Axes, x: ArrayLike, y: ArrayLike, look: Look, name: str = "") -> None:
+    """Draw a line through points with a name in the legend; NaN and inf leave a gap."""
+    values = np.asarray(y, np.float64)
+    ax.plot(x, np.where(np.isinf(values), np.nan, values), **look.line, label=name)
+
+
+def band(ax: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, look: Look, name: str = "") -> None:
+    """Fill the area between two curves."""
+    ax.fill_between(x, low, high, color=look.color, alpha=look.opacity, lw=0, label=name)  # pyright: ignore
+
+
+def name_rows(ax: Axes, names: Sequence[str]) -> None:
+    """Name the positions 0, 1, ... of the vertical axis, from the top."""
+    ax.set_yticks(range(len(names)), names, fontsize=8)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+
+
+def logarithmic(axis: Axis) -> None:
+    """Use a logarithmic scale with plain numbers: few powers of ten lie within a small range."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(_Between())
+
+
+class _Between(Formatter):
+    """Format 2 and 5 times a power of ten, where an axis spans little more than one power."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        low, high = sorted(self.axis.get_view_interval())  # pyright: ignore
+        digit = f"{x:e}"[0] if 0 < high < 15 * low else ""
+        return f"{x:g}" if digit in ("2", "5") else ""
+
+
+def as_map(ax: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Use the same scale for east and north; a range may grow to fill the frame."""
+    ax.set(aspect="equal", adjustable="datalim", xlabel="east, m", ylabel="north, m")
+    ax.set_xlim(*x, auto=True)
+    ax.set_ylim(*y, auto=True)
+
+
+def short_number(value: float) -> str:
+    """Format the number at a bar: three digits, and no powers of ten."""
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+
+
+def hover_id(text: str) -> str:
+    """Return the identifier of an artist that carries a hover text into an SVG."""
+    return f"hover-{urlsafe_b64encode(text.encode()).decode()}"
 
 
 def figure_of(
     *charts: Chart,
     size: tuple[float, float],
     columns: int | None = None,
-    legend: Legend = "inside",
-    legend_columns: int = 6,
-    **shared: bool,
+    legend: Literal["none", "inside", "below"] = "inside",
+    **shared: Any,
 ) -> Figure:
     """Draw charts next to each other, or in so many columns, on a figure of that size in inches.
 
     A legend below serves all charts and has the names of the first one. ``sharex`` and ``sharey`` are matplotlib's.
     """
     columns = columns or len(charts)
-    figure, axes = new_figure(*size, -(-len(charts) // columns), columns, **shared)
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid: Any = figure.subplots(-(-len(charts) // columns), columns, squeeze=False, **shared)
+    axes: list[Axes] = grid.ravel().tolist()
     for ax in axes[len(charts) :]:
         ax.remove()
     for ax, chart in zip(axes, charts, strict=False):
-        chart.draw(ax)
-        if legend == "inside" and ax.get_legend_handles_labels()[0]:
-            ax.legend(frameon=False, fontsize=8)
-    if legend == "below":
-        named = axes[0].get_legend_handles_labels()
-        figure.legend(*named, frameon=False, fontsize=8, ncols=legend_columns, loc="outside lower center")
-    return figure
-
-
-def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, **kw: object
-) -> tuple[Figure, list[Axes]]:
-    """A figure of that size in inches, with a list of its axes."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, squeeze=False, **kw).ravel().tolist()  # pyright: ignore
-    for ax in axes:
         ax.grid(True, color="0.9", lw=0.6)
         ax.set_axisbelow(True)
         ax.spines[["top", "right"]].set_visible(False)
-    return figure, axes
+        chart.draw(ax)
+        ax.set_title(chart.title, loc="left")
+        if legend == "inside" and ax.get_legend_handles_labels()[0]:
+            ax.legend(frameon=False, fontsize=8)
+    if legend == "below":
+        _legend_below(figure, 6)
+    return figure
 
 
-def _plain(figure: Figure) -> None:
-    """Draw titles and legends literally: names of drives are no formulas."""
-    for text in _texts(figure):
-        text.set_parse_math(False)
-        text.set_text(visible(text.get_text()))
+def _legend_below(figure: Figure, columns: int) -> None:
+    named = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*named, frameon=False, fontsize=8, ncols=columns, loc="outside lower center")
 
 
-def _texts(artist: Artist) -> Iterator[Text]:
-    """All texts except those of axes, which may have powers and whose ticks are expensive to create."""
+def _plain(artist: Artist) -> None:
+    """Draw titles and legends literally, since names of drives are no formulas.
+
+    Numbers of axes are left out: they may have powers, and their ticks are expensive to create.
+    """
     if isinstance(artist, Text):
-        yield artist
-    if not isinstance(artist, MatplotlibAxis):
-        for child in artist.get_children():
-            yield from _texts(child)
+        artist.set_parse_math(False)
+        artist.set_text(visible(artist.get_text()))
+    for child in () if isinstance(artist, Axis) else artist.get_children():
+        _plain(child)
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -102,26 +159,19 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
     return [save(figure, stem.with_name(f"{stem.name}.png")), path]
 
 
-SVG_WIDTH = 3.4
-"""Inches: width of a chart of a page; the page scales it, to 1.2 times on a phone and to 1.8 times on a screen."""
-LONG_NAME = 22
-"""Characters of a name above which the legend has one column."""
-ROW_HEIGHT = 0.22
-"""Inches: height of a category in it."""
-
-
 def svg(chart: Chart) -> str:
-    """Return a chart without its title as an SVG element that is as wide as its container."""
-    named = set(chart.names)
-    columns = 2 if max(map(len, named), default=0) <= LONG_NAME else 1
-    height = 0.5 + ROW_HEIGHT * len(chart.y.categories) if chart.y.categories else 2.4
+    """Return a chart without its title as an SVG element that is as wide as its container.
+
+    Sizes are in inches; the page scales it, to 1.2 times on a phone and to 1.8 times on a screen.
+    """
     with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
-        figure = figure_of(
-            replace(chart, title=""),
-            size=(SVG_WIDTH, height + 0.16 * -(-len(named) // columns)),
-            legend="below" if named else "none",
-            legend_columns=columns,
-        )
+        figure = figure_of(replace(chart, title=""), size=(3.4, 2.4), legend="none")
+        names = set(figure.axes[0].get_legend_handles_labels()[1])
+        columns = 2 if max(map(len, names), default=0) <= 22 else 1
+        height = 0.5 + 0.22 * chart.rows if chart.rows else 2.4
+        figure.set_size_inches(3.4, height + 0.16 * -(-len(names) // columns))
+        if names:
+            _legend_below(figure, columns)
         text = _svg(figure, **{"svg.fonttype": "none"})
     return re.sub(
         r'(<svg[^>]*?) height="[^"]*"([^>]*?) width="[^"]*"', r"\1\2", text[text.index("<svg") :], count=1

@@ -7,9 +7,8 @@ holds the basic bundle (MIT license, see assets/); the bundle and the tracks are
 import base64
 import gzip
 import json
-import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -19,11 +18,12 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from sigmaswarm.reports.figures import svg
-from sigmaswarm.reports.views.charts import Chart, Look
+from sigmaswarm.files import finite
+from sigmaswarm.reports.figures import Chart, svg
+from sigmaswarm.reports.style import Look
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.thinning import Thinned
-from sigmaswarm.scoring.tracks import Columns, Tracks
+from sigmaswarm.scoring.tracks import Tracks
 from sigmaswarm.tables import Cell, Column, Table, numbers_of, shown
 from sigmaswarm.versions import __version__
 
@@ -49,6 +49,8 @@ TERMS = {
     "density": "noise density that corresponds to the variance",
 }
 """Terms of headings and labels with the explanations that the page shows on hover."""
+DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
+"""Line styles of matplotlib, and their names in plotly.js."""
 _TERM = re.compile(
     "|".join(rf"(?<!\w){re.escape(term)}(?!\w)" for term in sorted(TERMS, key=len, reverse=True))
 )
@@ -56,40 +58,18 @@ MOST_NUMBERS = 250_000
 """Numbers of all tracks of a page; more drives are drawn with fewer points each, so that it stays below 2 MB."""
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A number of the summary with its unit, and a note to compare it with."""
-
-    label: str
-    value: str
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class Line:
-    """A series of the tracks: its label, its look, and whether it is visible when the page opens."""
-
-    series: str
-    label: str
-    look: Look
-    shown: bool = False
-
-
 @dataclass(frozen=True, eq=False)
 class TrackView:
     """Tracks to explore.
 
-    Attributes
-    ----------
-    drives : tuple of Tracks
-    lines : tuple of Line
-        The first one is drawn on top.
-    main : str
-        The series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
+    ``labels`` and ``looks`` are of each series, the one drawn on top first; those in ``shown`` are visible when it
+    opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
     """
 
-    drives: tuple[Tracks, ...]
-    lines: tuple[Line, ...]
+    drives: Sequence[Tracks]
+    labels: Mapping[str, str]
+    looks: Mapping[str, Look]
+    shown: Collection[str]
     main: str
 
 
@@ -108,27 +88,13 @@ class Section:
 class Report:
     """The content of a page.
 
-    Attributes
-    ----------
-    title : str
-    lead : tuple of str
-        The result in a few sentences.
-    figures : tuple of Figure
-    remarks : tuple of str
-        Warnings to read before the result is used.
-    sections : tuple of Section
-        At most one of them has tracks.
-    config, versions : mapping
-        Configuration and software of the result.
-    command : str
-        Command that repeats it; empty where there is none.
-    command_note : str
-        Remark on the command.
+    ``lead`` is the result in a few sentences; ``figures`` are labels, numbers with their units, and notes;
+    ``remarks`` are warnings. At most one section has tracks. ``command`` repeats the result, if there is one.
     """
 
     title: str
     lead: tuple[str, ...]
-    figures: tuple[Figure, ...] = ()
+    figures: tuple[tuple[str, str, str], ...] = ()
     remarks: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
     config: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -164,8 +130,7 @@ def _environment() -> Environment:
     made = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    filters: dict[str, Any] = {"svg": _drawn, "plain": _plain, "cell": _cell, "terms": _terms}
-    made.filters.update(filters)
+    made.filters.update(svg=lambda chart: Markup(svg(chart)), plain=_plain, cell=_cell, terms=_terms)  # pyright: ignore
     return made
 
 
@@ -182,15 +147,15 @@ def _view(view: TrackView) -> dict[str, Any]:
     present = {name for drive in view.drives for name in drive.series}
     lines = [
         {
-            "series": line.series,
-            "label": line.label,
-            "shown": line.shown,
-            "color": line.look.color,
-            "dash": line.look.dash,
-            "width": max(line.look.width, 1.2),
+            "series": name,
+            "label": label,
+            "shown": name in view.shown,
+            "color": view.looks[name].color,
+            "dash": DASHES[view.looks[name].style],
+            "width": max(view.looks[name].width, 1.2),
         }
-        for line in view.lines
-        if line.series in present
+        for name, label in view.labels.items()
+        if name in present
     ]
     size = sum(len(v) for drive in view.drives for of in drive.series.values() for v in of.values())
     share = min(1.0, MOST_NUMBERS / max(size, 1))
@@ -199,30 +164,22 @@ def _view(view: TrackView) -> dict[str, Any]:
 
 
 def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
-    """Round to the millimetre and millisecond; large time stamps count from the drive's beginning."""
+    """Thin and round to the millimetre and millisecond; large time stamps count from the drive's beginning."""
     first = min(float(columns["time"][0]) for columns in tracks.series.values())
     origin = first if abs(first) > 1000 else 0.0
-    series = {
-        name: {
-            column: _rounded(values - origin if column == "time" else values)
-            for column, values in _thinned(columns, share).items()
+    series: dict[str, Any] = {}
+    for name, columns in tracks.series.items():
+        if share < 1.0:
+            n = len(columns["time"])
+            thin = Thinned(n, max(int(share * n), 50))
+            thin.add(columns)
+            columns = thin.columns
+        numbers = {
+            column: np.round(np.asarray(values - origin * (column == "time"), np.float64), 3).tolist()
+            for column, values in columns.items()
         }
-        for name, columns in tracks.series.items()
-    }
+        series[name] = finite(numbers)
     return {"name": tracks.name, "origin": origin, "series": series}
-
-
-def _thinned(columns: Columns, share: float) -> Columns:
-    if share == 1.0:
-        return columns
-    n = len(columns["time"])
-    thin = Thinned(n, max(int(share * n), 50))
-    thin.add(columns)
-    return thin.columns
-
-
-def _rounded(values: np.ndarray[Any, Any]) -> list[float | None]:
-    return [v if math.isfinite(v) else None for v in np.round(values.astype(np.float64), 3).tolist()]
 
 
 def _cell(cell: Cell, column: Column) -> dict[str, Any]:
@@ -231,10 +188,6 @@ def _cell(cell: Cell, column: Column) -> dict[str, Any]:
         return {"text": cell, "style": "long" if len(cell) > LONG else "", "key": None}
     known = numbers_of(cell)
     return {"text": shown(cell, column, "–"), "style": "number", "key": known and repr(known[0])}
-
-
-def _drawn(chart: Chart) -> Markup:
-    return Markup(svg(chart))
 
 
 def _terms(text: str) -> Markup:

@@ -5,56 +5,30 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.study.config import MAIN
-from sigmaswarm.experiments.study.record import Results
 from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, staged_files, write_whole
+from sigmaswarm.reports import study_charts as charts
+from sigmaswarm.reports import study_tables as views
 from sigmaswarm.reports.figures import figure_of, save_both
-from sigmaswarm.reports.views import study_tables as views
-from sigmaswarm.reports.views.study_charts import convergence_chart, spread_chart
-from sigmaswarm.reports.views.study_drive import error_charts, nis_charts, trajectory_chart
-from sigmaswarm.reports.views.study_rivals import curve_charts, rivals_table, rivals_tables
-from sigmaswarm.tables import Table
 
 
 def save_study(study: Study, folder: Path) -> list[Path]:
     """Write the tables of a study, each as Markdown, LaTeX and CSV, and its figures, each as PNG and SVG."""
-    with staged_files(folder) as new:
-        written = _save_study(study, new)
-    return [folder / file.relative_to(new) for file in written]
-
-
-def _save_study(study: Study, folder: Path) -> list[Path]:
-    tables, figures = make_folder(folder / "tables"), make_folder(folder / "figures")
     record = study.record
-    runtime = {"runtime": views.runtime_table(record.results, record.live)}
+    found = views.study_tables(study.results) | {"runtime": views.runtime_table(record.results, record.live)}
     if record.results.rivals is not None:
-        runtime["runtime-rivals"] = rivals_table(record.results, record.rival_times)
+        found["runtime-rivals"] = views.rivals_table(record.results, record.rival_times)
     written: list[Path] = []
-    for name, table in (study_tables(study.results) | runtime).items():
-        for ending, text in (("md", table.to_markdown()), ("tex", table.to_latex()), ("csv", table.to_csv())):
-            written.append(tables / f"{name}.{ending}")
-            write_whole(written[-1], text)
-    for name, figure in study_figures(study).items():
-        written += save_both(figure, figures / name)
-    return written
-
-
-def study_tables(results: Results) -> dict[str, Table]:
-    """Return all tables of a study but those of run times, which differ between runs.
-
-    Parameters
-    ----------
-    results : Results
-        ``study.results``.
-
-    Returns
-    -------
-    dict of str to Table
-        ``table-1`` to ``table-3`` with the paper's figures, ``comparison-honest`` and ``comparison-paper``, three of
-        the conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
-        ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
-    """
-    return views.study_tables(results) | rivals_tables(results)
+    with staged_files(folder) as new:
+        tables, figures = make_folder(new / "tables"), make_folder(new / "figures")
+        for name, table in found.items():
+            texts = {"md": table.to_markdown(), "tex": table.to_latex(), "csv": table.to_csv()}
+            for ending, text in texts.items():
+                written.append(tables / f"{name}.{ending}")
+                write_whole(written[-1], text)
+        for name, figure in study_figures(study).items():
+            written += save_both(figure, figures / name)
+    return [folder / file.relative_to(new) for file in written]
 
 
 def study_figures(study: Study) -> dict[str, Figure]:
@@ -71,14 +45,16 @@ def study_figures(study: Study) -> dict[str, Figure]:
         (over time) and ``nis``; with rivals ``learning-curve``. No global state of pyplot is touched.
     """
     results, spreads, picture = study.results, study.record.spreads, study.picture
-    courses = [convergence_chart(results, protocol, [MAIN], "linear") for protocol in results.protocols]
-    boxes = [spread_chart(results, spreads, measure, all_rows=True) for measure in views.ERRORS]
-    curves = curve_charts(results)
+    courses = [
+        charts.convergence_chart(results, protocol, [MAIN], log=False) for protocol in results.protocols
+    ]
+    boxes = [charts.spread_chart(results, spreads, measure, all_rows=True) for measure in views.ERRORS]
+    curves = charts.curve_charts(results)
     return {
         "convergence": figure_of(*(c for c in courses if c), size=(10, 4)),
-        "trajectory": figure_of(trajectory_chart(picture), size=(6.4, 5.6)),
+        "trajectory": figure_of(charts.trajectory_chart(picture), size=(6.4, 5.6)),
         "boxes": figure_of(*(c for c in boxes if c), size=(12, 4.6), sharey=True),
-        "errors": figure_of(*error_charts(picture), size=(11, 7), columns=2, sharex=True),
-        "nis": figure_of(*nis_charts(picture), size=(11, 3.4), sharey=True),
+        "errors": figure_of(*charts.error_charts(picture), size=(11, 7), columns=2, sharex=True),
+        "nis": figure_of(*charts.nis_charts(picture), size=(11, 3.4), sharey=True),
         **({"learning-curve": figure_of(*curves, size=(11, 7), columns=2)} if curves else {}),
     }

@@ -1,40 +1,42 @@
-"""The chart and the pictures of a tuning."""
+"""The page and the pictures of a tuning: cost, parameters with their ranges, convergence and drives."""
 
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.records import load_record
+from sigmaswarm.reports.commands import tune_command
 from sigmaswarm.reports.evaluation import tracks
-from sigmaswarm.reports.figures import figure_of, save
-from sigmaswarm.reports.style import BLUE, LABELS, ORANGE
-from sigmaswarm.reports.views.charts import Axis, Chart, Curve, Look
+from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic, save
+from sigmaswarm.reports.page import Report, Section
+from sigmaswarm.reports.style import BLUE, LABELS, ORANGE, Look
 from sigmaswarm.scoring.measures import method_names
 from sigmaswarm.scoring.tracks import Picture
-from sigmaswarm.tuning.record import HISTORY_FILE, History
+from sigmaswarm.tables import Cell, Column, Table
+from sigmaswarm.tuning.config import SWARM
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
 from sigmaswarm.tuning.result import Tuning
+from sigmaswarm.tuning.sensitivity import NOISE_SCALE
+from sigmaswarm.wording import counted
 
-
-def convergence_chart(history: History, best_trial: int, objective: str) -> Chart:
-    """Best cost so far and median cost of each generation (the paper's Fig. 2); the best trial is bold.
-
-    The scale is logarithmic if all costs are positive; a likelihood's may be negative.
-    """
-    curves: list[Curve] = []
-    for trial in history.trials:
-        best = trial.trial == best_trial
-        for costs, name, look in (
-            (trial.best, "best so far", Look(BLUE, 2.0 if best else 1.0)),
-            (trial.median, "median of the generation", Look(ORANGE, 1.0, "dash")),
-        ):
-            shown = look if best else replace(look, opacity=0.35)
-            curves.append(Curve(trial.generation, costs, shown, name if best else ""))
-    costs = np.concatenate([np.asarray(curve.y, np.float64) for curve in curves])
-    scale = "log" if np.all(costs[np.isfinite(costs)] > 0) else "linear"
-    n = len(history.trials)
-    title = f"Convergence, {n} trials (the best one bold)" if n > 1 else "Convergence"
-    return Chart(title, tuple(curves), Axis("generation"), Axis(f"cost: {objective}", scale, plain=True))
+MEANINGS = {
+    "latency": (
+        "age of the fixes' positions with the best predictions of this filter; the doctor's clock offset is another "
+        "estimate of it, from turns and accelerations alone"
+    ),
+    "rear_axle": "distance from the rear axle forward to the IMU; negative: the IMU is behind it",
+}
+"""Explanations of parameters whose name and unit do not suffice."""
+SIGMA_POINTS = {"alpha", "beta", "kappa"}
+"""An extended filter has none."""
 
 
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
@@ -57,5 +59,193 @@ def save_history(tuning: Tuning, folder: Path) -> None:
 
 def convergence(tuning: Tuning) -> Figure:
     """Best cost so far and median cost of the generations (the paper's Fig. 2)."""
-    chart = convergence_chart(History.of(tuning.trials), tuning.best_trial, tuning.config.objective)
+    chart = _convergence_chart(History.of(tuning.trials), tuning.best_trial, tuning.config.objective)
     return figure_of(chart, size=(6.4, 4.0))
+
+
+def _convergence_chart(history: History, best_trial: int, objective: str) -> Chart:
+    """Best cost so far and median cost of each generation; the best trial is bold.
+
+    The scale is logarithmic if all costs are positive; a likelihood's may be negative.
+    """
+
+    def draw(ax: Axes) -> None:
+        for trial in history.trials:
+            best = trial.trial == best_trial
+            for costs, name, look in (
+                (trial.best, "best so far", Look(BLUE, 2.0 if best else 1.0)),
+                (trial.median, "median of the generation", Look(ORANGE, 1.0, "--")),
+            ):
+                shown = look if best else replace(look, opacity=0.35)
+                curve(ax, trial.generation, costs, shown, name if best else "")
+        costs = np.concatenate(
+            [np.asarray(c, np.float64) for t in history.trials for c in (t.best, t.median)]
+        )
+        if np.all(costs[np.isfinite(costs)] > 0):
+            logarithmic(ax.yaxis)
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("{x:g}")
+        ax.set(xlabel="generation", ylabel=f"cost: {objective}")
+
+    n = len(history.trials)
+    return Chart(f"Convergence, {n} trials (the best one bold)" if n > 1 else "Convergence", draw)
+
+
+def tuning_report(folder: Path) -> Report:
+    """Read the folder of a `sigmaswarm tune`."""
+    file = load_record(TuningRecord, folder / FILE)
+    result = file.result
+    if result is None:
+        raise InputError(f"{folder / FILE}: has no [result] table; give the folder of a `sigmaswarm tune`")
+    figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
+    held_out = "Its scores on other drives are not known yet: run sigmaswarm evaluate."
+    if (cost := result.validation_cost) is not None and (gap := result.validation_gap) is not None:
+        how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
+        figures.append(("cost on held-out drives", f"{cost:.4g}", how))
+        held_out = (
+            f"On {counted(len(result.validation_drives), 'drive')} that the search did not use its cost is "
+            f"{cost:.4g}, {how}; on the training drives it is {result.cost:.4g}."
+        )
+    figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
+    command, note = tune_command(file.config, [d.name for d in file.data], result.validation_drives)
+    return Report(
+        title=f"Tuning of {filter_name(file)}",
+        lead=(what_was_tuned(file), held_out),
+        figures=tuple(figures),
+        remarks=tuple(result.remarks),
+        sections=(
+            parameters_section(file),
+            *convergence_section(file, folder),
+            data_section("Drives", file.data),
+        ),
+        config=shown_config(file.config),
+        versions=file.versions,
+        command=command,
+        command_note=note,
+    )
+
+
+def filter_name(file: TuningRecord) -> str:
+    """Model and kind, for a title."""
+    model = file.config.get("model", file.filter.get("model", "a filter"))
+    if isinstance(model, dict):
+        return str(model.get("name", "a model of your own"))  # pyright: ignore
+    return f"{model} ({file.config.get('kind', file.filter.get('kind', 'ukf'))})"
+
+
+def what_was_tuned(file: TuningRecord) -> str:
+    """The filter, the drives and the objective, in a sentence."""
+    if file.result is None:
+        return f"The filter is {filter_name(file)}; its file does not say how it was tuned."
+    length = sum(d.duration_s or 0 for d in file.data)
+    on = counted(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
+    meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
+    return f"{filter_name(file)} was tuned on {on} for {file.result.objective}{meaning}."
+
+
+def parameters_section(file: TuningRecord) -> Section:
+    """Every parameter with its unit, its range, and a remark."""
+    ranges = file.within_1_percent_of_the_cost
+    touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
+    rows: list[tuple[Cell, ...]] = []
+    for name, value, unit, density in _parameters(file):
+        if file.filter.get("kind") == "ekf" and name in SIGMA_POINTS:
+            continue
+        low, high = ranges.get(_searched_as(name, ranges, file), (None, None))
+        free = (low, high) == ("-", "-")
+        found = "no effect within the bounds" if free else touched.get(_searched_as(name, touched, file), "")
+        remark = "; ".join(said for said in (MEANINGS.get(name, ""), found) if said)
+        rows.append((name, value, unit, _end(low), _end(high), density, remark))
+    if NOISE_SCALE in ranges:
+        ends = map(_end, ranges[NOISE_SCALE])
+        rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
+    titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
+    text = (
+        "From and to: the values at which the cost is 1% higher, all other parameters unchanged; at the bound: "
+        "it is less than 1% higher at the bound of the search."
+    )
+    table = Table("", tuple(map(Column, titles)), tuple(rows))
+    return Section("Parameters", (text,) if ranges else (), (table,))
+
+
+def _end(end: End | None) -> Cell:
+    return "at the bound" if end == "-" else end
+
+
+def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
+    """Return the name in the search, where some share one: q_x and q_y are q_xy, q_roll is q_tilt."""
+    model = MODELS.get(str(file.filter.get("model")))
+    shared = {f"q_{state.name}": f"q_{state.shared}" for state in (model.states if model else ())}
+    return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)
+
+
+def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
+    """Name in the search, value, unit and density of every number of the filter."""
+    names = {
+        "process_noise": [f"q_{state}" for state in file.units.get("states", [])],
+        "measurement_noise": ["r_x", "r_y"],
+        "bias_std": ["accel_bias_std", "gyro_bias_std"],
+    }
+    for field, value in file.filter.items():
+        unit = file.units.get(field, "")
+        if not isinstance(value, list):
+            yield field, value, unit if isinstance(unit, str) else "", ""
+            continue
+        for i, entry in enumerate(value):
+            name = dict(enumerate(names.get(field, []))).get(i, f"{field}[{i}]")
+            one = unit if isinstance(unit, str) else unit[i] if i < len(unit) else ""
+            noise = name.startswith("q_")
+            yield name, entry, one, file.densities.get(name.removeprefix("q_"), "") if noise else ""
+
+
+def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]:
+    """Best and median cost over generations, every trial; nothing where the folder has no history."""
+    path = folder / HISTORY_FILE
+    if not path.exists() or file.result is None:
+        return ()
+    best, costs = file.result.best_trial, file.result.trial_costs
+    chart = _convergence_chart(History.load(path), best, file.result.objective)
+    charts = (replace(chart, title="Cost over generations"),)
+    if len(costs) == 1:
+        return (Section("Convergence", charts=charts),)
+    rows = tuple((float(i), cost) for i, cost in enumerate(costs))
+    table = Table("Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({best}))
+    return (Section("Convergence", (f"The best of {len(costs)} trials is drawn bold.",), (table,), charts),)
+
+
+def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
+    """The drives; for evaluated ones whether they were held out, where that is known."""
+
+    def held_out(drive: DriveRecord) -> Cell:
+        if drive.seen_s:
+            return f"no: tuned on {drive.seen_s:.0f} s of it"
+        return None if drive.seen_s is None else "yes"
+
+    columns: dict[Column, list[Cell]] = {
+        Column("drive"): [d.name for d in data],
+        Column("length", "s"): [d.duration_s for d in data],
+        Column("IMU samples"): [d.imu_samples for d in data],
+        Column("fixes"): [d.fixes for d in data],
+        Column("truth"): ["" if d.has_truth is None else "yes" if d.has_truth else "no" for d in data],
+    }
+    started = any(d.scored_from_s is not None for d in data)
+    if started:
+        columns[Column("scored from", "s")] = [d.scored_from_s for d in data]
+    if any(d.seen_s is not None for d in data):
+        columns[Column("held out")] = [held_out(d) for d in data]
+    text = f"Filters start, and scores with them, at {START_RULE}."
+    table = Table("", tuple(columns), tuple(zip(*columns.values(), strict=True)))
+    return Section(title, (text,) if started else (), (table,))
+
+
+def shown_config(config: dict[str, Any]) -> dict[str, Any]:
+    """Return the configuration that the search used, without the coefficients of other optimizers.
+
+    A model of the user's own is shown by its name and fingerprint.
+    """
+    if config.get("optimizer", "pso") != "pso":  # tunings from before there was a choice are of pso
+        config = {key: value for key, value in config.items() if key not in SWARM}
+    model = config.get("model")
+    if isinstance(model, dict):
+        return config | {"model": {k: model[k] for k in ("name", "sha256") if k in model}}
+    return config

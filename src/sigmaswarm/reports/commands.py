@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from pydantic import ValidationError
@@ -14,8 +15,6 @@ from sigmaswarm.tuning.defaults import with_guards
 STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
 """Options that the command names even at their defaults."""
 DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
-OTHERS = tuple(name for name in DEFAULTS if name not in STATED)
-"""Options that it names where they are not at their defaults."""
 GUARDS = ("prior", "inflation")
 """Those whose default in `tune` depends on the objective."""
 
@@ -28,22 +27,22 @@ def tune_command(
         return "", "The model is the user's own: repeat the tuning in Python, with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}
     options = {name: config[name] for name in STATED if name in config}
-    told = dict.fromkeys(GUARDS, 0.0) | dict(config)  # versions that had no guards tuned without them
-    usual = DEFAULTS | _settled(config) | _usual_kind(config)
-    options |= {name: told[name] for name in OTHERS if name in told and not _same(told[name], usual[name])}
+    usual = _usual(config)
+    config = dict.fromkeys(GUARDS, 0.0) | config  # versions that had no guards tuned without them
+    for name in DEFAULTS:
+        value = config.get(name)
+        if name not in STATED and value is not None:
+            same = tuple(value) == usual[name] if isinstance(value, list) else value == usual[name]
+            options |= {} if same else {name: value}
     words = ["sigmaswarm", "tune", *drives, "--out", "again"]
     for name, value in options.items():
-        words += _option(name.replace("_", "-"), value)
+        words += _option(f"--{name.replace('_', '-')}", value)
     words += ["--validation", *validation] if validation else []
     return shlex.join(words), "Drives are called by their names: put the ways to your folders instead."
 
 
 def evaluate_command(
-    drives: Sequence[str],
-    outage_length: float,
-    outage_seed: int,
-    *,
-    also: Collection[str] = (),
+    drives: Sequence[str], outage_length: float, outage_seed: int, *, also: Collection[str] = ()
 ) -> tuple[str, str]:
     """Return the command of an evaluation and its limits."""
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
@@ -57,31 +56,21 @@ def evaluate_command(
     return shlex.join(words), note
 
 
-def _usual_kind(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return the default filter type of the model in `tune`."""
-    try:
-        return {"kind": TuneConfig.model_validate({"model": config["model"]}).kind}
-    except (ValidationError, KeyError):  # of another version
-        return {}
-
-
-def _settled(config: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the default guards of `tune`."""
+def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the defaults of `tune`, some of which depend on the model and the objective."""
+    usual = DEFAULTS | dict.fromkeys(GUARDS, 0.0)
+    with suppress(ValidationError, KeyError):  # of another version
+        usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
     asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
-    try:
-        settled = with_guards(TuneConfig.model_validate(asked)).model_dump()
-    except (ValidationError, InputError):  # of another version with other objectives
-        return dict.fromkeys(GUARDS, 0.0)
-    return {name: settled[name] for name in GUARDS}
-
-
-def _same(value: Any, default: Any) -> bool:
-    return value is None or (list(value) == list(default) if isinstance(default, tuple) else value == default)
+    with suppress(ValidationError, InputError):  # of another version with other objectives
+        settled = with_guards(TuneConfig.model_validate(asked))
+        usual |= {name: getattr(settled, name) for name in GUARDS}
+    return usual
 
 
 def _option(name: str, value: Any) -> list[str]:
     if value is True:
-        return [f"--{name}"]
+        return [name]
     if isinstance(value, list | tuple):
-        return [f"--{name}", *map(str, value)] if value else [f"--{name}-nothing"]
-    return [f"--{name}", str(value)]
+        return [name, *map(str, value)] if value else [f"{name}-nothing"]
+    return [name, str(value)]

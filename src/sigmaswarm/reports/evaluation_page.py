@@ -1,27 +1,25 @@
 """The page of an evaluation: the scores of the tuned filter and of the methods it is compared with."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.records import load_record
-from sigmaswarm.reports.page import Figure, Line, Report, Section, TrackView
-from sigmaswarm.reports.pages.commands import evaluate_command
-from sigmaswarm.reports.pages.tuning import (
+from sigmaswarm.reports.commands import evaluate_command
+from sigmaswarm.reports.evaluation import method_bars, swarm_charts
+from sigmaswarm.reports.page import Report, Section, TrackView
+from sigmaswarm.reports.style import LABELS, LOOKS
+from sigmaswarm.reports.tuning import (
     convergence_section,
     data_section,
     filter_name,
     parameters_section,
-    remarks,
     shown_config,
     what_was_tuned,
 )
-from sigmaswarm.reports.style import LABELS, LOOKS
-from sigmaswarm.reports.views.evaluation import method_bars, swarm_charts
 from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, method_names
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
-from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
+from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
 from sigmaswarm.scoring.view import EvaluationView, explained_consistency, explained_scores, with_training
 from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
@@ -32,33 +30,44 @@ SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
 """Those that are visible when the page opens."""
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 """Kinds of verdicts on the consistency that are warnings."""
+BANK = (
+    "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate "
+    "depend on how well they predicted the last minute. Every 10 s while the vehicle moves, those with the lowest "
+    "weights are replaced by what a search over the last minute finds. Where the parameters move far from the "
+    "tuning, the vehicle, its sensors or its surroundings differ from those that the filter was tuned for: one "
+    "decade is a factor of ten in a variance."
+)
 
 
 def evaluation_report(folder: Path) -> Report:
     """Read the folder of a `sigmaswarm evaluate --out`."""
     file = load_record(TuningRecord, folder / FILE)
     view = read_view(folder, file)
-    tracks = TrackView(tuple(load_tracks(folder / TRACKS_FILE)), _lines(view), "tuned")
-    scores, setup = view.scores, view.setup
-    if not list(scores.drives) == [d.name for d in setup.data] == [t.name for t in tracks.drives]:
+    scores, setup, nees = view.scores, view.setup, not view.blind
+    drives = load_tracks(folder / TRACKS_FILE)
+    if not list(scores.drives) == [d.name for d in setup.data] == [t.name for t in drives]:
         raise InputError(
             f"{folder}: scores.json, evaluation.json and tracks.npz are not of the same drives; "
             "repeat `sigmaswarm evaluate`"
         )
+    absent = {OWN, FIXES, *ALSO} - {*scores.mean}
+    labels = LABELS | dict(view.names)
+    tracks = TrackView(drives, {m: labels[m] for m in LINES if m not in absent}, LOOKS, SHOWN, "tuned")
+    swarm = tuple(chart for drive in drives for chart in swarm_charts(drive))
     also = [method for method in (OWN, *ALSO) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup.outage_length_s, setup.outage_seed, also=also)
     verdicts = view.verdicts()
-    warnings = [*view.warnings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
-    nees = not view.blind
+    remarks = [*view.warnings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
+    remarks += [r for r in (file.result.remarks if file.result else ()) if r != NOT_VALIDATED]
     return Report(
         title=f"Evaluation of {filter_name(file)}",
         lead=(view.result(), *(view.coverage() if view.blind else ()), what_was_tuned(file)),
         figures=_figures(view),
-        remarks=tuple(in_order([*warnings, *(r for r in remarks(file) if r != NOT_VALIDATED)])),
+        remarks=tuple(in_order(remarks)),
         sections=(
             Section("Tracks and errors over time" if nees else "Tracks over time", tracks=tracks),
             _comparison(view),
-            *_swarm(tracks.drives),
+            *((Section("The swarm", (BANK,), charts=swarm),) if swarm else ()),
             Section("Consistency", (explained_consistency(nees),), (view.consistency_table(),)),
             parameters_section(file),
             *convergence_section(file, folder),
@@ -85,25 +94,16 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     return EvaluationView(scores, setup.model_copy(update={"data": data}), names)
 
 
-def _lines(view: EvaluationView) -> tuple[Line, ...]:
-    labels = LABELS | dict(view.names)
-    absent = {OWN, FIXES, *ALSO} - {*view.scores.mean}
-    return tuple(Line(m, labels[m], LOOKS[m], shown=m in SHOWN) for m in LINES if m not in absent)
-
-
-def _figures(view: EvaluationView) -> tuple[Figure, ...]:
-    figures: list[Figure] = []
-    rival = view.names[view.rival]
+def _figures(view: EvaluationView) -> tuple[tuple[str, str, str], ...]:
+    figures: list[tuple[str, str, str]] = []
     for name, measure in view.measures.items():
         tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(view.rival, name)
-        if tuned is None:
-            continue
-        note = f"{rival}: {other:.3g} {measure.unit}" if other is not None else ""
-        figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", note))
-    known = [c for c in view.scores.consistency.values() if c]
-    if known:
-        nis = sum(c.mean_nis for c in known) / len(known)
-        figures.append(Figure("mean NIS", f"{nis:.3g}", "2 where predictions agree with the covariances"))
+        if tuned is not None:
+            note = "" if other is None else f"{view.names[view.rival]}: {other:.3g} {measure.unit}"
+            figures.append((measure.title, f"{tuned:.3g} {measure.unit}", note))
+    if known := [c.mean_nis for c in view.scores.consistency.values() if c]:
+        nis = sum(known) / len(known)
+        figures.append(("mean NIS", f"{nis:.3g}", "2 where predictions agree with the covariances"))
     return tuple(figures)
 
 
@@ -112,16 +112,4 @@ def _comparison(view: EvaluationView) -> Section:
     tables += [view.drive_table(), *([view.drift_table()] if view.scores.drifts else [])]
     coverage = () if view.blind else view.coverage()
     text = (*coverage, explained_scores(view), *view.explanations())
-    return Section("Comparison", text, tuple(tables), method_bars(view.scores, view.names, view.measures))
-
-
-def _swarm(drives: Sequence[Tracks]) -> tuple[Section, ...]:
-    charts = tuple(chart for drive in drives for chart in swarm_charts(drive))
-    text = (
-        "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate "
-        "depend on how well they predicted the last minute. Every 10 s while the vehicle moves, those with the lowest "
-        "weights are replaced by what a search over the last minute finds. Where the parameters move far from the "
-        "tuning, the vehicle, its sensors or its surroundings differ from those that the filter was tuned for: one "
-        "decade is a factor of ten in a variance.",
-    )
-    return (Section("The swarm", text, charts=charts),) if charts else ()
+    return Section("Comparison", text, tuple(tables), method_bars(view))

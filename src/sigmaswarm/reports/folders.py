@@ -1,43 +1,31 @@
 """The page of a folder of results."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.record import StudyRecord
 from sigmaswarm.files import write_whole
+from sigmaswarm.reports.evaluation_page import evaluation_report
 from sigmaswarm.reports.figures import check_file
 from sigmaswarm.reports.page import Report, page
-from sigmaswarm.reports.pages.evaluation import evaluation_report
-from sigmaswarm.reports.pages.study import study_report
-from sigmaswarm.reports.pages.tuning import tuning_report
+from sigmaswarm.reports.study_page import study_report
+from sigmaswarm.reports.tuning import tuning_report
 
-ADAPTERS: dict[str, Callable[[Path], Report]] = {
-    "scores.json": evaluation_report,
-    "results.json": lambda folder: study_report(StudyRecord.read(folder)),
-    "tuning.toml": tuning_report,
-}
-"""The file that identifies a type of folder; the first one found decides."""
+REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuning.toml": tuning_report}
+"""The file that identifies a type of folder, and its page; the first one found decides."""
 
 
 def read_report(folder: Path) -> Report:
-    """Read a folder of results.
-
-    Raises
-    ------
-    InputError
-        If it is not such a folder, or a file in it is missing or damaged.
-    """
+    """Read a folder of results; an `InputError` says that it is none, or what in it is missing or damaged."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {wrong}; give a folder that tune, evaluate or study wrote")
-    for file, adapter in ADAPTERS.items():
+    for file, report in REPORTS.items():
         if (folder / file).exists():
-            return adapter(folder)
+            return report(folder)
     if (folder / "config.json").exists() and list(folder.glob("checkpoint-*.npz")):
         raise InputError(f"{folder}: the tuning is not finished; repeat its command with --resume")
     raise InputError(
-        f"{folder}: holds no results (none of {', '.join(ADAPTERS)}); give a folder that "
+        f"{folder}: holds no results (none of {', '.join(REPORTS)}); give a folder that "
         "tune, evaluate or study wrote"
     )
 

@@ -1,0 +1,269 @@
+"""The charts of a study: means with their intervals, spread over drives, convergence, and one drive of it."""
+
+from collections.abc import Sequence
+from math import inf
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sigmaswarm.experiments.study.config import ALL, MAIN, UNTUNED
+from sigmaswarm.experiments.study.record import Convergence, CurvePoint, Results, Spread
+from sigmaswarm.reports.figures import (
+    Chart,
+    as_map,
+    band,
+    curve,
+    hover_id,
+    logarithmic,
+    name_rows,
+    short_number,
+)
+from sigmaswarm.reports.study_tables import AWAY, curve_points
+from sigmaswarm.reports.style import (
+    CHARCOAL,
+    GREEN,
+    LOOKS,
+    MIST,
+    NO_LINE,
+    ORANGE,
+    SLATE,
+    STUDY_LOOKS,
+    Look,
+)
+from sigmaswarm.scoring.consistency import GATE_95
+from sigmaswarm.scoring.tracks import CLOSE_UP, NIS, Columns, Picture
+
+COLORS = {
+    UNTUNED: SLATE,
+    "paper": STUDY_LOOKS["paper-pso-ukf"].color,
+    "honest": STUDY_LOOKS["honest-pso-ukf"].color,
+}
+"""Colors of the protocols."""
+REACH = 12
+"""The scale ends at this multiple of the lowest mean, so that the good ones can be told apart."""
+DRAWN: dict[str, tuple[str, Look]] = {
+    "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
+    f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
+    f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_LOOKS[f"honest-{MAIN}"]),
+}
+"""Labels and looks of the filters drawn over one drive, by series."""
+RULE = Look(SLATE, 1.0, "--")
+
+
+def means_chart(
+    results: Results, measure: str, reach: float = REACH, mark: float | None = None
+) -> Chart | None:
+    """Draw the means of every method with two intervals, on a logarithmic scale.
+
+    A mean beyond the scale is an arrow with its number, without intervals.
+    """
+    rows = [(row, row.mean) for row in results.means(measure) if row.mean]
+    if not rows:
+        return None
+    means = [mean for _, mean in rows]
+    least, most = min(means) / 3, min(min(means) * reach, 2 * max(means))
+    names = [results.label(row.method, row.protocol) for row, _ in rows]
+
+    def draw(ax: Axes) -> None:
+        if mark is not None:
+            ax.axvline(mark, **RULE.line)
+        for name, width, opacity, label in (
+            ("trial_interval", 7.0, 0.4, "95% over trials, as in the paper"),
+            ("bootstrap_interval", 1.5, 1.0, "95% for new drives (bootstrap)"),
+        ):
+            ends = np.array([getattr(row, name) for row, _ in rows], np.float64).clip(
+                [least, -inf], [inf, most]
+            )
+            ends[np.isnan(ends).any(axis=1) | (np.array(means) > most)] = np.nan
+            ax.hlines(range(len(rows)), *ends.T, color=SLATE, lw=width, alpha=opacity, label=label)
+        for i, (row, mean) in enumerate(rows):
+            beyond, x = mean > most, min(mean, most)
+            look = Look(COLORS[row.protocol], 1.2, NO_LINE, ">" if beyond else "o", 6.75)
+            hover = (
+                f"{names[i]}: {mean:.3g}\n95% for new drives: {_ends(row.bootstrap_interval)}"
+                f"\n95% over trials: {_ends(row.trial_interval)}"
+            )
+            ax.plot(x, i, **look.line, gid=hover_id(hover))
+            if beyond:
+                place: dict[str, Any] = {"xytext": (-6, 0), "textcoords": "offset points", "ha": "right"}
+                ax.annotate(short_number(mean), (x, i), va="center", fontsize=8, **place)
+        logarithmic(ax.xaxis)
+        ax.set_xlim(least, 1.15 * most)
+        name_rows(ax, names)
+
+    return Chart(results.measures[measure], draw, rows=len(rows), broad=True)
+
+
+def _ends(interval: tuple[float | None, float | None]) -> str:
+    low, high = interval
+    return "–" if low is None or high is None else f"{low:.3g} to {high:.3g}"
+
+
+def spread_chart(
+    results: Results,
+    spreads: Sequence[Spread],
+    measure: str,
+    mark: float | None = None,
+    *,
+    all_rows: bool = False,
+) -> Chart | None:
+    """Draw boxes over the drives (quartiles, whiskers from 5 to 95%) on a logarithmic scale.
+
+    ``all_rows``: include methods without this measure.
+    """
+    rows = [s for s in spreads if s.measure == measure and s.high > 0]
+    if not rows:
+        return None
+    names = list(dict.fromkeys(results.label(s.method, s.protocol) for s in (spreads if all_rows else rows)))
+
+    def draw(ax: Axes) -> None:
+        if mark is not None:
+            ax.axvline(mark, **RULE.line)
+        for protocol in dict.fromkeys(s.protocol for s in rows):
+            own = [s for s in rows if s.protocol == protocol]
+            ax.bxp(
+                [
+                    {"whislo": s.low, "q1": s.first, "med": s.median, "q3": s.third, "whishi": s.high}
+                    for s in own
+                ],
+                positions=[names.index(results.label(s.method, protocol)) for s in own],
+                orientation="horizontal",
+                widths=0.5,
+                showfliers=False,
+                patch_artist=True,
+                medianprops={"color": "k"},
+                boxprops={"facecolor": COLORS[protocol], "alpha": 0.6},
+                manage_ticks=False,
+            )
+        logarithmic(ax.xaxis)
+        name_rows(ax, names)
+
+    failed = sum(s.failed for s in rows)
+    note = f" ({failed} drives on which a filter failed left out)" if failed else ""
+    return Chart(f"{results.measures[measure]}{note}", draw, rows=len(names), broad=True)
+
+
+def convergence_chart(
+    results: Results, protocol: str, methods: Sequence[str] = (), *, log: bool = True
+) -> Chart | None:
+    """Draw the best cost after each generation, of all methods or of some: the paper's Fig. 2."""
+    mine = [c for c in results.convergence if c.protocol == protocol and c.method in (methods or [c.method])]
+    if any(c.group != ALL for c in mine):  # a line a condition: only one method finds room
+        mine = [c for c in mine if c.method == mine[0].method]
+    if not mine:
+        return None
+
+    def draw(ax: Axes) -> None:
+        for course in mine:
+            _draw_course(ax, results, course, alone=len(mine) == 1)
+        ax.set(xlabel="generation", ylabel=f"cost: {results.protocols[protocol].objective}, m")
+        if log:
+            logarithmic(ax.yaxis)
+        else:
+            ax.set_ylim(0, None)
+
+    return Chart(f"Cost over generations, {protocol}", draw)
+
+
+def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
+    """Draw the middle 80% of the trials, their median, and where it settles."""
+    key = f"{course.protocol}-{course.method}"
+    color = STUDY_LOOKS[key].color if key in STUDY_LOOKS else GREEN
+    whole, settles = course.group == ALL, course.stable
+    low, middle, high = (
+        [inf if v is None else v for v in values] for values in (course.low, course.median, course.high)
+    )
+    x, theirs = range(1, len(middle) + 1), results.paper["figure_2"]["stable_generation"]
+    if whole:
+        band(ax, x, low, high, Look(color, opacity=0.15), "10 to 90% of the trials" if alone else "")
+    name = "median" if alone else results.label(course.method) if whole else course.group
+    curve(ax, x, middle, Look(color, 2.0), name)
+    diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
+    said = f"within 1% from generation {settles} on (the paper: {theirs})" if alone else ""
+    hover = hover_id(f"within 1% of its end from generation {settles} on")
+    ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=said)
+
+
+def curve_charts(results: Results) -> tuple[Chart, ...]:
+    """Draw the learning curves, a chart for each measure with values."""
+    rivals = results.rivals
+    if rivals is None:
+        return ()
+
+    def chart(measure: str, points: Sequence[Sequence[CurvePoint]]) -> Chart:
+        def draw(ax: Axes) -> None:
+            for own in points:
+                x, look = [p.minutes for p in own], LOOKS[own[0].method]
+                mean, low, high = np.array([(p.mean, *p.interval) for p in own], np.float64).T
+                band(ax, x, low, high, Look(look.color, opacity=0.15))
+                curve(ax, x, mean, Look(look.color, 2.0, look.style, "o"), results.label(own[0].method))
+            ax.set(xlabel="minutes learned from; 0: the filter alone", ylim=(0.0, None))
+
+        return Chart(results.measures[measure], draw, broad=True)
+
+    charts: list[Chart] = []
+    for measure in AWAY:
+        methods = dict.fromkeys(point.method for point in rivals.curve)
+        known = [
+            [p for p in curve_points(rivals, method, measure) if p.mean is not None] for method in methods
+        ]
+        if points := [own for own in known if own]:
+            charts.append(chart(measure, points))
+    return tuple(charts)
+
+
+def trajectory_chart(picture: Picture) -> Chart:
+    """Draw truth, GPS, manual and tuned filters at the sharpest turn (the paper's Fig. 3)."""
+
+    def draw(ax: Axes) -> None:
+        named = {"raw_gps": ("GPS", LOOKS["raw_gps"]), **DRAWN, "truth": ("truth", LOOKS["truth"])}
+        for series, (name, look) in named.items():
+            curve(ax, picture.close[series]["x"], picture.close[series]["y"], look, name)
+        (x, y), half = picture.turn, CLOSE_UP / 2
+        as_map(ax, (x - half, x + half), (y - half, y + half))
+
+    return Chart(f"{picture.whole.name}: the sharpest turn", draw)
+
+
+def error_charts(picture: Picture) -> tuple[Chart, ...]:
+    """Draw position and heading error over time with the filter's 3 sigma: two charts a filter."""
+
+    def chart(title: str, columns: Columns, look: Look, what: str, *, last: bool) -> Chart:
+        def draw(ax: Axes) -> None:
+            signed = what == "heading"
+            time, error, sigma = columns["time"], columns[f"{what}_error"], columns[f"{what}_3sigma"]
+            band(ax, time, -sigma if signed else np.zeros(len(time)), sigma, Look(MIST))
+            curve(ax, time, error, look)
+            known = np.abs(error[np.isfinite(error)])
+            reach = 1.5 * float(known.max()) + 1e-3 if len(known) else 1.5  # the error sets it, not the band
+            ax.set(xlabel="time, s" if last else "", ylabel=f"{what}, {'deg' if signed else 'm'}")
+            ax.set_ylim(-reach if signed else 0.0, reach)
+
+        return Chart(title, draw)
+
+    charts: list[Chart] = []
+    for series, (name, look) in DRAWN.items():
+        columns, last = picture.whole.series[series], series == list(DRAWN)[-1]
+        title = "" if charts else f"{picture.whole.name}: errors and 3 sigma"
+        charts.append(chart(name, columns, look, "position", last=last))
+        charts.append(chart(title, columns, look, "heading", last=last))
+    return tuple(charts)
+
+
+def nis_charts(picture: Picture) -> tuple[Chart, ...]:
+    """Draw the NIS of each filter over time; 95% of a consistent filter's lie below the gate."""
+
+    def chart(name: str, look: Look, columns: Columns) -> Chart:
+        def draw(ax: Axes) -> None:
+            curve(ax, columns["time"], columns["nis"], Look(look.color, 0.0, NO_LINE, ".", 3.0))
+            ax.axhline(GATE_95, **Look(CHARCOAL, 1.0, "--").line)
+            ax.set(xlabel="time, s", ylabel="NIS (consistent: mean 2)")
+            logarithmic(ax.yaxis)
+
+        nis = columns["nis"]
+        inside = float(np.mean(nis < GATE_95))
+        return Chart(f"{name}\nmean {np.mean(nis):.2f}, {inside:.0%} inside the 95% gate", draw)
+
+    known = {series: picture.whole.series.get(series + NIS) for series in DRAWN}  # None: the filter failed
+    return tuple(chart(*DRAWN[series], columns) for series, columns in known.items() if columns)

@@ -1,0 +1,238 @@
+"""The page of a study: the paper's tables next to ours, and every method under both protocols."""
+
+from collections.abc import Iterable
+from math import inf
+from pathlib import Path
+
+from sigmaswarm.experiments.study.config import MAIN
+from sigmaswarm.experiments.study.record import Results, StudyRecord
+from sigmaswarm.reports import study_tables as tables
+from sigmaswarm.reports.figures import Chart
+from sigmaswarm.reports.page import Report, Section, TrackView
+from sigmaswarm.reports.study_charts import convergence_chart, curve_charts, means_chart, spread_chart
+from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, comparison
+from sigmaswarm.reports.style import STUDY_LOOKS
+
+RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
+CONSISTENT = 2.0
+"""Mean NIS of a position with a consistent filter."""
+BEYOND_CHANCE = (1.0, 4.0)
+"""Mean NIS outside these bounds means wrong covariances, whatever the number of fixes."""
+UNLUCKY = 1.2
+"""Ratio to the lowest cost above which a trial's search was unlucky."""
+IN_CONDITIONS = (
+    ("untuned", "raw-gps"),
+    ("untuned", "ukf-defaults"),
+    ("untuned", "ukf-datasheet"),
+    ("paper", MAIN),
+    ("honest", MAIN),
+    ("honest", "pso-ekf"),
+    ("honest", "pso-planar8"),
+)
+"""Protocols and methods in the table of conditions."""
+SHOWN = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
+"""Series whose tracks are visible when the page opens."""
+
+
+def study_report(folder: Path) -> Report:
+    """Read the folder of a `sigmaswarm study`."""
+    record = StudyRecord.read(folder)
+    results = record.results
+    searched = (tables.optimum_table(results), tables.trials_table(results))
+    return Report(
+        title=f"Study: {results.config.trials} trials on {results.drives.count} drives",
+        lead=(
+            *(_result(results, p) for p in reversed(results.protocols)),
+            tables.objectives_compared(results),
+        ),
+        figures=_figures(results),
+        remarks=tuple(remark for protocol in results.protocols for remark in _remarks(results, protocol)),
+        sections=(
+            _tables(results),
+            _intervals(results),
+            _spread(record),
+            *_tracks(record),
+            _comparisons(results),
+            *_rivals(record),
+            *_conditions(results),
+            _convergence(results),
+            Section("What the search found", (), searched),
+            *_run_times(record),
+        ),
+        config=results.config.model_dump(mode="json"),
+        versions=record.versions,
+        command="sigmaswarm study --out again --config study.toml",
+        command_note="study.toml is the one in this page's folder.",
+    )
+
+
+# ---- the summary ----
+
+
+def _result(results: Results, protocol: str) -> str:
+    """Summarize the result under a protocol in a sentence."""
+    found, objective = results.summary(protocol, MAIN, POSITION), results.protocols[protocol].objective
+    start = f"Tuned for {objective} (the {protocol} protocol), {results.label(MAIN)}"
+    if found is None or found.mean is None:
+        return f"{start} failed on held-out drives."
+    low, high = found.bootstrap_interval
+    known = low is not None and high is not None
+    interval = f" (95% interval for new drives {low:.3g} to {high:.3g})" if known else ""
+    against: list[str] = []
+    for c in (comparison(results, protocol, POSITION, rival) for rival in RIVALS):
+        if c is not None and c.improvement is None:
+            against.append(f"no comparison with {results.label(c.against)}")
+        elif c is not None and c.improvement is not None:
+            less = "less" if c.improvement >= 0 else "MORE"
+            against.append(f"{abs(c.improvement):.0f}% {less} than {results.label(c.against)}")
+    rmse = f"has a position RMSE of {found.mean:.3g} m{interval} on held-out drives"
+    return f"{start} {rmse}{': ' if against else ''}{'; '.join(against)}."
+
+
+def _figures(results: Results) -> tuple[tuple[str, str, str], ...]:
+    """Return the main figures, with the paper's in their notes."""
+    shown = [(p, POSITION, "position RMSE", "m", "table_2", "rmse_m") for p in reversed(results.protocols)]
+    shown += [("honest", HEADING, "heading error", "deg", "table_3", "heading_deg")]
+    shown += [("honest", DRIFT, "drift over 5 s", "m", "table_3", "outage_drift_m")]
+    figures: list[tuple[str, str, str]] = []
+    for protocol, measure, what, unit, table, key in shown:
+        found = results.summary(protocol, MAIN, measure)
+        if found is not None and found.mean is not None:
+            theirs = results.paper.get(table, {}).get(MAIN, {}).get(key)
+            note = f"the paper: {theirs:.3g} {unit}" if theirs is not None else ""
+            figures.append((f"{what}, {protocol}", f"{found.mean:.3g} {unit}", note))
+    return (*figures, ("drives", str(results.drives.count), f"{results.drives.strata} conditions"))
+
+
+def _remarks(results: Results, protocol: str) -> Iterable[str]:
+    main = results.label(MAIN)
+    mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN)]
+    if touching := sum(bool(t.touched_bounds) for t in mine):
+        yield (
+            f"{protocol}: {touching} of {len(mine)} tunings of {main} ended at a bound: "
+            "their optimum may lie outside the search space"
+        )
+    costs = [t.cost for t in mine]
+    if costs and max(costs) > UNLUCKY * min(costs):
+        yield (
+            f"{protocol}: the tunings of {main} differ: their training costs are "
+            f"{min(costs):.3g} to {max(costs):.3g} m; tune several times and take the best"
+        )
+    nis = results.summary(protocol, MAIN, "nis")
+    if nis is not None and nis.mean is not None and not BEYOND_CHANCE[0] < nis.mean < BEYOND_CHANCE[1]:
+        wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
+        yield (
+            f"{protocol}: {main} is {wrong}: its mean NIS is {nis.mean:.3g}, "
+            "that of a consistent filter 2; do not rely on its covariances"
+        )
+    unsure = [
+        results.label(c.against)
+        for c in results.comparisons
+        if (c.protocol, c.measure) == (protocol, POSITION) and c.holm_p > 0.05
+    ]
+    if unsure:
+        yield f"{protocol}: the difference in position from {'; '.join(unsure)} may be chance (p over 0.05)"
+
+
+# ---- the evidence ----
+
+
+def _tables(results: Results) -> Section:
+    theirs = results.paper.get("table_1", {}).get(MAIN, {}).get("improvement_percent")
+    improvements = [f"the paper {theirs:.0f}%"] if theirs else []
+    improvements += [
+        f"{c.improvement:.0f}% over {results.label(rival)} ({protocol})"
+        for protocol in reversed(results.protocols)
+        for rival in ("ukf-defaults", "ukf-datasheet")
+        if (c := comparison(results, protocol, POSITION, rival)) and c.improvement is not None
+    ]
+    text = (
+        "The paper's figures next to ours: means over trials, each on its held-out drives. The paper's RMSE is against "
+        "the GPS fixes after the update; a filter that copies them has 0.",
+        f"Improvement over the UKF by hand (equation 5): {'; '.join(improvements)}.",
+    )
+    found = (tables.table_1(results), tables.table_2(results), tables.table_3(results))
+    return Section("The paper's tables", text, found)
+
+
+def _known(charts: Iterable[Chart | None]) -> tuple[Chart, ...]:
+    return tuple(chart for chart in charts if chart)
+
+
+def _intervals(results: Results) -> Section:
+    charts = [means_chart(results, measure) for measure in ERRORS]
+    text = (
+        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the uncertainty by swarm and split; "
+        "it covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
+        "95% of the time in a study of full size, 85 to 95% in small ones.",
+        "An arrow: the mean lies beyond the scale.",
+    )
+    charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT)))
+    return Section("Intervals of the means", text, charts=charts)
+
+
+def _run_times(record: StudyRecord) -> tuple[Section, ...]:
+    table = tables.runtime_table(record.results, record.live)
+    return (Section("Run time", (table.note,), (table,)),) if record.live else ()
+
+
+def _spread(record: StudyRecord) -> Section:
+    results, spreads = record.results, record.spreads
+    charts = [spread_chart(results, spreads, measure) for measure in ERRORS]
+    text = (
+        "One value a drive, the mean over its trials. Box: quartiles; whiskers: 5 to 95% of drives.",
+        "The mean NIS of a consistent filter is 2; above 2 it is overconfident, below underconfident. Position errors "
+        "alone do not determine the scale of the covariances.",
+    )
+    charts = _known((*charts, spread_chart(results, spreads, "nis", mark=CONSISTENT)))
+    return Section("Spread over drives, and consistency", text, (tables.consistency_table(results),), charts)
+
+
+def _tracks(record: StudyRecord) -> tuple[Section, ...]:
+    results, labels = record.results, dict[str, str]()
+    for series in STUDY_LOOKS:
+        protocol, _, method = series.partition("-")
+        tuned = protocol in results.protocols
+        labels[series] = results.label(method, protocol) if tuned else results.label(series.replace("_", "-"))
+    text = "Held-out drives of the trial with the lowest training cost, and the filters tuned in it."
+    view = TrackView(record.tracks, labels, STUDY_LOOKS, SHOWN, f"honest-{MAIN}")
+    return (Section("Tracks and errors over time", (text,), tracks=view),) if record.tracks else ()
+
+
+def _comparisons(results: Results) -> Section:
+    text = (
+        f"{results.label(MAIN)} against every other method, drive by drive. Improvement (equation 5): how much less "
+        "its mean error is; its interval is by bootstrap over drives.",
+        "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. Rank-biserial correlation is the "
+        "effect size: 1 is better on every drive, -1 worse on every drive.",
+    )
+    found = [
+        tables.comparison_table(results, p, measure)
+        for p in reversed(results.protocols)
+        for measure in ERRORS
+    ]
+    return Section("Comparisons", text, tuple(table for table in found if table.rows))
+
+
+def _rivals(record: StudyRecord) -> tuple[Section, ...]:
+    """Show data, times and drift of rivals, their scores elsewhere, and learning curves."""
+    found = tuple(tables.rivals_tables(record.results, record.rival_times).values())
+    text = "Networks are trained in each trial, for the filter tuned in it, on its training drives."
+    notes = dict.fromkeys(table.note for table in found)
+    return (Section("Rivals", (text, *notes), found, curve_charts(record.results)),) if found else ()
+
+
+def _conditions(results: Results) -> tuple[Section, ...]:
+    table = tables.conditions_table(results, POSITION, IN_CONDITIONS)
+    text = ("Other measures and methods are in tables/ of this page's folder.",)
+    return (Section("Conditions", text, (table,)),) if len(table.rows) > 2 else ()
+
+
+def _convergence(results: Results) -> Section:
+    theirs = results.paper["figure_2"]["stable_generation"]
+    text = (
+        "The median over trials, and where 80% of them lie. The diamond marks the generation after which the median "
+        f"stays within 1% of its last value. In the paper's figure 2 the cost settles at generation {theirs}."
+    )
+    charts = _known(convergence_chart(results, protocol) for protocol in results.protocols)
+    return Section("Convergence", (text,), (tables.convergence_table(results),), charts)
