@@ -36,7 +36,7 @@ from sigmaswarm.filters.textbook.manifold import (
     Manifold,
     ManifoldUnscentedKalmanFilter,
 )
-from sigmaswarm.filters.tilted import ATTITUDE
+from sigmaswarm.filters.tilted import ATTITUDE, DRAWN
 
 
 class TextbookCar:
@@ -73,7 +73,8 @@ class TextbookCar:
         mean, covariance = start_of(initial, p)
         self.model = MODELS[p.model]
         require_axes(timeline.drive, p.model)
-        points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,) if heading_first else ())
+        first = DRAWN if self.model.tilts else (THETA,)
+        points = SigmaPoints(p.alpha, p.beta, p.kappa, first=first if heading_first else ())
         self.filter = _filter(
             self.model,
             self.model.position(timeline.lever.tolist(), p.latency),
@@ -166,7 +167,7 @@ def _filter(
     """The filter of a model: unscented with sigma points, else extended; on a manifold where the model has tilts."""
     f, tilts = model.process, model.tilts
     if tilts:
-        manifold = Manifold(tilts.plus, tilts.minus)
+        manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)
         if points:
             return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, manifold, points)
         return ErrorStateKalmanFilter(f, tilts.transition, h, mean, covariance, manifold)

@@ -28,10 +28,13 @@ class Manifold:
         ``plus(state, error) -> state``
     minus : callable
         ``minus(state, other) -> error``: plus(other, minus(state, other)) is the state.
+    nearest : callable
+        ``nearest(error, near) -> error``: of the errors that lead to the same state, the one nearest to ``near``.
     """
 
     plus: Retraction
     minus: Retraction
+    nearest: Retraction
 
 
 class _OnManifold(GaussianFilter):
@@ -113,8 +116,10 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
         wm, wc = self.points.weights(len(self.mean))
         centre = self.f(self.mean, dt, u)
         drawn = self._errors()
-        sigmas = [self.manifold.plus(self.mean, error) for error in drawn]
-        errors = np.array([self.manifold.minus(self.f(s, dt, u), centre) for s in sigmas])
+        moved = [self.f(s, dt, u) for s in self._sigmas()]
+        # An error may be a rotation by more than half a turn; its change in one step may not.
+        each = zip(moved, drawn, strict=True)
+        errors = np.array([self.manifold.nearest(self.manifold.minus(s, centre), e) for s, e in each])
         shift = wm @ errors
         spread = errors - shift
         self.mean = self.manifold.plus(centre, shift)
