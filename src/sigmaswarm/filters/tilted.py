@@ -23,9 +23,9 @@ ATTITUDE = (8, 9, 4)
 """The places of the error about east, north and up, those of roll, pitch and theta."""
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
 """The places of the biases: forward, left; and about forward, left, up."""
-DRAWN = (4, 8, 9, 7, 10, 11)
-"""The states that do not enter the process linearly, the error about up first: `textbook.SigmaPoints` takes them first,
-as every square root of P is right. With these fixed, process and measurements are linear in all others."""
+STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
+"""The states whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Any
+square root is right. With these states fixed, process and measurements are linear in all others."""
 N = 12
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 

@@ -100,11 +100,11 @@ SCRATCH = (
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
     # The unscented filter's: the square root of P, what its points give, the centre's vertical acceleration, and the
     # quaternion of a point. See `tilted12_unscented`.
-    *(f"{name}{k}" for name, size in (("ROOT", 48), ("SLOPE", 30), ("BEND", 30), ("SHIFT", 5), ("EXTRA", 25))
+    *(f"{name}{k}" for name, size in (("ROOT", 48), ("SLOPE", 30), ("BEND", 30), ("SHIFT", 5), ("EXTRA", 25), ("PIVOT", 6))
       for k in range(size)),
-    "UPWARD", "POINT_W", "POINT_X", "POINT_Y", "POINT_Z",
+    "UPWARD", "POINT_FAR", "POINT_W", "POINT_X", "POINT_Y", "POINT_Z",
     # What a smoother needs of a step: the prediction, and what moved the state. See `tape`.
-    *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(35)),
+    *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(26)),
 )  # fmt: skip
 
 _BLOCKS = {
@@ -119,7 +119,7 @@ N_ROWS = len(NAMES)
 R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
 """Each row's number under its name."""
 P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
-ROOT, SLOPE, BEND, SHIFT, EXTRA = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0
+ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0, R.PIVOT0
 """First rows: P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i, the others' i-th in row Q0 + i and so on."""
 
 

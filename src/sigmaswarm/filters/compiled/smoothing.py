@@ -22,7 +22,7 @@ from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import KERNELS, QUATERNION, UNSCENTED, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.tilted import DRAWN, GRAVITY
+from sigmaswarm.filters.tilted import GRAVITY, STEP_FIRST
 
 
 def _plain(function, **known):
@@ -71,20 +71,21 @@ def _moved_tilted12(move, p, ap):
             ap[a, c] = p[a, c]
 
 
-def _moved_unscented(move, p, ap, *, drawn):
-    """A P, of the error: the rows of the slopes of u', v' and of the error's east, north and up."""
+def _moved_unscented(move, p, ap, *, first):
+    """A P, of the error: what makes it are the rows D and the slopes."""
     h = 0.5 * move[0]
     for c in range(12):
         vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
         vy = p[3, c] - move[3] * p[5, c] - move[4] * p[6, c]
         e, n, up = p[8, c], p[9, c], p[4, c]
         for i in range(6):
-            slope, q = move[5 + 5 * i : 10 + 5 * i], p[drawn[i], c]
-            vx += slope[0] * q
-            vy += slope[1] * q
-            e += slope[2] * q
-            n += slope[3] * q
-            up += slope[4] * q
+            q = p[first[i], c]
+            vx += move[5 + i] * q
+            vy += move[11 + i] * q
+            if i < 3:
+                e += move[17 + i] * q
+                n += move[20 + i] * q
+                up += move[23 + i] * q
         ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
         ap[2, c], ap[3, c], ap[8, c], ap[9, c], ap[4, c] = vx, vy, e, n, up
         for a in (5, 6, 7, 10, 11):
@@ -95,7 +96,7 @@ _MOVED = {
     "planar5": _moved_planar5,
     "planar8": _moved_planar8,
     "tilted12": _moved_tilted12,
-    UNSCENTED: _plain(_moved_unscented, drawn=DRAWN),
+    UNSCENTED: _plain(_moved_unscented, first=STEP_FIRST),
 }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import kernel
 from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, SLOPE, UNSCENTED, R, state_rows
+from sigmaswarm.filters.compiled.tilted12_unscented import OUTPUTS
 
 MOVES = {
     "planar5": (R.JEAST, R.JNORTH),
@@ -21,7 +22,11 @@ MOVES = {
         *(R.EAST, R.NORTH),
         *(R.D11, R.D12, R.D13, R.D21, R.D22, R.D23, R.D31, R.D32, R.D33),
     ),
-    UNSCENTED: (R.D11, R.D12, R.D21, R.D22, *range(SLOPE, SLOPE + 30)),
+    UNSCENTED: (
+        *(R.D11, R.D12, R.D21, R.D22),
+        *(SLOPE + OUTPUTS * column + output for output in (0, 1) for column in range(6)),
+        *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
+    ),
 }
 """By kernel: the rows that make A beside the step's length, all in proportion to it."""
 

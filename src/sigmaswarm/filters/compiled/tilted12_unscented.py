@@ -1,10 +1,14 @@
 """tilted12's unscented filter; read it beside `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
 Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Any square root L of P is right for
-them; take the one with the states first that do not enter linearly, in the order of `tilted.DRAWN`. Then only its
-first columns have to be drawn: six for a step, since the attitude and the gyro's biases make the rotation, and three
-for a fix, the lateral constraint and the odometer, which rotate a lever arm or the velocity. With these held, what
-follows is linear in all other states, so the other columns are known in closed form.
+them; take the one with the states first that do not enter linearly, in the order of `tilted.STEP_FIRST` and
+`MEASURED_FIRST`. Then its other columns move states that enter linearly while those are fixed: position, velocity and
+the accelerometer's biases. Only the first columns need points:
+
+- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these turn as
+  the centre does, so their error stays as it is, and the acceleration is that of the centre, turned in closed form.
+- In a fix, the attitude, which turns the lever arm, also in closed form.
+- In the lateral constraint and the odometer, the attitude, which turns the velocity.
 
 Write a function of the state as its linear part plus r, which is 0 at the centre and at all points that are not drawn.
 With r+ and r- at the points of column c, gamma^2 = alpha^2 (n + kappa), the slope d = (r+ - r-) / (2 gamma) and the
@@ -14,7 +18,8 @@ bend t = (r+ + r-) / (2 gamma^2), adding up the sigma points gives
     Cov(s, r)  = sum of L_c d^T = P[:, drawn] H,   with L_drawn^T H = d
     Cov(r)     = H^T P[drawn, drawn] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
 
-So the linear part with H added to it takes the place of the Jacobian, the last two terms are added to the covariance,
+The turned vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
+|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part with H added to it takes the place of the Jacobian, the last two terms are added to the covariance,
 and the rest is `tilted12`'s. H stands in rows SLOPE, mu in SHIFT, the last two terms in EXTRA.
 """
 
@@ -26,14 +31,12 @@ import numpy as np
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import TINY, angle_of, kernel, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, Q0, ROOT, SHIFT, SLOPE, R, at
+from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
+from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, PIVOT, Q0, ROOT, SHIFT, SLOPE, R, at
 from sigmaswarm.filters.compiled.tilted12 import COLUMNS, ROWS, _half_turn, _move, fold, fp
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.tilted import DRAWN, GRAVITY, N
+from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
-ROTATION = DRAWN[:3]
-"""The error about up, east and north."""
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
 """The states whose step is not linear, in the order of its outputs; those that follow the first two."""
 WIDTH, OUTPUTS = 6, 5
@@ -51,34 +54,31 @@ def _root(w, *, order, columns):
                 if i == j:
                     pivot = math.sqrt(rest)
                     one = 1.0 / pivot
-                    w[ROOT + WIDTH * j + j, l] = pivot
+                    w[ROOT + WIDTH * j + j, l], w[PIVOT + j, l] = pivot, one
                 else:
                     w[ROOT + WIDTH * i + j, l] = one * rest
             for i in range(j):
                 w[ROOT + WIDTH * i + j, l] = 0.0
 
 
-def _linearize(w, *, columns, outputs):
-    """H in place of the slopes; mu; and what the bends add to the covariance."""
+def _linearize(w, *, columns):
+    """H in place of the slopes, mu, and what the bends add to the covariance; ``columns`` of each output."""
     for l in range(LANES):
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
         spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
-        for j in range(columns - 1, -1, -1):
-            one = 1.0 / w[ROOT + WIDTH * j + j, l]
-            for k in range(outputs):
+        for k in range(len(columns)):
+            shift = 0.0
+            for j in range(columns[k] - 1, -1, -1):
                 slope = w[SLOPE + OUTPUTS * j + k, l]
-                for i in range(j + 1, columns):
+                for i in range(j + 1, columns[k]):
                     slope -= w[ROOT + WIDTH * i + j, l] * w[SLOPE + OUTPUTS * i + k, l]
-                w[SLOPE + OUTPUTS * j + k, l] = one * slope
-        for k in range(outputs):
-            shift = w[BEND + k, l]
-            for j in range(1, columns):
+                w[SLOPE + OUTPUTS * j + k, l] = w[PIVOT + j, l] * slope
                 shift += w[BEND + OUTPUTS * j + k, l]
             w[SHIFT + k, l] = shift
-        for i in range(outputs):
-            for k in range(i, outputs):
-                extra = w[BEND + i, l] * w[BEND + k, l]
-                for j in range(1, columns):
+        for i in range(len(columns)):
+            for k in range(i, len(columns)):
+                extra = 0.0
+                for j in range(min(columns[i], columns[k])):
                     extra += w[BEND + OUTPUTS * j + i, l] * w[BEND + OUTPUTS * j + k, l]
                 w[EXTRA + OUTPUTS * i + k, l] = gamma2 * extra + spread * w[SHIFT + i, l] * w[SHIFT + k, l]
 
@@ -106,7 +106,26 @@ def _turned(x, y, z, w, l):
     )
 
 
+def _sinc_cos_far(z):
+    """As `sinc_cos`, of any angle."""
+    angle = math.sqrt(z) + TINY
+    sine, cos = sincos(angle)
+    return sine / angle, cos
+
+
 def _rotation_vector(q0, q1, q2, q3, x, y, z):
+    """The rotation vector of a quaternion whose vector is shorter than 1/2, by fdlibm's arcsine (e_asin.c)."""
+    z = q1 * q1 + q2 * q2 + q3 * q3
+    p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
+    z3 = z * z * z
+    p += z3 * z * (-4.00555345006794114027e-02 + z * (7.91534994289814532176e-04 + z * 3.47933107596021167570e-05))
+    q = 1.0 + z * (-2.40339491173441421878e00 + z * 2.02094576023350569471e00)
+    q += z3 * (-6.88283971605453293030e-01 + z * 7.70381505559019352791e-02)
+    k = 2.0 + 2.0 * p / q
+    return k * q1, k * q2, k * q3
+
+
+def _rotation_vector_far(q0, q1, q2, q3, x, y, z):
     """The rotation vector of a quaternion, among those of the same rotation the nearest to (x, y, z)."""
     length = math.sqrt(q1 * q1 + q2 * q2 + q3 * q3) + TINY
     sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length
@@ -117,40 +136,40 @@ def _rotation_vector(q0, q1, q2, q3, x, y, z):
     return k * q1, k * q2, k * q3
 
 
-def _point(w, l, sign, quarter, per_dt, *, j):
+def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
     """r of a point of column j: of the acceleration times the step, east and north, and of the error after it."""
     step = 4.0 * sign * w[R.QUARTER_GAMMA, l]
     bx, by, bz = (
-        quarter * step * w[ROOT + WIDTH * 4 + j, l],
-        quarter * step * w[ROOT + WIDTH * 5 + j, l],
-        quarter * step * w[ROOT + WIDTH * 3 + j, l],
+        quarter * step * w[ROOT + WIDTH + j, l],
+        quarter * step * w[ROOT + WIDTH * 2 + j, l],
+        quarter * step * w[ROOT + j, l],
     )
-    # The quaternions v of half the turn, and v0 of the centre's; p and x: parts of v v0^-1.
+    # Quaternions of half the turn: v, and v0 of the centre. v0^-1 v has the vector p + c, and v v0^-1 has p - c.
     x, y, z = w[R.HALF_X, l] - bx, w[R.HALF_Y, l] - by, w[R.HALF_Z, l] - bz
-    angle = math.sqrt(x * x + y * y + z * z) + TINY
-    sine, c = sincos(angle)
-    k = sine / angle
-    vx, vy, vz = k * x, k * y, k * z
-    c0, x0, y0, z0 = w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l]
-    px, py, pz = c0 * vx - c * x0, c0 * vy - c * y0, c0 * vz - c * z0
-    xx, xy, xz = -k * (by * z0 - bz * y0), -k * (bz * x0 - bx * z0), -k * (bx * y0 - by * x0)
-    d = c * c0 + vx * x0 + vy * y0 + vz * z0
-    m0 = d
-    m1, m2, m3 = _turned(per_dt * (px + xx), per_dt * (py + xy), per_dt * (pz + xz), w, l)
+    k, d = sinc_cos(x * x + y * y + z * z)
+    x, y, z = k * x, k * y, k * z
+    d0, x0, y0, z0 = w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l]
+    px, py, pz = d0 * x - d * x0, d0 * y - d * y0, d0 * z - d * z0
+    cx, cy, cz = k * (bz * y0 - by * z0), k * (bx * z0 - bz * x0), k * (by * x0 - bx * y0)
+    m0 = d * d0 + x * x0 + y * y0 + z * z0
+    m1, m2, m3 = _turned(per_dt * (px + cx), per_dt * (py + cy), per_dt * (pz + cz), w, l)
     twice = 2.0 * per_dt
     q0 = 1.0 - 2.0 * (px * px + py * py + pz * pz)
     q1, q2, q3 = _turned(
-        twice * (d * px + (xy * pz - xz * py)),
-        twice * (d * py + (xz * px - xx * pz)),
-        twice * (d * pz + (xx * py - xy * px)),
+        twice * (m0 * px + (cy * pz - cz * py)),
+        twice * (m0 * py + (cz * px - cx * pz)),
+        twice * (m0 * pz + (cx * py - cy * px)),
         w,
         l,
     )
-    if j < 3:
-        m0, m1, m2, m3 = _product(m0, m1, m2, m3, w, l)
-        q0, q1, q2, q3 = _product(q0, q1, q2, q3, w, l)
-    ex, ey, ez = step * w[ROOT + WIDTH + j, l], step * w[ROOT + WIDTH * 2 + j, l], step * w[ROOT + j, l]
-    east, north, up = _rotation_vector(q0, q1, q2, q3, ex, ey, ez)
+    m0, m1, m2, m3 = _product(m0, m1, m2, m3, w, l)
+    q0, q1, q2, q3 = _product(q0, q1, q2, q3, w, l)
+    ex, ey, ez = (
+        step * w[ROOT + WIDTH * 4 + j, l],
+        step * w[ROOT + WIDTH * 5 + j, l],
+        step * w[ROOT + WIDTH * 3 + j, l],
+    )
+    east, north, up = rotation_vector(q0, q1, q2, q3, ex, ey, ez)
     # (M - 1) a = 2 m x (m x a + m0 a)
     fx, fy = step * w[ROOT + WIDTH * 6 + j, l], step * w[ROOT + WIDTH * 7 + j, l]
     ax = w[R.EAST, l] - (w[R.D11, l] * fx + w[R.D12, l] * fy)
@@ -160,52 +179,102 @@ def _point(w, l, sign, quarter, per_dt, *, j):
     return 2.0 * (m2 * cz - m3 * cy), 2.0 * (m3 * cx - m1 * cz), east - ex, north - ey, up - ez
 
 
-def _draw(w, u, *, j, point):
+def _chosen(new, w, l, row):
+    """A number of a point far from the centre, else what stands in a row."""
+    return new if w[R.POINT_FAR, l] > 0.0 else w[row, l]
+
+
+def _draw(w, u, *, j, far, point, sinc_cos):
     """Slopes and bends of column j of the root, from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for l in range(LANES):
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
-        if j < 3:
-            x, y, z = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
-            angle = 0.5 * gamma * math.sqrt(x * x + y * y + z * z) + TINY
-            sine, c = sincos(angle)
-            k = 0.5 * gamma * sine / angle
-            w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = c, k * x, k * y, k * z
+        x, y, z = w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
+        k, c = sinc_cos(0.25 * gamma * gamma * (x * x + y * y + z * z))
+        k = 0.5 * gamma * k
+        w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = c, k * x, k * y, k * z
         a0, a1, a2, a3, a4 = point(w, l, 1.0, quarter, per_dt)
-        if j < 3:
-            w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = -k * x, -k * y, -k * z
+        w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = -k * x, -k * y, -k * z
         b0, b1, b2, b3, b4 = point(w, l, -1.0, quarter, per_dt)
         one = 0.5 / gamma
         two = one / gamma
-        w[SLOPE + OUTPUTS * j, l], w[BEND + OUTPUTS * j, l] = one * (a0 - b0), two * (a0 + b0)
-        w[SLOPE + OUTPUTS * j + 1, l], w[BEND + OUTPUTS * j + 1, l] = one * (a1 - b1), two * (a1 + b1)
-        w[SLOPE + OUTPUTS * j + 2, l], w[BEND + OUTPUTS * j + 2, l] = one * (a2 - b2), two * (a2 + b2)
-        w[SLOPE + OUTPUTS * j + 3, l], w[BEND + OUTPUTS * j + 3, l] = one * (a3 - b3), two * (a3 + b3)
-        w[SLOPE + OUTPUTS * j + 4, l], w[BEND + OUTPUTS * j + 4, l] = one * (a4 - b4), two * (a4 + b4)
+        d0, d1, d2, d3, d4 = one * (a0 - b0), one * (a1 - b1), one * (a2 - b2), one * (a3 - b3), one * (a4 - b4)
+        t0, t1, t2, t3, t4 = two * (a0 + b0), two * (a1 + b1), two * (a2 + b2), two * (a3 + b3), two * (a4 + b4)
+        if far:
+            d0, t0 = _chosen(d0, w, l, SLOPE + OUTPUTS * j), _chosen(t0, w, l, BEND + OUTPUTS * j)
+            d1, t1 = _chosen(d1, w, l, SLOPE + OUTPUTS * j + 1), _chosen(t1, w, l, BEND + OUTPUTS * j + 1)
+            d2, t2 = _chosen(d2, w, l, SLOPE + OUTPUTS * j + 2), _chosen(t2, w, l, BEND + OUTPUTS * j + 2)
+            d3, t3 = _chosen(d3, w, l, SLOPE + OUTPUTS * j + 3), _chosen(t3, w, l, BEND + OUTPUTS * j + 3)
+            d4, t4 = _chosen(d4, w, l, SLOPE + OUTPUTS * j + 4), _chosen(t4, w, l, BEND + OUTPUTS * j + 4)
+        w[SLOPE + OUTPUTS * j, l], w[BEND + OUTPUTS * j, l] = d0, t0
+        w[SLOPE + OUTPUTS * j + 1, l], w[BEND + OUTPUTS * j + 1, l] = d1, t1
+        w[SLOPE + OUTPUTS * j + 2, l], w[BEND + OUTPUTS * j + 2, l] = d2, t2
+        w[SLOPE + OUTPUTS * j + 3, l], w[BEND + OUTPUTS * j + 3, l] = d3, t3
+        w[SLOPE + OUTPUTS * j + 4, l], w[BEND + OUTPUTS * j + 4, l] = d4, t4
 
 
-_draw_0, _draw_1, _draw_2, _draw_3, _draw_4, _draw_5 = (
-    kernel(_draw, j=number, point=unrolled(_point, j=number)) for number in range(len(DRAWN))
-)
-_root_of_step = kernel(_root, order=(*DRAWN, R.A, R.B), columns=len(DRAWN))
-_linearize_step = kernel(_linearize, columns=len(DRAWN), outputs=OUTPUTS)
+def _column(number, far):
+    sinc = _sinc_cos_far if far else sinc_cos
+    vector = _rotation_vector_far if far else _rotation_vector
+    point = unrolled(_point, j=number, sinc_cos=sinc, rotation_vector=vector)
+    return kernel(_draw, j=number, far=far, point=point, sinc_cos=sinc)
+
+
+_draw_0, _draw_1, _draw_2 = (_column(number, far=0) for number in range(3))
+_far_0, _far_1, _far_2 = (_column(number, far=1) for number in range(3))
+_root_of_step = kernel(_root, order=(*STEP_FIRST, R.A, R.B), columns=6)
+_linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
+
+
+@kernel
+def _turn_acceleration(w):
+    """Slopes and bends of the columns of the attitude."""
+    for l in range(LANES):
+        east, north, up = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
+        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
+        for j in range(3, 6):
+            x, y, z = w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            q = 0.5 * quarter_sin2 / (quarter * quarter)
+            fx, fy = -w[ROOT + WIDTH * 6 + j, l], -w[ROOT + WIDTH * 7 + j, l]
+            be, bn, bu = (
+                w[R.D11, l] * fx + w[R.D12, l] * fy,
+                w[R.D21, l] * fx + w[R.D22, l] * fy,
+                w[R.D31, l] * fx + w[R.D32, l] * fy,
+            )
+            ce, cn, cu = y * up - z * north, z * east - x * up, x * north - y * east
+            de, dn, du = y * bu - z * bn, z * be - x * bu, x * bn - y * be
+            w[SLOPE + OUTPUTS * j, l] = k * ce + gamma2 * q * (y * du - z * dn)
+            w[SLOPE + OUTPUTS * j + 1, l] = k * cn + gamma2 * q * (z * de - x * du)
+            w[BEND + OUTPUTS * j, l] = q * (y * cu - z * cn) + k * de
+            w[BEND + OUTPUTS * j + 1, l] = q * (z * ce - x * cu) + k * dn
 
 
 @kernel
 def _unscented_transition(w, u):
     """H, mu and what is added to the covariance of a step; the mean is moved by mu."""
     _root_of_step(w)
-    ax, ay, az, h = u[AX], u[AY], u[AZ], 0.5 * u[DT]
+    ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
+    far = 0
     for l in range(LANES):
+        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
+        x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
+        turn = gamma2 * (w[R.TT, l] + w[R.II, l] + w[R.JJ, l])
+        rate = gamma2 * quarter * quarter * (w[R.WW, l] + w[R.KK, l] + w[R.LL, l])
+        near = (turn < 0.8) & (rate < 6e-4) & (x * x + y * y + z * z < 0.5 * FAR)
+        w[R.POINT_FAR, l] = 0.0 if near else 1.0
+        far += not near
         w[R.UPWARD, l] = (
             w[R.D31, l] * (ax - w[R.A, l]) + w[R.D32, l] * (ay - w[R.B, l]) + w[R.D33, l] * az
         )
     _draw_0(w, u)
     _draw_1(w, u)
     _draw_2(w, u)
-    _draw_3(w, u)
-    _draw_4(w, u)
-    _draw_5(w, u)
+    if far > 0:
+        _far_0(w, u)
+        _far_1(w, u)
+        _far_2(w, u)
+    _turn_acceleration(w)
     _linearize_step(w)
     for l in range(LANES):
         w[R.X, l] += h * w[SHIFT, l]
@@ -232,9 +301,11 @@ def predict_unscented(w, u):
                 u1 = pu - w[R.D11, l] * pa - w[R.D12, l] * pb
                 v1 = pv - w[R.D21, l] * pa - w[R.D22, l] * pb
                 for i in range(6):
-                    p = w[at(DRAWN[i], j), l]
+                    p = w[at(STEP_FIRST[i], j), l]
                     u1 += w[SLOPE + OUTPUTS * i, l] * p
                     v1 += w[SLOPE + OUTPUTS * i + 1, l] * p
+                for i in range(3):
+                    p = w[at(STEP_FIRST[i], j), l]
                     pi += w[SLOPE + OUTPUTS * i + 2, l] * p
                     pj += w[SLOPE + OUTPUTS * i + 3, l] * p
                     pt += w[SLOPE + OUTPUTS * i + 4, l] * p
@@ -251,9 +322,11 @@ def predict_unscented(w, u):
                 v1 = bv - w[R.D21, l] * ba - w[R.D22, l] * bb
                 bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
                 for k in range(6):
-                    p = w[fp(i, DRAWN[k]), l]
+                    p = w[fp(i, STEP_FIRST[k]), l]
                     u1 += w[SLOPE + OUTPUTS * k, l] * p
                     v1 += w[SLOPE + OUTPUTS * k + 1, l] * p
+                for k in range(3):
+                    p = w[fp(i, STEP_FIRST[k]), l]
                     bi += w[SLOPE + OUTPUTS * k + 2, l] * p
                     bj += w[SLOPE + OUTPUTS * k + 3, l] * p
                     bt += w[SLOPE + OUTPUTS * k + 4, l] * p
@@ -288,19 +361,15 @@ def predict_unscented(w, u):
 
 # ---- Measurements ----
 
-_root_of_rotation = kernel(_root, order=ROTATION, columns=3)
-_root_with_velocity = kernel(_root, order=(*ROTATION, R.U, R.V), columns=3)
-_linearize_fix = kernel(_linearize, columns=3, outputs=2)
-_linearize_along = kernel(_linearize, columns=3, outputs=1)
+_root_of_rotation = kernel(_root, order=MEASURED_FIRST, columns=3)
+_root_with_velocity = kernel(_root, order=(*MEASURED_FIRST, R.U, R.V), columns=3)
+_linearize_fix = kernel(_linearize, columns=(3, 3))
+_linearize_along = kernel(_linearize, columns=(3,))
 
 
 @kernel
 def measure_fix_unscented(w, z, lever):
-    """z = p + (R lever) - latency v, as `tilted12.measure_fix_tilted`.
-
-    The two points of column c turn m = R lever to m +- k gamma L_c x m + q gamma^2 L_c x (L_c x m), with d = gamma
-    |L_c|, k = sin d / d and q = (1 - cos d) / d^2: all three columns have a closed form.
-    """
+    """z = p + (R lever) - latency v, as `tilted12.measure_fix_tilted`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     _root_of_rotation(w)
@@ -334,7 +403,7 @@ def measure_fix_unscented(w, z, lever):
         for i in range(N):
             east, north = w[at(i, R.X), l] - tau * w[at(i, R.U), l], w[at(i, R.Y), l] - tau * w[at(i, R.V), l]
             for k in range(3):
-                p = w[at(i, ROTATION[k]), l]
+                p = w[at(i, MEASURED_FIRST[k]), l]
                 east += w[SLOPE + OUTPUTS * k, l] * p
                 north += w[SLOPE + OUTPUTS * k + 1, l] * p
             w[C1 + i, l], w[C2 + i, l] = east, north
@@ -342,9 +411,9 @@ def measure_fix_unscented(w, z, lever):
         s12 = w[C1 + R.Y, l] - tau * w[C1 + R.V, l] + w[R.GEN, l]
         s22 = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + w[R.GNN, l]
         for k in range(3):
-            s11 += w[SLOPE + OUTPUTS * k, l] * w[C1 + ROTATION[k], l]
-            s12 += w[SLOPE + OUTPUTS * k + 1, l] * w[C1 + ROTATION[k], l]
-            s22 += w[SLOPE + OUTPUTS * k + 1, l] * w[C2 + ROTATION[k], l]
+            s11 += w[SLOPE + OUTPUTS * k, l] * w[C1 + MEASURED_FIRST[k], l]
+            s12 += w[SLOPE + OUTPUTS * k + 1, l] * w[C1 + MEASURED_FIRST[k], l]
+            s22 += w[SLOPE + OUTPUTS * k + 1, l] * w[C2 + MEASURED_FIRST[k], l]
         w[R.S11, l], w[R.S12, l], w[R.S22, l] = s11, s12, s22
 
 

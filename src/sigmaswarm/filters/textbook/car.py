@@ -3,6 +3,8 @@
 `compiled/run.py` does the same; tests compare the two, one step at a time.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
@@ -36,7 +38,7 @@ from sigmaswarm.filters.textbook.manifold import (
     Manifold,
     ManifoldUnscentedKalmanFilter,
 )
-from sigmaswarm.filters.tilted import ATTITUDE, DRAWN
+from sigmaswarm.filters.tilted import ATTITUDE, MEASURED_FIRST, STEP_FIRST
 
 
 class TextbookCar:
@@ -73,7 +75,7 @@ class TextbookCar:
         mean, covariance = start_of(initial, p)
         self.model = MODELS[p.model]
         require_axes(timeline.drive, p.model)
-        first = DRAWN if self.model.tilts else (THETA,)
+        first = STEP_FIRST if self.model.tilts else (THETA,)
         points = SigmaPoints(p.alpha, p.beta, p.kappa, first=first if heading_first else ())
         self.filter = _filter(
             self.model,
@@ -169,7 +171,8 @@ def _filter(
     if tilts:
         manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)
         if points:
-            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, manifold, points)
+            measured = replace(points, first=MEASURED_FIRST if points.first else ())
+            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, manifold, points, measured=measured)
         return ErrorStateKalmanFilter(f, tilts.transition, h, mean, covariance, manifold)
     if points:
         redraw = redraw_sigma_points
