@@ -126,7 +126,9 @@ class ExtendedCar:
         if self.n == 12:
             from oracles import extended_tilted  # it is made of this file's forms
 
-            self.form, self.car = extended_tilted.TiltedForm(), extended_tilted
+            self.car = extended_tilted
+            extended = self.kind == "ekf"
+            self.form = extended_tilted.TiltedForm() if extended else extended_tilted.TiltedPoints(sets)
             self.axes = ("ax", "ay", "az", "gx", "gy", "gz")
         nominal = Extended(timeline.nominal_interval)
         self.q = np.array([p.process_noise for p in sets], dtype=Extended)
