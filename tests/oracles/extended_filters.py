@@ -232,7 +232,8 @@ class ExtendedCar:
         self.squared_residual = np.sum(np.where(used[:, None], residual, seen.nu) ** 2, axis=1)
         mean, covariance = self.form.absorb(self.mean, self.covariance, seen, z)
         if self.kind == "adaptive-ukf":
-            self._adapt(used, residual, m - transposed(known) @ known, mean - self.mean, covariance)
+            moved = (transposed(whiten(seen.s, transposed(seen.c))) @ nu)[..., 0]  # K nu
+            self._adapt(used, residual, m - transposed(known) @ known, moved, covariance)
         self.mean = np.where(used[:, None], mean, self.mean)
         self.covariance = np.where(used[:, None, None], covariance, self.covariance)
 

@@ -172,7 +172,9 @@ def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
         return (attitude(mean) @ lever.astype(Extended)[:, None])[..., 0]
 
     def innovation(mean: np.ndarray) -> np.ndarray:
-        return z.astype(Extended) - mean[:, :2] + each(latency, mean)[:, None] * mean[:, 2:4] - arm(mean)[:, :2]
+        return (
+            z.astype(Extended) - mean[:, :2] + each(latency, mean)[:, None] * mean[:, 2:4] - arm(mean)[:, :2]
+        )
 
     def jacobian(mean: np.ndarray) -> np.ndarray:
         h = np.zeros((len(mean), 2, mean.shape[1]), dtype=Extended)

@@ -294,7 +294,8 @@ def car_problem(
     _check_columns(have, config)
     replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
     data = dataset.map(described)
-    run_kernel(kernel_name(config.model, config.kind))  # written out here, before threads start that would all wait for it
+    # Written out here, before threads start that would all wait for it.
+    run_kernel(kernel_name(config.model, config.kind))
     return CarProblem(config, space or car_space(config, usual_interval(have)), data, replays)
 
 

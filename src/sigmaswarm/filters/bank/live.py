@@ -208,7 +208,9 @@ class LiveFilterBank(LiveFilter):
         self._pending: _Pending | None = None
         self._due = initial.time + SEARCH_EVERY
         self._n_begun = 0
-        Steps(self._kernel, np.empty((0, N_TAPE)), np.zeros(3)).run(self._rows_of(self._numbers)[:, :8].copy())
+        Steps(self._kernel, np.empty((0, N_TAPE)), np.zeros(3)).run(
+            self._rows_of(self._numbers)[:, :8].copy()
+        )
         again_call()
 
     def _with_lanes(self, nominal_interval: float) -> Memory:

@@ -100,8 +100,8 @@ SCRATCH = (
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
     # The unscented filter's: the square root of P, what its points give, the centre's vertical acceleration, and the
     # quaternion of a point. See `tilted12_unscented`.
-    *(f"{name}{k}" for name, size in (("ROOT", 48), ("SLOPE", 30), ("BEND", 30), ("SHIFT", 5), ("EXTRA", 25), ("PIVOT", 6))
-      for k in range(size)),
+    *(f"ROOT{k}" for k in range(48)), *(f"PIVOT{k}" for k in range(6)), *(f"SLOPE{k}" for k in range(30)),
+    *(f"BEND{k}" for k in range(30)), *(f"SHIFT{k}" for k in range(5)), *(f"EXTRA{k}" for k in range(25)),
     "UPWARD", "POINT_FAR", "POINT_W", "POINT_X", "POINT_Y", "POINT_Z",
     # What a smoother needs of a step: the prediction, and what moved the state. See `tape`.
     *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(26)),

@@ -182,7 +182,10 @@ def _keep_digits(w, *, n, tilted, unscented):
             y = gain_1 * r12 + gain_2 * r2 + tau * w[at(j, R.V), l] - jn * w[at(j, R.T), l]
             if unscented:
                 x -= w[SLOPE + OUTPUTS, l] * w[at(j, R.I), l] + w[SLOPE + OUTPUTS * 2, l] * w[at(j, R.J), l]
-                y -= w[SLOPE + OUTPUTS + 1, l] * w[at(j, R.I), l] + w[SLOPE + OUTPUTS * 2 + 1, l] * w[at(j, R.J), l]
+                y -= (
+                    w[SLOPE + OUTPUTS + 1, l] * w[at(j, R.I), l]
+                    + w[SLOPE + OUTPUTS * 2 + 1, l] * w[at(j, R.J), l]
+                )
             elif tilted:
                 x -= w[R.LEVER_UP, l] * w[at(j, R.J), l]
                 y += w[R.LEVER_UP, l] * w[at(j, R.I), l]

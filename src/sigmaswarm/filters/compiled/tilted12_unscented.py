@@ -19,8 +19,9 @@ bend t = (r+ + r-) / (2 gamma^2), adding up the sigma points gives
     Cov(r)     = H^T P[drawn, drawn] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
 
 The turned vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
-|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part with H added to it takes the place of the Jacobian, the last two terms are added to the covariance,
-and the rest is `tilted12`'s. H stands in rows SLOPE, mu in SHIFT, the last two terms in EXTRA.
+|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part with H added to it takes the place of the Jacobian,
+the last two terms of Cov(r) are added to the covariance, and the rest is as in `tilted12`. H stands in rows SLOPE, mu
+in SHIFT, those two terms in EXTRA.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -32,7 +33,20 @@ import numpy as np
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, PIVOT, Q0, ROOT, SHIFT, SLOPE, R, at
+from sigmaswarm.filters.compiled.layout import (
+    BEND,
+    C1,
+    C2,
+    EXTRA,
+    LANES,
+    PIVOT,
+    Q0,
+    ROOT,
+    SHIFT,
+    SLOPE,
+    R,
+    at,
+)
 from sigmaswarm.filters.compiled.tilted12 import COLUMNS, ROWS, _half_turn, _move, fold, fp
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
@@ -118,7 +132,11 @@ def _rotation_vector(q0, q1, q2, q3, x, y, z):
     z = q1 * q1 + q2 * q2 + q3 * q3
     p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
     z3 = z * z * z
-    p += z3 * z * (-4.00555345006794114027e-02 + z * (7.91534994289814532176e-04 + z * 3.47933107596021167570e-05))
+    p += (
+        z3
+        * z
+        * (-4.00555345006794114027e-02 + z * (7.91534994289814532176e-04 + z * 3.47933107596021167570e-05))
+    )
     q = 1.0 + z * (-2.40339491173441421878e00 + z * 2.02094576023350569471e00)
     q += z3 * (-6.88283971605453293030e-01 + z * 7.70381505559019352791e-02)
     k = 2.0 + 2.0 * p / q
@@ -198,8 +216,20 @@ def _draw(w, u, *, j, far, point, sinc_cos):
         b0, b1, b2, b3, b4 = point(w, l, -1.0, quarter, per_dt)
         one = 0.5 / gamma
         two = one / gamma
-        d0, d1, d2, d3, d4 = one * (a0 - b0), one * (a1 - b1), one * (a2 - b2), one * (a3 - b3), one * (a4 - b4)
-        t0, t1, t2, t3, t4 = two * (a0 + b0), two * (a1 + b1), two * (a2 + b2), two * (a3 + b3), two * (a4 + b4)
+        d0, d1, d2, d3, d4 = (
+            one * (a0 - b0),
+            one * (a1 - b1),
+            one * (a2 - b2),
+            one * (a3 - b3),
+            one * (a4 - b4),
+        )
+        t0, t1, t2, t3, t4 = (
+            two * (a0 + b0),
+            two * (a1 + b1),
+            two * (a2 + b2),
+            two * (a3 + b3),
+            two * (a4 + b4),
+        )
         if far:
             d0, t0 = _chosen(d0, w, l, SLOPE + OUTPUTS * j), _chosen(t0, w, l, BEND + OUTPUTS * j)
             d1, t1 = _chosen(d1, w, l, SLOPE + OUTPUTS * j + 1), _chosen(t1, w, l, BEND + OUTPUTS * j + 1)
@@ -264,9 +294,7 @@ def _unscented_transition(w, u):
         near = (turn < 0.8) & (rate < 6e-4) & (x * x + y * y + z * z < 0.5 * FAR)
         w[R.POINT_FAR, l] = 0.0 if near else 1.0
         far += not near
-        w[R.UPWARD, l] = (
-            w[R.D31, l] * (ax - w[R.A, l]) + w[R.D32, l] * (ay - w[R.B, l]) + w[R.D33, l] * az
-        )
+        w[R.UPWARD, l] = w[R.D31, l] * (ax - w[R.A, l]) + w[R.D32, l] * (ay - w[R.B, l]) + w[R.D33, l] * az
     _draw_0(w, u)
     _draw_1(w, u)
     _draw_2(w, u)
@@ -453,7 +481,11 @@ def _measure_along(w, u, wheels, *, lateral, bias):
             u1, v1 = gamma * w[ROOT + WIDTH * 3 + j, l], gamma * w[ROOT + WIDTH * 4 + j, l]
             odd, even = 0.0, 0.0
             for i in (1, -1):
-                f0, f1, f2 = te0 + i * (g * oe0), te1 + i * (g * oe1), te2 + i * (g * oe2)  # changes of the axes
+                f0, f1, f2 = (
+                    te0 + i * (g * oe0),
+                    te1 + i * (g * oe1),
+                    te2 + i * (g * oe2),
+                )  # changes of the axes
                 a0, a1, a2 = tc0 + i * (g * oc0), tc1 + i * (g * oc1), tc2 + i * (g * oc2)
                 other = c2 + a2
                 steeper = (f2 * c2 - e2 * a2) / (c2 * other)
