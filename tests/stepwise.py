@@ -85,6 +85,7 @@ class CompiledCars:
     def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
         assert len(sets) % layout.LANES == 0
         self.line, self.n, self.model = timeline, sets[0].n_states, sets[0].model
+        self.kernel = layout.kernel_name(self.model, sets[0].kind)
         self.remembers = (
             sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
             or sets[0].robust_dof is not None
@@ -111,7 +112,7 @@ class CompiledCars:
         rows[[R.FACED, R.COS, R.SIN]] = faced
         rows[[R.DET, R.TAIL, R.OK]], rows[R.RECENT] = 1.0, -1.0
         run.run_lanes(
-            self.model,
+            self.kernel,
             t.steps[i : i + 1].copy(),
             t.sample[i : i + 1].copy(),
             t.driving,
@@ -134,7 +135,7 @@ class CompiledCars:
         u = np.zeros(N_STEP)
         u[: 3 + t.driving.shape[1]] = *t.steps[i], *t.driving[t.sample[i]]
         for row in self.rows[part]:
-            _take(single_step(self.model).address, row, u, happens, z, self.wheels[i], t.lever, since)
+            _take(single_step(self.kernel).address, row, u, happens, z, self.wheels[i], t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:

@@ -90,7 +90,13 @@ def everything(of: LiveFilterBank) -> bytes:
 
 @pytest.mark.parametrize(
     ("model", "option"),
-    [("planar8", ALL), ("planar8", WEIGHED["both"]), ("planar5", OPTIONS["velocity"]), ("tilted12", ALL)],
+    [
+        ("planar8", ALL),
+        ("planar8", WEIGHED["both"]),
+        ("planar5", OPTIONS["velocity"]),
+        ("tilted12", ALL),
+        ("tilted12", {**ALL, "kind": "ukf"}),
+    ],
 )
 @pytest.mark.parametrize("late", [0.0, 0.23])
 def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], late: float):

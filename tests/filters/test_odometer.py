@@ -35,9 +35,7 @@ def town() -> tuple[Timeline, InitialState]:
     return on_time_line(wheeled(urban()))
 
 
-@pytest.mark.parametrize(
-    ("model", "kind"), [*product(("planar5", "planar8"), ("ukf", "ekf")), ("tilted12", "ekf")]
-)
+@pytest.mark.parametrize(("model", "kind"), [*product(("planar5", "planar8", "tilted12"), ("ukf", "ekf"))])
 def test_compiled_takes_the_oracles_steps(model: str, kind: str):
     timeline, initial = town()
     sets = with_odometer(box_sets(model, kind, 32))

@@ -25,7 +25,7 @@ EVERY_FILTER = [
     for kind in KINDS
     for option in OPTIONS
 ]
-EVERY_FILTER += [pytest.param("tilted12", "ekf", "all", id="tilted12-ekf-all")]
+EVERY_FILTER += [pytest.param("tilted12", kind, "all", id=f"tilted12-{kind}-all") for kind in ("ekf", "ukf")]
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -56,9 +57,11 @@ def test_compiled_is_the_textbooks(model: str, kind: str, option: str):
     assert apart(ours, smooth_textbook(drive, p, initial=began())) < 1e-9
 
 
-@pytest.mark.parametrize("option", ["all", "robust"])
-def test_compiled_is_the_textbooks_with_attitude(option: str):
-    p = parameters("tilted12", **(OPTIONS | WEIGHED)[option])
+@pytest.mark.parametrize(
+    ("kind", "option"), [*product(("ekf", "ukf"), ("all", "robust")), ("strong-tracking-ukf", "all")]
+)
+def test_compiled_is_the_textbooks_with_attitude(kind: str, option: str):
+    p = parameters("tilted12", kind=kind, **(OPTIONS | WEIGHED)[option])
     drive = {"all": rough, "robust": straying}[option]()
     ours = smooth(drive, p, initial=began(), recover=False)
     theirs = smooth_textbook(drive, p, initial=began())
@@ -279,7 +282,12 @@ def live(drive: Drive, p: FilterParameters, lag: float, *, late: float = 0.0, as
 
 @pytest.mark.parametrize(
     ("model", "kind", "late"),
-    [("planar5", "strong-tracking-ukf", 0.0), ("planar8", "ukf", 0.07), ("tilted12", "ekf", 0.0)],
+    [
+        ("planar5", "strong-tracking-ukf", 0.0),
+        ("planar8", "ukf", 0.07),
+        ("tilted12", "ekf", 0.0),
+        ("tilted12", "ukf", 0.0),
+    ],
 )
 def test_live_is_the_batch_smoother_cut_at_the_lag(model: str, kind: str, late: float):
     drive = equipped() if model == "tilted12" else rough()

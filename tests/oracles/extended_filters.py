@@ -126,7 +126,9 @@ class ExtendedCar:
         if self.n == 12:
             from oracles import extended_tilted  # it is made of this file's forms
 
-            self.form, self.car = extended_tilted.TiltedForm(), extended_tilted
+            self.car = extended_tilted
+            extended = self.kind == "ekf"
+            self.form = extended_tilted.TiltedForm() if extended else extended_tilted.TiltedPoints(sets)
             self.axes = ("ax", "ay", "az", "gx", "gy", "gz")
         nominal = Extended(timeline.nominal_interval)
         self.q = np.array([p.process_noise for p in sets], dtype=Extended)
@@ -230,7 +232,8 @@ class ExtendedCar:
         self.squared_residual = np.sum(np.where(used[:, None], residual, seen.nu) ** 2, axis=1)
         mean, covariance = self.form.absorb(self.mean, self.covariance, seen, z)
         if self.kind == "adaptive-ukf":
-            self._adapt(used, residual, m - transposed(known) @ known, mean - self.mean, covariance)
+            moved = (transposed(whiten(seen.s, transposed(seen.c))) @ nu)[..., 0]  # K nu
+            self._adapt(used, residual, m - transposed(known) @ known, moved, covariance)
         self.mean = np.where(used[:, None], mean, self.mean)
         self.covariance = np.where(used[:, None, None], covariance, self.covariance)
 

@@ -1,21 +1,24 @@
 """A car on a road that is not flat, in extended precision: what `extended_car` is for planar ones.
 
 States are x, y, vx, vy, theta, the biases of ax, ay and gz, roll, pitch, and the biases of gx and gy. The attitude is a
-matrix; its error turns it from the left, and all Jacobians are cross products with that error.
+matrix; its error turns it from the left, and all Jacobians are cross products with that error. Sigma points, 25 of
+them, are such errors; each is added to the mean, pushed through process or measurement, and compared with the centre.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
-from oracles.extended import Extended, transposed
+from oracles.extended import PI, Extended, transposed
 from oracles.extended_car import Measurement, linear
-from oracles.extended_filters import JacobianForm
+from oracles.extended_filters import JacobianForm, SigmaPointForm
 
 UP, TILT = 4, [8, 9]
 ERROR = [*TILT, UP]
 GYRO = [10, 11, 7]
 GRAVITY = Extended("9.81")
 
-__all__ = ["TiltedForm", "fix", "lateral", "linear", "odometer"]
+__all__ = ["TiltedForm", "TiltedPoints", "fix", "lateral", "linear", "odometer"]
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -29,12 +32,11 @@ def exponential(v: np.ndarray) -> np.ndarray:
     """The rotation about v, (s, 3), by its power series, halved until that is short and squared back."""
     halvings = 20
     step = skew(v) / 2**halvings
-    term = total = np.tile(np.eye(3, dtype=Extended), (len(v), 1, 1))
-    for k in range(1, 8):
+    term = rest = step  # without the identity, so that no digit is lost
+    for k in range(2, 8):
         term = term @ step / k
-        total = total + term
-    rest = total - np.eye(3, dtype=Extended)
-    for _ in range(halvings):  # of what is beside the identity, so that no digit of it is lost
+        rest = rest + term
+    for _ in range(halvings):
         rest = 2 * rest + rest @ rest
     return rest + np.eye(3, dtype=Extended)
 
@@ -51,7 +53,7 @@ def attitude(mean: np.ndarray) -> np.ndarray:
 def with_attitude(mean: np.ndarray, r: np.ndarray) -> np.ndarray:
     new = mean.copy()
     new[:, TILT[0]] = np.arctan2(r[:, 2, 1], r[:, 2, 2])
-    new[:, TILT[1]] = np.arcsin(-r[:, 2, 0])
+    new[:, TILT[1]] = np.arctan2(-r[:, 2, 0], np.hypot(r[:, 0, 0], r[:, 1, 0]))
     new[:, UP] = np.arctan2(r[:, 1, 0], r[:, 0, 0])
     return new
 
@@ -79,8 +81,88 @@ class TiltedForm(JacobianForm):
 
     def absorb(self, mean, p, seen, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
         moved, covariance = super().absorb(mean, p, seen, z)
-        error = moved - mean
-        return with_attitude(moved, exponential(error[:, ERROR]) @ attitude(mean)), covariance
+        return plus(mean, moved - mean), covariance
+
+
+class TiltedPoints(SigmaPointForm):
+    """The unscented filter on the manifold.
+
+    Of the square root of P, the columns of the gyro's biases and of the attitude come first in a step, those of the
+    attitude in a measurement.
+    """
+
+    def __init__(self, sets) -> None:
+        super().__init__(sets)
+        self.order = [UP, *TILT, 0, 1, 2, 3, 5, 6, 7, 10, 11]
+
+    def predict(self, mean, p, q, dt, imu) -> tuple[np.ndarray, np.ndarray]:
+        measured, self.order = self.order, [7, 10, 11, UP, *TILT, 0, 1, 2, 3, 5, 6]
+        offsets, self.order = self.offsets(p), measured
+        sets, points, n = offsets.shape
+        flat = np.repeat(mean, points, axis=0)
+        r, a = self._driven(plus(flat, offsets.reshape(-1, n)), dt, imu)
+        r, a = r.reshape(sets, points, 3, 3), a.reshape(sets, points, 3)
+        errors = offsets.copy()  # from the centre after the step
+        change = (a - a[:, :1])[..., :2]
+        errors[..., :2] += dt * offsets[..., 2:4] + dt**2 / 2 * change
+        errors[..., 2:4] += dt * change
+        turned = logarithm((r @ transposed(r[:, :1])).reshape(-1, 3, 3)).reshape(sets, points, 3)
+        errors[..., ERROR] = nearest(turned, offsets[..., ERROR])
+        shift, spread = self._moments(errors)
+        centre = with_attitude(mean, r[:, 0])
+        centre[:, :2] += dt * mean[:, 2:4] + dt**2 / 2 * a[:, 0, :2]
+        centre[:, 2:4] += dt * a[:, 0, :2]
+        return plus(centre, shift), transposed(self.wc[..., None] * spread) @ spread + q
+
+    def _driven(self, states, dt, imu) -> tuple[np.ndarray, np.ndarray]:
+        """The attitude after a step, and the acceleration."""
+        force = np.tile(imu[:3], (len(states), 1))
+        force[:, :2] -= states[:, 5:7]
+        half = exponential((imu[3:] - states[:, GYRO]) * dt / 2)
+        middle = attitude(states) @ half
+        return middle @ half, (middle @ force[..., None])[..., 0]
+
+    def absorb(self, mean, p, seen, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+        moved, covariance = super().absorb(mean, p, seen, z)
+        return plus(mean, moved - mean), covariance
+
+
+def plus(mean: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Errors added to means, (s, n) each."""
+    return with_attitude(mean + error, exponential(error[:, ERROR]) @ attitude(mean))
+
+
+def logarithm(r: np.ndarray) -> np.ndarray:
+    """The rotation vector, (s, 3), of up to half a turn."""
+    axis = np.stack([r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]], axis=-1) / 2
+    sine = np.sqrt(np.sum(axis**2, axis=1))
+    angle = np.arctan2(sine, (np.trace(r, axis1=1, axis2=2) - 1) / 2)
+    return axis * np.where(sine > 0, angle / np.where(sine > 0, sine, 1), 1)[:, None]
+
+
+def nearest(vector: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The rotation vectors (..., 3) of the same rotations that are nearest to others."""
+    angle = np.sqrt(np.sum(vector**2, axis=-1, keepdims=True))
+    axis = vector / np.where(angle > 0, angle, 1)
+    turns = np.floor((np.sum(axis * other, axis=-1, keepdims=True) - angle) / (2 * PI) + Extended(0.5))
+    return vector + 2 * PI * turns * axis
+
+
+def pushed(innovation: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The change of a measurement's prediction, of its innovation z - h at means."""
+
+    def change(mean: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        sets, points, n = offsets.shape
+        flat = np.repeat(mean[:, 0], points, axis=0)
+        moved = innovation(plus(flat, offsets.reshape(-1, n))).reshape(sets, points, -1)
+        return innovation(mean[:, 0])[:, None] - moved
+
+    return change
+
+
+def each(values: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """One value for each parameter set (s,), for as many or more means, their points next to each other."""
+    return np.repeat(values, len(mean) // len(values))
 
 
 def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
@@ -90,7 +172,9 @@ def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
         return (attitude(mean) @ lever.astype(Extended)[:, None])[..., 0]
 
     def innovation(mean: np.ndarray) -> np.ndarray:
-        return z.astype(Extended) - mean[:, :2] + latency[:, None] * mean[:, 2:4] - arm(mean)[:, :2]
+        return (
+            z.astype(Extended) - mean[:, :2] + each(latency, mean)[:, None] * mean[:, 2:4] - arm(mean)[:, :2]
+        )
 
     def jacobian(mean: np.ndarray) -> np.ndarray:
         h = np.zeros((len(mean), 2, mean.shape[1]), dtype=Extended)
@@ -99,7 +183,7 @@ def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
         h[:, :, ERROR] = -skew(arm(mean))[:, :2]
         return h
 
-    return Measurement(innovation, _nothing, jacobian)
+    return Measurement(innovation, pushed(innovation), jacobian)
 
 
 def on_the_road(mean: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -117,7 +201,7 @@ def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
     def innovation(mean: np.ndarray) -> np.ndarray:
         forward, _, v = on_the_road(mean, 0)
         gained = Extended(ax) - mean[:, 5] - GRAVITY * forward[:, 2]
-        return (speed + delay * gained - np.sum(forward * v, axis=1))[:, None]
+        return (each(speed, mean) + each(delay, mean) * gained - np.sum(forward * v, axis=1))[:, None]
 
     def jacobian(mean: np.ndarray) -> np.ndarray:
         # As of `lateral`; and the slope, forward_z, changes by (e x forward)_z = e . (forward x up), up the world's.
@@ -130,7 +214,7 @@ def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
         h[:, 0, 5] = delay
         return h
 
-    return Measurement(innovation, _nothing, jacobian)
+    return Measurement(innovation, pushed(innovation), jacobian)
 
 
 def lateral(gz: float, axle: np.ndarray) -> Measurement:
@@ -138,7 +222,7 @@ def lateral(gz: float, axle: np.ndarray) -> Measurement:
 
     def innovation(mean: np.ndarray) -> np.ndarray:
         left, _, v = on_the_road(mean, 1)
-        return (axle * (Extended(gz) - mean[:, 7]) - np.sum(left * v, axis=1))[:, None]
+        return (each(axle, mean) * (Extended(gz) - mean[:, 7]) - np.sum(left * v, axis=1))[:, None]
 
     def jacobian(mean: np.ndarray) -> np.ndarray:
         # Of left . v with up . v = 0: v changes by (dvx, dvy, dvz), left and up by e x left and e x up.
@@ -150,8 +234,4 @@ def lateral(gz: float, axle: np.ndarray) -> Measurement:
         h[:, 0, 7] = axle
         return h
 
-    return Measurement(innovation, _nothing, jacobian)
-
-
-def _nothing(mean: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    raise NotImplementedError("no sigma points here")
+    return Measurement(innovation, pushed(innovation), jacobian)

@@ -61,7 +61,8 @@ def c99(
             f"nominal_interval = {interval:g} s: the C library keeps a second of samples, of an IMU of "
             f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
         )
-    kinds = MODELS[parameters.model].kinds
+    model = MODELS[parameters.model]
+    kinds = ("ekf",) if model.tilts else model.kinds
     if parameters.kind not in kinds:
         raise InputError(f"{parameters.model} has no {parameters.kind} in C; take kind {' or '.join(kinds)}")
     features = features_of(parameters)

@@ -24,6 +24,7 @@ from sigmaswarm.filters.compiled.layout import (
     N_STATE,
     Q0,
     R,
+    kernel_name,
     lanes_for,
     most_lanes,
 )
@@ -86,7 +87,7 @@ class Sums:
 
 
 class KernelArray:
-    """Parameter sets of one model and with the same measurements, which run side by side.
+    """Parameter sets of one kernel and with the same measurements, which run side by side.
 
     The array has ``width`` columns for each block, up to `most_lanes`. A block that is not full repeats a set.
 
@@ -139,6 +140,11 @@ class KernelArray:
     def model(self) -> ModelName:
         """Model of all its sets."""
         return self.like.model
+
+    @property
+    def kernel(self) -> str:
+        """Name of the kernel that runs all its sets."""
+        return kernel_name(self.like.model, self.like.kind)
 
     @property
     def width(self) -> int:

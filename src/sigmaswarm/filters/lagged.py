@@ -10,7 +10,6 @@ from sigmaswarm.filters.compiled.memory import LiveArrays
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
-from sigmaswarm.filters.names import ModelName
 
 NEARLY = 1e-6
 """s: rounding error of a lag."""
@@ -23,18 +22,18 @@ class FixedLag:
 
     Parameters
     ----------
-    model : its name
+    kernel : its name
     lag : float
         s
     most_steps : int
         That the memory can hold.
     """
 
-    def __init__(self, model: ModelName, lag: float, *, most_steps: int) -> None:
-        self._model, self._lag = model, lag
-        self._state, self._width = state_rows(model), len(taped_rows(model))
+    def __init__(self, kernel: str, lag: float, *, most_steps: int) -> None:
+        self._kernel, self._lag = kernel, lag
+        self._state, self._width = state_rows(kernel), len(taped_rows(kernel))
         self._belief = np.zeros(TAPE + most_steps * self._width)
-        self._step = single_step(model, N_TAPED)
+        self._step = single_step(kernel, N_TAPED)
         nothing = np.zeros((0, len(self._state)))
         self._no_starts = np.zeros(0, dtype=np.int64), nothing
         self._out = nothing
@@ -67,5 +66,5 @@ class FixedLag:
 
     def _back(self, tape: Array, start: Array, behind: Array) -> Array:
         sampled = np.zeros(len(tape), dtype=np.bool_)
-        smooth_back(self._model, tape, start, *self._no_starts, sampled, behind, self._out)
+        smooth_back(self._kernel, tape, start, *self._no_starts, sampled, behind, self._out)
         return behind

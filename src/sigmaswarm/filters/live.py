@@ -14,7 +14,7 @@ from sigmaswarm.drives.table_files import LARGEST
 from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
+from sigmaswarm.filters.compiled.layout import N_KEPT, R, kernel_name, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.watch import WATCHED
@@ -137,7 +137,7 @@ class LiveFilter:
         p = parameters
         require_driven_by_imu(p.model, "a live filter or filter bank")
         self.parameters = p
-        self._calls = live.live_calls()
+        self._calls, kernel = live.live_calls(), kernel_name(p.model, p.kind)
         self._state = state_rows(p.model)
         self._axes = MODELS[p.model].imu
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
@@ -153,7 +153,7 @@ class LiveFilter:
         belief[live.AS_RECORDED], belief[live.LATE_BY] = as_recorded, history
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
         self._memory = Memory(
-            single_step(p.model),
+            single_step(kernel),
             LiveArrays(
                 belief,
                 counts,
@@ -168,7 +168,7 @@ class LiveFilter:
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._monitor = DivergenceMonitor() if recover else None
         self._holds = False  # it has diverged, and the estimate is a fix, updated at each sample
-        self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=MOST_WAITING + seen + samples)
+        self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=MOST_WAITING + seen + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample. One not after the last one is ignored, one more than 10 s ahead is held.

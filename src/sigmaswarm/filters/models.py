@@ -123,8 +123,8 @@ class Tilts:
 
     Attributes
     ----------
-    plus, minus : callable
-        An error added to a state, and the error between two: see `textbook.manifold`.
+    plus, minus, nearest : callable
+        An error added to a state, the error between two, and the nearest to another: see `textbook.manifold`.
     transition : callable
         F of the error, (n, n), of a state, dt and imu.
     as_angles : callable
@@ -133,6 +133,7 @@ class Tilts:
 
     plus: Callable[[Array, Array], Array]
     minus: Callable[[Array, Array], Array]
+    nearest: Callable[[Array, Array], Array]
     transition: Callable[[Array, float, Array], Array]
     as_angles: Callable[[Array, Array], Array]
 
@@ -338,8 +339,8 @@ MODELS: dict[str, CarModel] = {
         lateral=tilted.RearAxle,
         odometer=tilted.Wheels,
         rates_at_rest=tilted.States((7, 10, 11)),
-        tilts=Tilts(tilted.plus, tilted.minus, tilted.transition, tilted.as_angles),
-        kinds=("ekf",),
+        tilts=Tilts(tilted.plus, tilted.minus, tilted.nearest, tilted.transition, tilted.as_angles),
+        kinds=("ekf", "ukf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"),
     ),
     "robot-localization": CarModel(
         _ROBOT,

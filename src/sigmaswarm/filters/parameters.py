@@ -49,7 +49,7 @@ class FilterParameters:
     model : {"planar5", "planar8", "tilted12", "robot-localization"}
         planar5: x, y (m), vx, vy (m/s), theta (rad), driven by the IMU. planar8: and the biases of the accelerometer,
         forward and left (m/s2), and of the gyro (rad/s), as random walks. tilted12: and roll and pitch (rad), and the
-        other two biases of the gyro; for an IMU with all six axes, and compiled as ``kind="ekf"`` only.
+        other two biases of the gyro; for an IMU with all six axes.
         robot-localization: the filter of that name in ``two_d_mode``, see `filters.robot_localization`; an EKF.
     nominal_interval : float or None
         s: the IMU interval that ``process_noise`` refers to. None: each drive's own median interval. A tuning

@@ -159,7 +159,7 @@ def run_steps(
     """Run a block of filters over the steps of a replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
     require_readable(replay, array)
     arrays = replay.arrays(*array.reads[-1])
-    run.run_lanes(array.model, *arrays, rows, place, stop, record, innovations)
+    run.run_lanes(array.kernel, *arrays, rows, place, stop, record, innovations)
 
 
 def require_readable(replay: Replay, array: KernelArray) -> None:

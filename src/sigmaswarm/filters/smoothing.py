@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.compiled.layout import kernel_name
 from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, taped_kernel
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
@@ -102,8 +103,9 @@ class _Forward(Recording):
         require_readable(replay, self._array)
         self.checkpoints: list[_Checkpoint] = []
         self._switches = switches(parameters)
-        self._kernel: Any = taped_kernel(parameters.model)
-        self._width = len(taped_rows(parameters.model)) + 1  # and whether it is sound
+        name = kernel_name(parameters.model, parameters.kind)
+        self._kernel: Any = taped_kernel(name)
+        self._width = len(taped_rows(name)) + 1  # and whether it is sound
         self._first, self._logged = 0, np.empty((0, self._width, 1))
         self._resets: list[tuple[int, Array]] = []
 
@@ -183,6 +185,7 @@ class Smoothing:
     ) -> None:
         self._line = replay.timeline
         self._model: ModelName = parameters.model
+        self._name = kernel_name(parameters.model, parameters.kind)
         self._forward = forward = _Forward(replay, parameters, samples=samples, recover=recover)
         self._sizes: list[tuple[int, int]] = []  # samples of each piece, and how many of them are sound
         for piece in forward:
@@ -227,7 +230,7 @@ class Smoothing:
     def _smoothed(self, log: _ForwardLog, behind: Array, samples: int) -> tuple[Array, Array]:
         """States at the samples, (samples, s), and before the first step, (s,)."""
         out, before = np.empty((samples, len(behind))), behind.copy()
-        smooth_back(self._model, log.steps, log.start, log.ends, log.started, log.sampled, before, out)
+        smooth_back(self._name, log.steps, log.start, log.ends, log.started, log.sampled, before, out)
         return out, before
 
     def _piece(self, number: int, first: int, size: int, sound: int) -> Piece:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.compiled.layout import kernel_name
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import Switches, switches
 
@@ -82,10 +82,10 @@ class ParameterTable(Sequence[FilterParameters]):
 
 
 def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[NDArray[np.intp], ParameterTable]]:
-    """Tables of the sets of each model and choice of measurements, and the indices of each table's sets."""
+    """Tables of the sets of each kernel and choice of measurements, and the indices of each table's sets."""
     if isinstance(parameter_sets, ParameterTable):
         return [(np.arange(len(parameter_sets)), parameter_sets)]
-    alike: dict[tuple[ModelName, Switches], list[int]] = {}
+    alike: dict[tuple[str, Switches], list[int]] = {}
     for i, p in enumerate(parameter_sets):
-        alike.setdefault((p.model, switches(p)), []).append(i)
+        alike.setdefault((kernel_name(p.model, p.kind), switches(p)), []).append(i)
     return [(np.array(at), ParameterTable.of([parameter_sets[i] for i in at])) for at in alike.values()]

@@ -23,6 +23,9 @@ ATTITUDE = (8, 9, 4)
 """The places of the error about east, north and up, those of roll, pitch and theta."""
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
 """The places of the biases: forward, left; and about forward, left, up."""
+STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
+"""The states whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Any
+square root is right. With these states fixed, process and measurements are linear in all others."""
 N = 12
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
@@ -102,6 +105,18 @@ def minus(state: Array, other: Array) -> Array:
     error = state - other
     error[[*ATTITUDE]] = turn_of(rotation(state) @ rotation(other).T)
     return error
+
+
+def nearest(error: Array, near: Array) -> Array:
+    """The error (12,) that turns by the same rotation, whole turns more or less, and is nearest to another."""
+    vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
+    angle = np.linalg.norm(vector)
+    if not angle > 0:
+        return error
+    turns = np.round((vector @ other / angle - angle) / (2 * np.pi))
+    new = error.copy()
+    new[[*ATTITUDE]] = vector * (1 + 2 * np.pi * turns / angle)
+    return new
 
 
 def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:

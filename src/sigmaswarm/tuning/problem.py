@@ -15,6 +15,7 @@ from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.compiled.layout import kernel_name
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_named_axes
@@ -293,7 +294,8 @@ def car_problem(
     _check_columns(have, config)
     replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
     data = dataset.map(described)
-    run_kernel(config.model)  # written out here, before threads start that would all wait for it
+    # Written out here, before threads start that would all wait for it.
+    run_kernel(kernel_name(config.model, config.kind))
     return CarProblem(config, space or car_space(config, usual_interval(have)), data, replays)
 
 

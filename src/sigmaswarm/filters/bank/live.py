@@ -23,7 +23,7 @@ from sigmaswarm.filters.bank.search import SCALED, Evidence, Found, Steps, searc
 from sigmaswarm.filters.bank.spread import FIXED, START, Spread
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, kernel_name, state_rows
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
 from sigmaswarm.filters.divergence import DivergenceMonitor
@@ -197,6 +197,7 @@ class LiveFilterBank(LiveFilter):
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets * self.spread.lasting
         self._model: ModelName = parameters.model
+        self._kernel = kernel_name(parameters.model, parameters.kind)
         self._settled = len(self._memory.arrays.history)  # as many samples back nothing changes any more
         self._memory = self._with_lanes(nominal_interval)
         self._belief[live.BELIEVES_TIMES] = believe_times
@@ -207,7 +208,9 @@ class LiveFilterBank(LiveFilter):
         self._pending: _Pending | None = None
         self._due = initial.time + SEARCH_EVERY
         self._n_begun = 0
-        Steps(self._model, np.empty((0, N_TAPE)), np.zeros(3)).run(self._rows_of(self._numbers)[:, :8].copy())
+        Steps(self._kernel, np.empty((0, N_TAPE)), np.zeros(3)).run(
+            self._rows_of(self._numbers)[:, :8].copy()
+        )
         again_call()
 
     def _with_lanes(self, nominal_interval: float) -> Memory:
@@ -221,7 +224,7 @@ class LiveFilterBank(LiveFilter):
         longer = np.zeros((self._settled + live.MARK_EVERY, live.N_RECORD))
         marks = np.zeros((len(longer) // live.MARK_EVERY + 2, swarm.MARKED))
         arrays = of_one._replace(belief=wider, history=longer, marks=marks)
-        return Memory(swarm_step(self._model), arrays)
+        return Memory(swarm_step(self._kernel), arrays)
 
     @property
     def _numbers(self) -> Array:
@@ -312,7 +315,7 @@ class LiveFilterBank(LiveFilter):
         self._n_begun += 1
         was = int(begins.ancestors[leads])
         lever = self._belief[live.LEVER].copy()
-        steps = Steps(self._model, self._tape(begins.taped, here.taped), lever)
+        steps = Steps(self._kernel, self._tape(begins.taped, here.taped), lever)
         chance = self._seed, self._n_begun
         return _Pending.begun(
             *(here.taped, leads, self.spread, steps, begins.lanes[:, was]),
@@ -377,7 +380,7 @@ class LiveFilterBank(LiveFilter):
 
     def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
         """The result of a search, (N_KEPT,), after the steps since its replay; and its evidence."""
-        steps = Steps(self._model, since, self._belief[live.LEVER].copy())
+        steps = Steps(self._kernel, since, self._belief[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
 

@@ -23,10 +23,21 @@ BLOCKS = 2
 """A run may take so many times LANES: the lanes from LANES on stand in rows of their own, behind all of the first."""
 
 
-def most_lanes(model: str) -> int:
+UNSCENTED = "tilted12, unscented"
+"""The kernel of tilted12's filters with sigma points."""
+KERNELS = {**MODELS, UNSCENTED: MODELS["tilted12"]}
+"""The model of each kernel, by the kernel's name. A planar model's kernel runs all types of filters."""
+
+
+def kernel_name(model: str, kind: str) -> str:
+    """The kernel that runs a model as a type of filter."""
+    return UNSCENTED if model == "tilted12" and kind != "ekf" else model
+
+
+def most_lanes(kernel: str) -> int:
     """Filters that a run takes at once: many, for they hide what each waits for, but all in a core's nearest cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
-    return LANES if MODELS[model].tilts or uncompiled else BLOCKS * LANES
+    return LANES if KERNELS[kernel].tilts or uncompiled else BLOCKS * LANES
 
 
 def lanes_for(n_sets: int) -> int:
@@ -87,8 +98,13 @@ SCRATCH = (
     "NU1", "NU2",  # nu of the last fix, for whoever records it
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
+    # The unscented filter's: the square root of P, what its points give, the centre's vertical acceleration, and the
+    # quaternion of a point. See `tilted12_unscented`.
+    *(f"ROOT{k}" for k in range(48)), *(f"PIVOT{k}" for k in range(6)), *(f"SLOPE{k}" for k in range(30)),
+    *(f"BEND{k}" for k in range(30)), *(f"SHIFT{k}" for k in range(5)), *(f"EXTRA{k}" for k in range(25)),
+    "UPWARD", "POINT_FAR", "POINT_W", "POINT_X", "POINT_Y", "POINT_Z",
     # What a smoother needs of a step: the prediction, and what moved the state. See `tape`.
-    *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(12)),
+    *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(26)),
 )  # fmt: skip
 
 _BLOCKS = {
@@ -103,6 +119,7 @@ N_ROWS = len(NAMES)
 R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
 """Each row's number under its name."""
 P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
+ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0, R.PIVOT0
 """First rows: P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i, the others' i-th in row Q0 + i and so on."""
 
 
@@ -116,10 +133,10 @@ N_STATE: int = STATE_ROWS.stop
 
 
 @cache
-def state_rows(model: str) -> NDArray[np.intp]:
+def state_rows(kernel: str) -> NDArray[np.intp]:
     """The rows that hold a model's state: mean (n,), quaternion (4,) if any, upper triangle of the covariance."""
-    n = len(MODELS[model].states)
-    quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if MODELS[model].tilts else ()
+    n = len(KERNELS[kernel].states)
+    quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if KERNELS[kernel].tilts else ()
     return np.array([*range(n), *quaternion, *range(P0, P0 + n * (n + 1) // 2)], dtype=np.intp)
 
 

@@ -16,16 +16,21 @@ import math
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, KERNELS, LANES, Q0, SLOPE, UNSCENTED, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
     fold,
     measure_fix_tilted,
     measure_lateral_tilted,
     measure_odometer_tilted,
 )
+from sigmaswarm.filters.compiled.tilted12_unscented import (
+    OUTPUTS,
+    measure_fix_unscented,
+    measure_lateral_unscented,
+    measure_odometer_unscented,
+)
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
-from sigmaswarm.filters.models import CarModel
 from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
     FORECAST_DOF,
@@ -157,7 +162,7 @@ def _turn_lever(w, lever_x, lever_y):
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
 
-def _keep_digits(w, *, n, tilted):
+def _keep_digits(w, *, n, tilted, unscented):
     """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
     P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position, -latency at
@@ -165,14 +170,23 @@ def _keep_digits(w, *, n, tilted):
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0
-        tau, je, jn = w[R.LATENCY, l], w[R.JEAST, l], w[R.JNORTH, l]
+        if unscented == 0:
+            tau, je, jn = w[R.LATENCY, l], w[R.JEAST, l], w[R.JNORTH, l]
+        else:
+            tau, je, jn = w[R.LATENCY, l], w[SLOPE, l], w[SLOPE + 1, l]
         r1, r12, r2 = w[R.GEE, l], w[R.GEN, l], w[R.GNN, l]
         for j in (*range(2, n), 0, 1):
             gain_1 = w[C1 + j, l] * w[R.G11, l] + w[C2 + j, l] * w[R.G12, l]
             gain_2 = w[C1 + j, l] * w[R.G12, l] + w[C2 + j, l] * w[R.G22, l]
             x = gain_1 * r1 + gain_2 * r12 + tau * w[at(j, R.U), l] - je * w[at(j, R.T), l]
             y = gain_1 * r12 + gain_2 * r2 + tau * w[at(j, R.V), l] - jn * w[at(j, R.T), l]
-            if tilted:
+            if unscented:
+                x -= w[SLOPE + OUTPUTS, l] * w[at(j, R.I), l] + w[SLOPE + OUTPUTS * 2, l] * w[at(j, R.J), l]
+                y -= (
+                    w[SLOPE + OUTPUTS + 1, l] * w[at(j, R.I), l]
+                    + w[SLOPE + OUTPUTS * 2 + 1, l] * w[at(j, R.J), l]
+                )
+            elif tilted:
                 x -= w[R.LEVER_UP, l] * w[at(j, R.J), l]
                 y += w[R.LEVER_UP, l] * w[at(j, R.I), l]
             if j != R.Y:
@@ -477,19 +491,27 @@ def _absorb_two(w, *, n, tilted):
         fold(w)
 
 
-def absorbers(model: CarModel, note_prior=None):
-    """`forecast_fix` and the five `absorb_...` functions, compiled for a model; for `note_prior` see `tape`."""
+def absorbers(name: str, note_prior=None):
+    """`forecast_fix` and the five `absorb_...` functions of a kernel's name; for `note_prior` see `tape`."""
+    model, unscented = KERNELS[name], int(name == UNSCENTED)
     ready = {
         "note_prior": note_prior,
         "n": len(model.states),
         "gyro_biases": tuple(model.gyro_axes.values()),
-        "adaptive": int("adaptive-ukf" in model.kinds),
+        "adaptive": int(name in ("planar5", "planar8", UNSCENTED)),
         "tilted": int(model.tilts is not None),
+        "unscented": unscented,
     }
     parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _weigh)
     parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
     parts += () if ready["tilted"] else (_measure_fix,)
-    if ready["tilted"]:
+    if unscented:
+        ready["_measure_fix"] = measure_fix_unscented
+        ready["measure_lateral"], ready["measure_odometer"] = (
+            measure_lateral_unscented,
+            measure_odometer_unscented,
+        )
+    elif ready["tilted"]:
         ready["_measure_fix"] = measure_fix_tilted
         ready["measure_lateral"], ready["measure_odometer"] = (
             measure_lateral_tilted,

@@ -19,11 +19,10 @@ from numba import njit
 
 from sigmaswarm.compilation import once
 from sigmaswarm.filters.compiled.lanes import OPTIONS
-from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
+from sigmaswarm.filters.compiled.layout import KERNELS, QUATERNION, UNSCENTED, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.models import MODELS
-from sigmaswarm.filters.tilted import GRAVITY
+from sigmaswarm.filters.tilted import GRAVITY, STEP_FIRST
 
 
 def _plain(function, **known):
@@ -72,7 +71,33 @@ def _moved_tilted12(move, p, ap):
             ap[a, c] = p[a, c]
 
 
-_MOVED = {"planar5": _moved_planar5, "planar8": _moved_planar8, "tilted12": _moved_tilted12}
+def _moved_unscented(move, p, ap, *, first):
+    """A P, of the error: what makes it are the rows D and the slopes."""
+    h = 0.5 * move[0]
+    for c in range(12):
+        vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
+        vy = p[3, c] - move[3] * p[5, c] - move[4] * p[6, c]
+        e, n, up = p[8, c], p[9, c], p[4, c]
+        for i in range(6):
+            q = p[first[i], c]
+            vx += move[5 + i] * q
+            vy += move[11 + i] * q
+            if i < 3:
+                e += move[17 + i] * q
+                n += move[20 + i] * q
+                up += move[23 + i] * q
+        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
+        ap[2, c], ap[3, c], ap[8, c], ap[9, c], ap[4, c] = vx, vy, e, n, up
+        for a in (5, 6, 7, 10, 11):
+            ap[a, c] = p[a, c]
+
+
+_MOVED = {
+    "planar5": _moved_planar5,
+    "planar8": _moved_planar8,
+    "tilted12": _moved_tilted12,
+    UNSCENTED: _plain(_moved_unscented, first=STEP_FIRST),
+}
 
 
 def _spread(state, p, *, n, first):
@@ -205,26 +230,27 @@ def _backwards(sources, *, n, step_back):
 
 
 @once
-def _kernel_of(model):
-    n, tilted = len(MODELS[model].states), int(MODELS[model].tilts is not None)
+def _kernel_of(name):
+    model = KERNELS[name]
+    n, tilted = len(model.states), int(model.tilts is not None)
     first = n + (len(QUATERNION) if tilted else 0)
 
     def known():
         step_back = _plain(
-            _step_back, n=n, n_state=len(state_rows(model)), first=first, tilted=tilted, moved=_MOVED[model],
+            _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, moved=_MOVED[name],
             spread=_plain(_spread, n=n, first=first), solve=_plain(_solve, n=n),
         )  # fmt: skip
         return {"n": n, "step_back": step_back}
 
-    return cached_by_sources(_backwards, f"{model}, backwards", known)
+    return cached_by_sources(_backwards, f"{name}, backwards", known)
 
 
-def smooth_back(model, tape, start, ends, started, sampled, behind, out):
+def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     """Smooth the steps on a tape, from what is known in hindsight behind the last one.
 
     Parameters
     ----------
-    model : its name
+    name : that of the kernel that ran forward
     tape : (k, t) `tape.taped_rows` of each step
     start : (s,) the filter's state before the first one: its `state_rows`
     ends, started : (a,) int, (a, s) the steps behind which the filter started anew, and its state then: what lies
@@ -233,4 +259,4 @@ def smooth_back(model, tape, start, ends, started, sampled, behind, out):
     behind : (s,) changed: what is known in hindsight, behind the last step and then before the first
     out : (r, s) written: what is known at the ends asked for
     """
-    _kernel_of(model)(tape, start, ends, started, sampled, behind, out)
+    _kernel_of(name)(tape, start, ends, started, sampled, behind, out)

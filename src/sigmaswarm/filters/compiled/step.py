@@ -7,12 +7,12 @@ from functools import cache
 from sigmaswarm.drives.timeline import DT, GAP
 from sigmaswarm.filters.compiled import robot_localization, tape
 from sigmaswarm.filters.compiled.lanes import kernel
-from sigmaswarm.filters.compiled.layout import LANES, R
+from sigmaswarm.filters.compiled.layout import KERNELS, LANES, UNSCENTED, R
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
 from sigmaswarm.filters.compiled.tilted12 import predict_tilted12, settle
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.compiled.tilted12_unscented import predict_unscented
 from sigmaswarm.filters.schedule import (
     COMPARED,
     FIX,
@@ -83,16 +83,17 @@ _PREDICTIONS = {
     "planar5": (predict_planar5, None),
     "planar8": (predict_planar8, None),
     "tilted12": (predict_tilted12, settle),
+    UNSCENTED: (predict_unscented, settle),
 }
 
 
 @cache
 def step_of(name, *, noted=False):
-    """A step of LANES filters of a model, to be written into what is compiled.
+    """A step of LANES filters of a kernel's name, to be written into what is compiled.
 
     ``noted``: it leaves in the rows of the first lane what a smoother needs of it: see `tape`.
     """
-    model = MODELS[name]
+    model = KERNELS[name]
     if model.measures_imu:
         return robot_localization.step
     predict, settle = _PREDICTIONS[name]
@@ -104,5 +105,5 @@ def step_of(name, *, noted=False):
         note_move=tape.note_move(name) if noted else None,
         note_prior=note_prior,
         grow=kernel(_grow, tilted=int(model.tilts is not None)),
-        **absorbers(model, note_prior=note_prior),
+        **absorbers(name, note_prior=note_prior),
     )

@@ -12,7 +12,8 @@ k J g0 + m t in place of J g0. The few numbers that make A are noted here, in ro
 import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import kernel
-from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, R, state_rows
+from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, SLOPE, UNSCENTED, R, state_rows
+from sigmaswarm.filters.compiled.tilted12_unscented import OUTPUTS
 
 MOVES = {
     "planar5": (R.JEAST, R.JNORTH),
@@ -21,14 +22,19 @@ MOVES = {
         *(R.EAST, R.NORTH),
         *(R.D11, R.D12, R.D13, R.D21, R.D22, R.D23, R.D31, R.D32, R.D33),
     ),
+    UNSCENTED: (
+        *(R.D11, R.D12, R.D21, R.D22),
+        *(SLOPE + OUTPUTS * column + output for output in (0, 1) for column in range(6)),
+        *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
+    ),
 }
-"""By model: the rows that make A beside the step's length, all in proportion to it."""
+"""By kernel: the rows that make A beside the step's length, all in proportion to it."""
 
 
-def taped_rows(model):
+def taped_rows(name):
     """The rows of a step on tape: the state behind it, the prediction, the step's length and what else makes A."""
-    state = state_rows(model)
-    return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + 1 + len(MOVES[model]))], dtype=np.intp)
+    state = state_rows(name)
+    return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + 1 + len(MOVES[name]))], dtype=np.intp)
 
 
 def _note_move(w, dt, *, places, moves):
@@ -44,11 +50,11 @@ def _note_prior(w, *, state):
             w[PRIOR + row, l] = w[row, l]
 
 
-def note_move(model):
+def note_move(name):
     """The kernel that notes what makes A, right after a prediction."""
-    return kernel(_note_move, places=range(len(MOVES[model])), moves=MOVES[model])
+    return kernel(_note_move, places=range(len(MOVES[name])), moves=MOVES[name])
 
 
-def note_prior(model):
+def note_prior(name):
     """The kernel that notes the prediction: before a measurement, and again where P is stretched for one."""
-    return kernel(_note_prior, state=tuple(int(row) for row in state_rows(model)))
+    return kernel(_note_prior, state=tuple(int(row) for row in state_rows(name)))

@@ -3,6 +3,8 @@
 `compiled/run.py` does the same; tests compare the two, one step at a time.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
@@ -36,7 +38,7 @@ from sigmaswarm.filters.textbook.manifold import (
     Manifold,
     ManifoldUnscentedKalmanFilter,
 )
-from sigmaswarm.filters.tilted import ATTITUDE
+from sigmaswarm.filters.tilted import ATTITUDE, MEASURED_FIRST, STEP_FIRST
 
 
 class TextbookCar:
@@ -73,7 +75,8 @@ class TextbookCar:
         mean, covariance = start_of(initial, p)
         self.model = MODELS[p.model]
         require_axes(timeline.drive, p.model)
-        points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,) if heading_first else ())
+        first = STEP_FIRST if self.model.tilts else (THETA,)
+        points = SigmaPoints(p.alpha, p.beta, p.kappa, first=first if heading_first else ())
         self.filter = _filter(
             self.model,
             self.model.position(timeline.lever.tolist(), p.latency),
@@ -166,9 +169,10 @@ def _filter(
     """The filter of a model: unscented with sigma points, else extended; on a manifold where the model has tilts."""
     f, tilts = model.process, model.tilts
     if tilts:
-        manifold = Manifold(tilts.plus, tilts.minus)
+        manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)
         if points:
-            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, manifold, points)
+            measured = replace(points, first=MEASURED_FIRST if points.first else ())
+            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, manifold, points, measured=measured)
         return ErrorStateKalmanFilter(f, tilts.transition, h, mean, covariance, manifold)
     if points:
         redraw = redraw_sigma_points

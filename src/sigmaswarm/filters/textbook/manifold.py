@@ -28,10 +28,13 @@ class Manifold:
         ``plus(state, error) -> state``
     minus : callable
         ``minus(state, other) -> error``: plus(other, minus(state, other)) is the state.
+    nearest : callable
+        ``nearest(error, near) -> error``: of the errors that lead to the same state, the one nearest to ``near``.
     """
 
     plus: Retraction
     minus: Retraction
+    nearest: Retraction
 
 
 class _OnManifold(GaussianFilter):
@@ -94,7 +97,10 @@ class ErrorStateKalmanFilter(_OnManifold):
 
 
 class ManifoldUnscentedKalmanFilter(_OnManifold):
-    """UKF-M: sigma points are errors, added to the mean; parameters as in `ErrorStateKalmanFilter`."""
+    """UKF-M: sigma points are errors, added to the mean; parameters as in `ErrorStateKalmanFilter`.
+
+    ``measured``: sigma points of measurements, if these differ from those of the process.
+    """
 
     def __init__(
         self,
@@ -104,17 +110,21 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
         covariance: Array,
         manifold: Manifold,
         points: SigmaPoints,
+        *,
+        measured: SigmaPoints | None = None,
     ) -> None:
         super().__init__(f, h, mean, covariance, manifold)
-        self.points = points
+        self.points, self.measured = points, measured or points
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """x' = f(x) plus the mean error; P' is the spread of the errors around it, and Q."""
         wm, wc = self.points.weights(len(self.mean))
         centre = self.f(self.mean, dt, u)
-        drawn = self._errors()
-        sigmas = [self.manifold.plus(self.mean, error) for error in drawn]
-        errors = np.array([self.manifold.minus(self.f(s, dt, u), centre) for s in sigmas])
+        drawn = self.points.draw(np.zeros(len(self.mean)), self.covariance)
+        moved = [self.f(self.manifold.plus(self.mean, error), dt, u) for error in drawn]
+        # An error may be a rotation by more than half a turn; its change in one step may not.
+        each = zip(moved, drawn, strict=True)
+        errors = np.array([self.manifold.nearest(self.manifold.minus(s, centre), e) for s, e in each])
         shift = wm @ errors
         spread = errors - shift
         self.mean = self.manifold.plus(centre, shift)
@@ -126,15 +136,10 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
     ) -> Innovation:
         """nu, S and C from the sigma points."""
         h = h or self.h
-        wm, wc = self.points.weights(len(self.mean))
-        predicted = np.array([h(s) for s in self._sigmas()])
+        wm, wc = self.measured.weights(len(self.mean))
+        drawn = self.measured.draw(np.zeros(len(self.mean)), self.covariance)
+        predicted = np.array([h(self.manifold.plus(self.mean, error)) for error in drawn])
         centre = wm @ (predicted - predicted[0]) + predicted[0]
         spread = predicted - centre
         s = (spread.T * wc) @ spread + measurement_noise
-        return Innovation(measurement - centre, s, (self._errors().T * wc) @ spread, measurement_noise)
-
-    def _errors(self) -> Array:
-        return self.points.draw(np.zeros(len(self.mean)), self.covariance)
-
-    def _sigmas(self) -> list[Array]:
-        return [self.manifold.plus(self.mean, error) for error in self._errors()]
+        return Innovation(measurement - centre, s, (drawn.T * wc) @ spread, measurement_noise)

@@ -1,0 +1,518 @@
+"""tilted12's unscented filter; read it beside `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
+
+Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Any square root L of P is right for
+them; take the one with the states first that do not enter linearly, in the order of `tilted.STEP_FIRST` and
+`MEASURED_FIRST`. Then its other columns move states that enter linearly while those are fixed: position, velocity and
+the accelerometer's biases. Only the first columns need points:
+
+- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these turn as
+  the centre does, so their error stays as it is, and the acceleration is that of the centre, turned in closed form.
+- In a fix, the attitude, which turns the lever arm, also in closed form.
+- In the lateral constraint and the odometer, the attitude, which turns the velocity.
+
+Write a function of the state as its linear part plus r, which is 0 at the centre and at all points that are not drawn.
+With r+ and r- at the points of column c, gamma^2 = alpha^2 (n + kappa), the slope d = (r+ - r-) / (2 gamma) and the
+bend t = (r+ + r-) / (2 gamma^2), adding up the sigma points gives
+
+    mean of r  = mu = sum of t
+    Cov(s, r)  = sum of L_c d^T = P[:, drawn] H,   with L_drawn^T H = d
+    Cov(r)     = H^T P[drawn, drawn] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
+
+The turned vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
+|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part with H added to it takes the place of the Jacobian,
+the last two terms of Cov(r) are added to the covariance, and the rest is as in `tilted12`. H stands in rows SLOPE, mu
+in SHIFT, those two terms in EXTRA.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+import numpy as np
+
+from sigmaswarm.drives.odometer import AGE, MORE, SPEED
+from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
+from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
+from sigmaswarm.filters.compiled.layout import (
+    BEND,
+    C1,
+    C2,
+    EXTRA,
+    LANES,
+    PIVOT,
+    Q0,
+    ROOT,
+    SHIFT,
+    SLOPE,
+    R,
+    at,
+)
+from sigmaswarm.filters.compiled.tilted12 import COLUMNS, ROWS, _half_turn, _move, fold, fp
+from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
+
+ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
+"""The states whose step is not linear, in the order of its outputs; those that follow the first two."""
+WIDTH, OUTPUTS = 6, 5
+"""Numbers of a state in the rows ROOT, and of a column in SLOPE and BEND."""
+
+
+def _root(w, *, order, columns):
+    """The first columns of the square root of P, of the states in ``order``; 0 above its diagonal."""
+    for l in range(LANES):
+        for j in range(columns):
+            for i in range(j, len(order)):
+                rest = w[at(order[i], order[j]), l]
+                for k in range(j):
+                    rest -= w[ROOT + WIDTH * i + k, l] * w[ROOT + WIDTH * j + k, l]
+                if i == j:
+                    pivot = math.sqrt(rest)
+                    one = 1.0 / pivot
+                    w[ROOT + WIDTH * j + j, l], w[PIVOT + j, l] = pivot, one
+                else:
+                    w[ROOT + WIDTH * i + j, l] = one * rest
+            for i in range(j):
+                w[ROOT + WIDTH * i + j, l] = 0.0
+
+
+def _linearize(w, *, columns):
+    """H in place of the slopes, mu, and what the bends add to the covariance; ``columns`` of each output."""
+    for l in range(LANES):
+        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
+        spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
+        for k in range(len(columns)):
+            shift = 0.0
+            for j in range(columns[k] - 1, -1, -1):
+                slope = w[SLOPE + OUTPUTS * j + k, l]
+                for i in range(j + 1, columns[k]):
+                    slope -= w[ROOT + WIDTH * i + j, l] * w[SLOPE + OUTPUTS * i + k, l]
+                w[SLOPE + OUTPUTS * j + k, l] = w[PIVOT + j, l] * slope
+                shift += w[BEND + OUTPUTS * j + k, l]
+            w[SHIFT + k, l] = shift
+        for i in range(len(columns)):
+            for k in range(i, len(columns)):
+                extra = 0.0
+                for j in range(min(columns[i], columns[k])):
+                    extra += w[BEND + OUTPUTS * j + i, l] * w[BEND + OUTPUTS * j + k, l]
+                w[EXTRA + OUTPUTS * i + k, l] = gamma2 * extra + spread * w[SHIFT + i, l] * w[SHIFT + k, l]
+
+
+# ---- Prediction ----
+
+
+def _product(a0, a1, a2, a3, w, l):
+    """The quaternion of the point in rows POINT times a."""
+    p0, p1, p2, p3 = w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l]
+    return (
+        p0 * a0 - p1 * a1 - p2 * a2 - p3 * a3,
+        p0 * a1 + p1 * a0 + p2 * a3 - p3 * a2,
+        p0 * a2 - p1 * a3 + p2 * a0 + p3 * a1,
+        p0 * a3 + p1 * a2 - p2 * a1 + p3 * a0,
+    )
+
+
+def _turned(x, y, z, w, l):
+    """A vector of the body at the middle of the step in the local frame, times the step."""
+    return (
+        w[R.D11, l] * x + w[R.D12, l] * y + w[R.D13, l] * z,
+        w[R.D21, l] * x + w[R.D22, l] * y + w[R.D23, l] * z,
+        w[R.D31, l] * x + w[R.D32, l] * y + w[R.D33, l] * z,
+    )
+
+
+def _sinc_cos_far(z):
+    """As `sinc_cos`, of any angle."""
+    angle = math.sqrt(z) + TINY
+    sine, cos = sincos(angle)
+    return sine / angle, cos
+
+
+def _rotation_vector(q0, q1, q2, q3, x, y, z):
+    """The rotation vector of a quaternion whose vector is shorter than 1/2, by fdlibm's arcsine (e_asin.c)."""
+    z = q1 * q1 + q2 * q2 + q3 * q3
+    p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
+    z3 = z * z * z
+    p += (
+        z3
+        * z
+        * (-4.00555345006794114027e-02 + z * (7.91534994289814532176e-04 + z * 3.47933107596021167570e-05))
+    )
+    q = 1.0 + z * (-2.40339491173441421878e00 + z * 2.02094576023350569471e00)
+    q += z3 * (-6.88283971605453293030e-01 + z * 7.70381505559019352791e-02)
+    k = 2.0 + 2.0 * p / q
+    return k * q1, k * q2, k * q3
+
+
+def _rotation_vector_far(q0, q1, q2, q3, x, y, z):
+    """The rotation vector of a quaternion, among those of the same rotation the nearest to (x, y, z)."""
+    length = math.sqrt(q1 * q1 + q2 * q2 + q3 * q3) + TINY
+    sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length
+    half = angle_of(sine, q0)
+    near = 0.5 * math.sqrt(x * x + y * y + z * z)
+    half += (2.0 * math.pi) * np.floor((near - half) * (0.5 / math.pi) + 0.5)
+    k = 2.0 * half / sine
+    return k * q1, k * q2, k * q3
+
+
+def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
+    """r of a point of column j: of the acceleration times the step, east and north, and of the error after it."""
+    step = 4.0 * sign * w[R.QUARTER_GAMMA, l]
+    bx, by, bz = (
+        quarter * step * w[ROOT + WIDTH + j, l],
+        quarter * step * w[ROOT + WIDTH * 2 + j, l],
+        quarter * step * w[ROOT + j, l],
+    )
+    # Quaternions of half the turn: v, and v0 of the centre. v0^-1 v has the vector p + c, and v v0^-1 has p - c.
+    x, y, z = w[R.HALF_X, l] - bx, w[R.HALF_Y, l] - by, w[R.HALF_Z, l] - bz
+    k, d = sinc_cos(x * x + y * y + z * z)
+    x, y, z = k * x, k * y, k * z
+    d0, x0, y0, z0 = w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l]
+    px, py, pz = d0 * x - d * x0, d0 * y - d * y0, d0 * z - d * z0
+    cx, cy, cz = k * (bz * y0 - by * z0), k * (bx * z0 - bz * x0), k * (by * x0 - bx * y0)
+    m0 = d * d0 + x * x0 + y * y0 + z * z0
+    m1, m2, m3 = _turned(per_dt * (px + cx), per_dt * (py + cy), per_dt * (pz + cz), w, l)
+    twice = 2.0 * per_dt
+    q0 = 1.0 - 2.0 * (px * px + py * py + pz * pz)
+    q1, q2, q3 = _turned(
+        twice * (m0 * px + (cy * pz - cz * py)),
+        twice * (m0 * py + (cz * px - cx * pz)),
+        twice * (m0 * pz + (cx * py - cy * px)),
+        w,
+        l,
+    )
+    m0, m1, m2, m3 = _product(m0, m1, m2, m3, w, l)
+    q0, q1, q2, q3 = _product(q0, q1, q2, q3, w, l)
+    ex, ey, ez = (
+        step * w[ROOT + WIDTH * 4 + j, l],
+        step * w[ROOT + WIDTH * 5 + j, l],
+        step * w[ROOT + WIDTH * 3 + j, l],
+    )
+    east, north, up = rotation_vector(q0, q1, q2, q3, ex, ey, ez)
+    # (M - 1) a = 2 m x (m x a + m0 a)
+    fx, fy = step * w[ROOT + WIDTH * 6 + j, l], step * w[ROOT + WIDTH * 7 + j, l]
+    ax = w[R.EAST, l] - (w[R.D11, l] * fx + w[R.D12, l] * fy)
+    ay = w[R.NORTH, l] - (w[R.D21, l] * fx + w[R.D22, l] * fy)
+    az = w[R.UPWARD, l] - (w[R.D31, l] * fx + w[R.D32, l] * fy)
+    cx, cy, cz = m2 * az - m3 * ay + m0 * ax, m3 * ax - m1 * az + m0 * ay, m1 * ay - m2 * ax + m0 * az
+    return 2.0 * (m2 * cz - m3 * cy), 2.0 * (m3 * cx - m1 * cz), east - ex, north - ey, up - ez
+
+
+def _chosen(new, w, l, row):
+    """A number of a point far from the centre, else what stands in a row."""
+    return new if w[R.POINT_FAR, l] > 0.0 else w[row, l]
+
+
+def _draw(w, u, *, j, far, point, sinc_cos):
+    """Slopes and bends of column j of the root, from its two points."""
+    quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
+    for l in range(LANES):
+        gamma = 4.0 * w[R.QUARTER_GAMMA, l]
+        x, y, z = w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
+        k, c = sinc_cos(0.25 * gamma * gamma * (x * x + y * y + z * z))
+        k = 0.5 * gamma * k
+        w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = c, k * x, k * y, k * z
+        a0, a1, a2, a3, a4 = point(w, l, 1.0, quarter, per_dt)
+        w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = -k * x, -k * y, -k * z
+        b0, b1, b2, b3, b4 = point(w, l, -1.0, quarter, per_dt)
+        one = 0.5 / gamma
+        two = one / gamma
+        d0, d1, d2, d3, d4 = (
+            one * (a0 - b0),
+            one * (a1 - b1),
+            one * (a2 - b2),
+            one * (a3 - b3),
+            one * (a4 - b4),
+        )
+        t0, t1, t2, t3, t4 = (
+            two * (a0 + b0),
+            two * (a1 + b1),
+            two * (a2 + b2),
+            two * (a3 + b3),
+            two * (a4 + b4),
+        )
+        if far:
+            d0, t0 = _chosen(d0, w, l, SLOPE + OUTPUTS * j), _chosen(t0, w, l, BEND + OUTPUTS * j)
+            d1, t1 = _chosen(d1, w, l, SLOPE + OUTPUTS * j + 1), _chosen(t1, w, l, BEND + OUTPUTS * j + 1)
+            d2, t2 = _chosen(d2, w, l, SLOPE + OUTPUTS * j + 2), _chosen(t2, w, l, BEND + OUTPUTS * j + 2)
+            d3, t3 = _chosen(d3, w, l, SLOPE + OUTPUTS * j + 3), _chosen(t3, w, l, BEND + OUTPUTS * j + 3)
+            d4, t4 = _chosen(d4, w, l, SLOPE + OUTPUTS * j + 4), _chosen(t4, w, l, BEND + OUTPUTS * j + 4)
+        w[SLOPE + OUTPUTS * j, l], w[BEND + OUTPUTS * j, l] = d0, t0
+        w[SLOPE + OUTPUTS * j + 1, l], w[BEND + OUTPUTS * j + 1, l] = d1, t1
+        w[SLOPE + OUTPUTS * j + 2, l], w[BEND + OUTPUTS * j + 2, l] = d2, t2
+        w[SLOPE + OUTPUTS * j + 3, l], w[BEND + OUTPUTS * j + 3, l] = d3, t3
+        w[SLOPE + OUTPUTS * j + 4, l], w[BEND + OUTPUTS * j + 4, l] = d4, t4
+
+
+def _column(number, far):
+    sinc = _sinc_cos_far if far else sinc_cos
+    vector = _rotation_vector_far if far else _rotation_vector
+    point = unrolled(_point, j=number, sinc_cos=sinc, rotation_vector=vector)
+    return kernel(_draw, j=number, far=far, point=point, sinc_cos=sinc)
+
+
+_draw_0, _draw_1, _draw_2 = (_column(number, far=0) for number in range(3))
+_far_0, _far_1, _far_2 = (_column(number, far=1) for number in range(3))
+_root_of_step = kernel(_root, order=(*STEP_FIRST, R.A, R.B), columns=6)
+_linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
+
+
+@kernel
+def _turn_acceleration(w):
+    """Slopes and bends of the columns of the attitude."""
+    for l in range(LANES):
+        east, north, up = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
+        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
+        for j in range(3, 6):
+            x, y, z = w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            q = 0.5 * quarter_sin2 / (quarter * quarter)
+            fx, fy = -w[ROOT + WIDTH * 6 + j, l], -w[ROOT + WIDTH * 7 + j, l]
+            be, bn, bu = (
+                w[R.D11, l] * fx + w[R.D12, l] * fy,
+                w[R.D21, l] * fx + w[R.D22, l] * fy,
+                w[R.D31, l] * fx + w[R.D32, l] * fy,
+            )
+            ce, cn, cu = y * up - z * north, z * east - x * up, x * north - y * east
+            de, dn, du = y * bu - z * bn, z * be - x * bu, x * bn - y * be
+            w[SLOPE + OUTPUTS * j, l] = k * ce + gamma2 * q * (y * du - z * dn)
+            w[SLOPE + OUTPUTS * j + 1, l] = k * cn + gamma2 * q * (z * de - x * du)
+            w[BEND + OUTPUTS * j, l] = q * (y * cu - z * cn) + k * de
+            w[BEND + OUTPUTS * j + 1, l] = q * (z * ce - x * cu) + k * dn
+
+
+@kernel
+def _unscented_transition(w, u):
+    """H, mu and what is added to the covariance of a step; the mean is moved by mu."""
+    _root_of_step(w)
+    ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
+    far = 0
+    for l in range(LANES):
+        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
+        x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
+        turn = gamma2 * (w[R.TT, l] + w[R.II, l] + w[R.JJ, l])
+        rate = gamma2 * quarter * quarter * (w[R.WW, l] + w[R.KK, l] + w[R.LL, l])
+        near = (turn < 0.8) & (rate < 6e-4) & (x * x + y * y + z * z < 0.5 * FAR)
+        w[R.POINT_FAR, l] = 0.0 if near else 1.0
+        far += not near
+        w[R.UPWARD, l] = w[R.D31, l] * (ax - w[R.A, l]) + w[R.D32, l] * (ay - w[R.B, l]) + w[R.D33, l] * az
+    _draw_0(w, u)
+    _draw_1(w, u)
+    _draw_2(w, u)
+    if far > 0:
+        _far_0(w, u)
+        _far_1(w, u)
+        _far_2(w, u)
+    _turn_acceleration(w)
+    _linearize_step(w)
+    for l in range(LANES):
+        w[R.X, l] += h * w[SHIFT, l]
+        w[R.Y, l] += h * w[SHIFT + 1, l]
+        w[R.U, l] += w[SHIFT, l]
+        w[R.V, l] += w[SHIFT + 1, l]
+        w[R.I, l], w[R.J, l], w[R.T, l] = w[SHIFT + 2, l], w[SHIFT + 3, l], w[SHIFT + 4, l]
+    fold(w)
+
+
+@kernel
+def predict_unscented(w, u):
+    """One step of the process model: as `tilted12.predict_tilted12`, with H in F's place."""
+    _half_turn(w, u)
+    _move(w, u)
+    _unscented_transition(w, u)
+    h, q_scale = 0.5 * u[DT], u[Q_SCALE]
+    for group in COLUMNS:
+        for l in range(LANES):
+            for j in group:
+                pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
+                pa, pb = w[at(R.A, j), l], w[at(R.B, j), l]
+                pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
+                u1 = pu - w[R.D11, l] * pa - w[R.D12, l] * pb
+                v1 = pv - w[R.D21, l] * pa - w[R.D22, l] * pb
+                for i in range(6):
+                    p = w[at(STEP_FIRST[i], j), l]
+                    u1 += w[SLOPE + OUTPUTS * i, l] * p
+                    v1 += w[SLOPE + OUTPUTS * i + 1, l] * p
+                for i in range(3):
+                    p = w[at(STEP_FIRST[i], j), l]
+                    pi += w[SLOPE + OUTPUTS * i + 2, l] * p
+                    pj += w[SLOPE + OUTPUTS * i + 3, l] * p
+                    pt += w[SLOPE + OUTPUTS * i + 4, l] * p
+                w[fp(R.U, j), l], w[fp(R.V, j), l] = u1, v1
+                w[fp(R.X, j), l] = w[at(R.X, j), l] + h * (pu + u1)
+                w[fp(R.Y, j), l] = w[at(R.Y, j), l] + h * (pv + v1)
+                w[fp(R.I, j), l], w[fp(R.J, j), l], w[fp(R.T, j), l] = pi, pj, pt
+    for group in ROWS:
+        for l in range(LANES):
+            for i in group:
+                bu, bv = w[fp(i, R.U), l], w[fp(i, R.V), l]
+                ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
+                u1 = bu - w[R.D11, l] * ba - w[R.D12, l] * bb
+                v1 = bv - w[R.D21, l] * ba - w[R.D22, l] * bb
+                bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
+                for k in range(6):
+                    p = w[fp(i, STEP_FIRST[k]), l]
+                    u1 += w[SLOPE + OUTPUTS * k, l] * p
+                    v1 += w[SLOPE + OUTPUTS * k + 1, l] * p
+                for k in range(3):
+                    p = w[fp(i, STEP_FIRST[k]), l]
+                    bi += w[SLOPE + OUTPUTS * k + 2, l] * p
+                    bj += w[SLOPE + OUTPUTS * k + 3, l] * p
+                    bt += w[SLOPE + OUTPUTS * k + 4, l] * p
+                # Of the pairs among MOVED each comes once, with the one that comes later there in the column.
+                if i == R.X:
+                    w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
+                if i in (R.X, R.Y):
+                    w[at(i, R.Y), l] = w[fp(i, R.Y), l] + h * (bv + v1)
+                if i in (R.X, R.Y, R.U):
+                    w[at(i, R.U), l] = u1
+                if i in (R.X, R.Y, R.U, R.V):
+                    w[at(i, R.V), l] = v1
+                if i not in (R.I, R.J):
+                    w[at(i, R.T), l] = bt
+                if i != R.J:
+                    w[at(i, R.I), l] = bi
+                w[at(i, R.J), l] = bj
+    for l in range(LANES):
+        for i in range(len(ADDED)):
+            for j in range(i, len(ADDED)):
+                w[at(ADDED[i], ADDED[j]), l] += w[EXTRA + OUTPUTS * i + j, l]
+        for i in range(2):
+            for j in range(i, len(ADDED)):
+                w[at(POSITION[i], ADDED[j]), l] += h * w[EXTRA + OUTPUTS * i + j, l]
+        w[at(R.Y, R.U), l] += h * w[EXTRA + 1, l]
+        w[at(R.X, R.X), l] += h * h * w[EXTRA, l]
+        w[at(R.X, R.Y), l] += h * h * w[EXTRA + 1, l]
+        w[at(R.Y, R.Y), l] += h * h * w[EXTRA + OUTPUTS + 1, l]
+        for i in range(N):
+            w[at(i, i), l] += q_scale * w[Q0 + i, l]
+
+
+# ---- Measurements ----
+
+_root_of_rotation = kernel(_root, order=MEASURED_FIRST, columns=3)
+_root_with_velocity = kernel(_root, order=(*MEASURED_FIRST, R.U, R.V), columns=3)
+_linearize_fix = kernel(_linearize, columns=(3, 3))
+_linearize_along = kernel(_linearize, columns=(3,))
+
+
+@kernel
+def measure_fix_unscented(w, z, lever):
+    """z = p + (R lever) - latency v, as `tilted12.measure_fix_tilted`."""
+    zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
+    lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
+    _root_of_rotation(w)
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        tx = q2 * lever_z - q3 * lever_y + q0 * lever_x
+        ty = q3 * lever_x - q1 * lever_z + q0 * lever_y
+        tz = q1 * lever_y - q2 * lever_x + q0 * lever_z
+        east = lever_x + 2.0 * (q2 * tz - q3 * ty)
+        north = lever_y + 2.0 * (q3 * tx - q1 * tz)
+        up = lever_z + 2.0 * (q1 * ty - q2 * tx)
+        tau = w[R.LATENCY, l]
+        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
+        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
+        w[R.N1, l] = zx - (w[R.X, l] - tau * w[R.U, l] + east)
+        w[R.N2, l] = zy - (w[R.Y, l] - tau * w[R.V, l] + north)
+        for j in range(3):
+            a, b, c = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
+            ce, cn, cu = b * up - c * north, c * east - a * up, a * north - b * east
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], a * a + b * b + c * c)
+            q = 0.5 * quarter_sin2 / (quarter * quarter)
+            w[SLOPE + OUTPUTS * j, l], w[SLOPE + OUTPUTS * j + 1, l] = k * ce, k * cn
+            w[BEND + OUTPUTS * j, l] = q * (b * cu - c * cn)
+            w[BEND + OUTPUTS * j + 1, l] = q * (c * ce - a * cu)
+    _linearize_fix(w)
+    for l in range(LANES):
+        tau = w[R.LATENCY, l]
+        w[R.N1, l] -= w[SHIFT, l]
+        w[R.N2, l] -= w[SHIFT + 1, l]
+        w[R.GEE, l], w[R.GEN, l], w[R.GNN, l] = w[EXTRA, l], w[EXTRA + 1, l], w[EXTRA + OUTPUTS + 1, l]
+        for i in range(N):
+            east, north = w[at(i, R.X), l] - tau * w[at(i, R.U), l], w[at(i, R.Y), l] - tau * w[at(i, R.V), l]
+            for k in range(3):
+                p = w[at(i, MEASURED_FIRST[k]), l]
+                east += w[SLOPE + OUTPUTS * k, l] * p
+                north += w[SLOPE + OUTPUTS * k + 1, l] * p
+            w[C1 + i, l], w[C2 + i, l] = east, north
+        s11 = w[C1 + R.X, l] - tau * w[C1 + R.U, l] + w[R.GEE, l]
+        s12 = w[C1 + R.Y, l] - tau * w[C1 + R.V, l] + w[R.GEN, l]
+        s22 = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + w[R.GNN, l]
+        for k in range(3):
+            s11 += w[SLOPE + OUTPUTS * k, l] * w[C1 + MEASURED_FIRST[k], l]
+            s12 += w[SLOPE + OUTPUTS * k + 1, l] * w[C1 + MEASURED_FIRST[k], l]
+            s22 += w[SLOPE + OUTPUTS * k + 1, l] * w[C2 + MEASURED_FIRST[k], l]
+        w[R.S11, l], w[R.S12, l], w[R.S22, l] = s11, s12, s22
+
+
+def _measure_along(w, u, wheels, *, lateral, bias):
+    """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
+    if lateral:
+        shown = u[GZ]
+    else:
+        shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
+    _root_with_velocity(w)
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        if lateral:
+            e0, e1, e2 = 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
+        else:
+            e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
+        c0, c1, c2 = 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
+        vx, vy, climb = w[R.U, l], w[R.V, l], e2 / c2
+        d0, d1 = e0 - climb * c0, e1 - climb * c1  # what the velocity is multiplied by
+        if lateral:
+            arm, noise = w[R.ARM, l], w[R.R_LATERAL, l]
+            w[R.N1, l] = arm * (shown - w[bias, l]) - (d0 * vx + d1 * vy)
+        else:
+            arm, noise = w[R.ODOMETER_LATENCY, l] + age, w[R.R_ODOMETER, l] + more
+            gained = shown - w[bias, l] - GRAVITY * e2
+            w[R.N1, l] = w[R.ODOMETER_SCALE, l] * speed + arm * gained - (d0 * vx + d1 * vy)
+        gamma = 4.0 * w[R.QUARTER_GAMMA, l]
+        for j in range(3):
+            x, y, z = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
+            g = gamma * k
+            oe0, oe1, oe2 = y * e2 - z * e1, z * e0 - x * e2, x * e1 - y * e0
+            oc0, oc1, oc2 = y * c2 - z * c1, z * c0 - x * c2, x * c1 - y * c0
+            te0, te1, te2 = q * (y * oe2 - z * oe1), q * (z * oe0 - x * oe2), q * (x * oe1 - y * oe0)
+            tc0, tc1, tc2 = q * (y * oc2 - z * oc1), q * (z * oc0 - x * oc2), q * (x * oc1 - y * oc0)
+            u1, v1 = gamma * w[ROOT + WIDTH * 3 + j, l], gamma * w[ROOT + WIDTH * 4 + j, l]
+            odd, even = 0.0, 0.0
+            for i in (1, -1):
+                f0, f1, f2 = (
+                    te0 + i * (g * oe0),
+                    te1 + i * (g * oe1),
+                    te2 + i * (g * oe2),
+                )  # changes of the axes
+                a0, a1, a2 = tc0 + i * (g * oc0), tc1 + i * (g * oc1), tc2 + i * (g * oc2)
+                other = c2 + a2
+                steeper = (f2 * c2 - e2 * a2) / (c2 * other)
+                steep = climb + steeper
+                rest = (f0 - steep * a0 - steeper * c0) * (vx + i * u1)
+                rest += (f1 - steep * a1 - steeper * c1) * (vy + i * v1)
+                if lateral == 0:
+                    rest += arm * GRAVITY * f2
+                odd, even = odd + i * rest, even + rest
+            w[SLOPE + OUTPUTS * j, l] = odd * 0.5 / gamma
+            w[BEND + OUTPUTS * j, l] = even * 0.5 / (gamma * gamma)
+        w[R.EAST, l], w[R.NORTH, l], w[R.ALONG, l], w[R.E, l] = d0, d1, arm, noise
+    _linearize_along(w)
+    for l in range(LANES):
+        d0, d1, arm = w[R.EAST, l], w[R.NORTH, l], w[R.ALONG, l]
+        h0, h1, h2 = w[SLOPE, l], w[SLOPE + OUTPUTS, l], w[SLOPE + OUTPUTS * 2, l]
+        w[R.N1, l] -= w[SHIFT, l]
+        for i in range(N):
+            w[C1 + i, l] = (
+                d0 * w[at(i, R.U), l] + d1 * w[at(i, R.V), l] + arm * w[at(i, bias), l]
+                + h0 * w[at(i, R.T), l] + h1 * w[at(i, R.I), l] + h2 * w[at(i, R.J), l]
+            )  # fmt: skip
+        w[R.S11, l] = (
+            d0 * w[C1 + R.U, l] + d1 * w[C1 + R.V, l] + arm * w[C1 + bias, l] + w[EXTRA, l] + w[R.E, l]
+            + h0 * w[C1 + R.T, l] + h1 * w[C1 + R.I, l] + h2 * w[C1 + R.J, l]
+        )  # fmt: skip
+
+
+measure_lateral_unscented = kernel(_measure_along, lateral=1, bias=R.W)
+measure_odometer_unscented = kernel(_measure_along, lateral=0, bias=R.A)
