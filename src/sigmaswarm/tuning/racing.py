@@ -22,12 +22,13 @@ shifted behind the last that went further: they keep their order, and none of th
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.tuning.problem import Landscape
+from sigmaswarm.tuning.problem import Problem
 
 FIRST = 12
 """A race against the best point so far begins with this part of the drives."""
@@ -86,14 +87,14 @@ def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
     return found
 
 
-def leader_at(problem: Landscape, point: Array, executor: Executor | None) -> Leader:
+def leader_at(problem: Problem[Any], point: Array, executor: Executor | None) -> Leader:
     """Run the best point so far, shape (d,), again: a resumed search does not know its costs on each drive."""
     each = problem.each(point[np.newaxis], range(len(problem.steps)), executor)
     return Leader(float(problem.mean(each)[0]), each[0])
 
 
 def race(
-    problem: Landscape,
+    problem: Problem[Any],
     points: Array,
     order: Order,
     executor: Executor | None,

@@ -16,7 +16,7 @@ from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.asktell import AskTell
 from sigmaswarm.tuning.optimizers.budget import Budgeted
-from sigmaswarm.tuning.problem import Landscape
+from sigmaswarm.tuning.problem import Problem
 from sigmaswarm.tuning.racing import MANY, Leader, Raced, leader_at, race
 from sigmaswarm.tuning.store import (
     ResultFolder,
@@ -88,7 +88,7 @@ class Search:
     Attributes
     ----------
     config : SearchConfig
-    problem : Landscape
+    problem : Problem
         The objective.
     executor : concurrent.futures.Executor or None
         Runs the work of a generation; None runs it in this thread.
@@ -99,7 +99,7 @@ class Search:
     """
 
     config: SearchConfig
-    problem: Landscape
+    problem: Problem[Any]
     executor: Executor | None
     folder: ResultFolder | None
     progress: Callable[[Progress], None] | None

@@ -28,7 +28,7 @@ from sigmaswarm.tuning.config import (
     paper_options,
     validated_config,
 )
-from sigmaswarm.tuning.custom import ModelProblem
+from sigmaswarm.tuning.custom import model_problem
 from sigmaswarm.tuning.defaults import settled, with_filter
 from sigmaswarm.tuning.inflation import inflated
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
@@ -201,7 +201,7 @@ def _own_problem(
         raise InputError(f"got a {stray[0]}; tune takes Drives, or Logs together with model=Model(...)")
     config = validated_config(ModelTuneConfig, options | {"model": model.identity()})
     config = settled(config, [*data, *others])
-    return ModelProblem(data, model, config), others, config
+    return model_problem(data, model, config), others, config
 
 
 def _car_problem(data: Dataset, others: Dataset, options: dict[str, Any]) -> tuple[CarProblem, TuneConfig]:
@@ -244,7 +244,7 @@ def _best_of(
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost = trials[best].point, trials[best].cost
     if not np.isfinite(cost):
-        reason = problem.why_none(point) if isinstance(problem, ModelProblem) else None
+        reason = problem.why_none(point)
         raise InputError(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
             + (reason or "look for NaN or wildly wrong values in the drives")

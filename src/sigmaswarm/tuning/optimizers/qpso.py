@@ -3,7 +3,7 @@
 J. Sun, B. Feng and W. Xu, Particle swarm optimization with particles having quantum behavior, Proc. CEC 2004, 325-331;
 J. Sun, W. Xu and B. Feng, A global search strategy of quantum-behaved particle swarm optimization, Proc. IEEE Conf.
 Cybernetics and Intelligent Systems 2004, 111-116: the mean of the personal best positions sets the length of a move,
-and the contraction-expansion coefficient falls linearly from 1 to 0.5. A particle has no velocity. It is drawn from a
+and the contraction-expansion coefficient falls linearly. A particle has no velocity. It is drawn from a
 Laplace distribution about a point between its own best position and the swarm's. Coordinates outside the bounds are
 drawn again.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 
-EXPANSION = (1.0, 0.5)
+EXPANSION = (0.9, 0.4)
 """The coefficient in the first and in the last generation."""
 
 
