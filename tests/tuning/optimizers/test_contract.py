@@ -207,7 +207,7 @@ def test_costs_of_another_shape_are_refused(name: str):
 @pytest.mark.parametrize(
     ("name", "changes", "said"),
     [
-        ("pos", {}, "optimizer = 'pos': not known; choose one of pso, qpso, ga, "),
+        ("pos", {}, "optimizer = 'pos': not known; choose one of pso, ga, "),
         ("de", {"inertia": 0.5}, "inertia: not an option of the optimizer de; it has base, scale, crossover"),
         ("random", {"inertia": 0.5}, "it has none"),
         ("pso", {"population": 1}, "population = 1, .* at least 2"),

@@ -37,12 +37,12 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell, Optimizer
 from sigmaswarm.tuning.optimizers.bayesian_optimization import BayesianOptimization
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.optimizers.cma_es import CmaEs
+from sigmaswarm.tuning.optimizers.de_qpso import QuantumSwarm
 from sigmaswarm.tuning.optimizers.differential_evolution import DifferentialEvolution
 from sigmaswarm.tuning.optimizers.ga_pso import GeneticSwarm
 from sigmaswarm.tuning.optimizers.genetic import GeneticAlgorithm
 from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 from sigmaswarm.tuning.optimizers.pso import ParticleSwarm
-from sigmaswarm.tuning.optimizers.qpso import QuantumSwarm
 from sigmaswarm.tuning.optimizers.sampling import RandomSearch, SobolSearch
 
 __all__ = ["OPTIMIZERS", "Optimizer", "create_optimizer"]
@@ -50,7 +50,7 @@ __all__ = ["OPTIMIZERS", "Optimizer", "create_optimizer"]
 OPTIMIZERS: dict[str, type[AskTell]] = {
     optimizer.name: optimizer
     for optimizer in (
-        *(ParticleSwarm, QuantumSwarm, GeneticAlgorithm, GeneticSwarm, DifferentialEvolution, CmaEs),
+        *(ParticleSwarm, GeneticAlgorithm, GeneticSwarm, DifferentialEvolution, QuantumSwarm, CmaEs),
         *(BayesianOptimization, NelderMead, RandomSearch, SobolSearch),
     )
 }
