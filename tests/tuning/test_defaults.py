@@ -19,7 +19,7 @@ from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.config import paper_options
 from sigmaswarm.tuning.defaults import objective_for, with_filter
-from sigmaswarm.tuning.diagnostics import said_of_scale
+from sigmaswarm.tuning.diagnostics import scale_warnings
 from sigmaswarm.tuning.space import OPTIONS
 from sigmaswarm.tuning.tune import tune
 from support import DRIVES, make_drive, needs_shared
@@ -228,7 +228,7 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
     drive = stating(PLAIN, 1.0, 1.0)
     replayer = Replayer([drive], outages=False)
     before = replayer.scores([CAREFUL.scaled(2.0)])
-    (said,) = said_of_scale("truth-pose", CAREFUL.scaled(2.0), replayer)
+    (said,) = scale_warnings("truth-pose", CAREFUL.scaled(2.0), replayer)
     assert "truth-pose leaves the scale of the covariances free: mean NIS is" in said
     factor = float(said.split("all noises times ")[1].split()[0])
     after = replayer.scores([CAREFUL.scaled(2.0).scaled(factor)])
@@ -245,8 +245,8 @@ def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
     after = replayer.scores([five.scaled(before.mean_nis[0, 0] / 2)])
     assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # it might be
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
-    (said,) = said_of_scale("truth-rmse", five, replayer)
+    (said,) = scale_warnings("truth-rmse", five, replayer)
     assert "leaves the scale" in said
     assert "all noises times" not in said
     for objective in ("truth-pose + 0.2 nees", "innovation-t", "gps-rmse"):
-        assert said_of_scale(objective, five, replayer) == []
+        assert scale_warnings(objective, five, replayer) == []

@@ -9,7 +9,7 @@ from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simula
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.diagnostics import drifts_of, may_drift_far, said_of_drifts, said_of_lost
+from sigmaswarm.tuning.diagnostics import divergence_warnings, drift_warnings, drifts_of, may_drift_far
 from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
 
@@ -43,16 +43,16 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     good = tune([DRIVE], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
     assert not [doubt for doubt in good.warnings if "DON'T" in doubt]
     found = [drifts_of(PreparedDrive(DRIVE), good.parameters)]
-    assert said_of_drifts(found) == []
+    assert drift_warnings(found) == []
     q = list(good.parameters.process_noise)
     q[4] = 1e-2  # as if the gyro told nothing: the next fix is forecast all the same
     bad = replace(good.parameters, process_noise=tuple(q), lateral_noise=None, standstill_noise=None)
     (tuned, other) = drifts_of(PreparedDrive(DRIVE), bad)
     assert tuned > found[0][0]
-    (said,) = said_of_drifts([(100.0, 20.0), (np.nan, np.nan)])
+    (said,) = drift_warnings([(100.0, 20.0), (np.nan, np.nan)])
     assert said.startswith("TO DO: DON'T USE IT; ")
     assert "or on more drives: over 30 s without fixes the tuned filter drifts 100 m" in said
-    assert said_of_drifts([(29.0, 20.0)]) == said_of_drifts([]) == []
+    assert drift_warnings([(29.0, 20.0)]) == drift_warnings([]) == []
     assert not may_drift_far([(20.0, 20.0), (np.nan, np.nan)])
     assert not may_drift_far([])
     assert may_drift_far([(25.0, 20.0)])
@@ -84,8 +84,10 @@ def test_a_search_that_ended_too_early_is_noticed():
 
 
 def test_it_names_three_drives_and_counts_the_others():
-    assert said_of_lost([("one", []), ("two", [])]) == []
-    (said,) = said_of_lost([(f"drive-{i}", [10.25, 31.0][: i % 2 + 1]) for i in range(5)] + [("sound", [])])
+    assert divergence_warnings([("one", []), ("two", [])]) == []
+    (said,) = divergence_warnings(
+        [(f"drive-{i}", [10.25, 31.0][: i % 2 + 1]) for i in range(5)] + [("sound", [])]
+    )
     assert "diverged on drive-0 and was reset once, at t = 10.2 s" in said
     assert "it diverged on drive-1 and was reset 2 times, at t = 10.2, 31.0 s" in said
     assert "drive-3" not in said

@@ -9,7 +9,7 @@ from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.simulation.scenarios import simulate
-from sigmaswarm.tuning.receiver import FixNoise, fix_noise, said_of_accuracy, said_of_noise
+from sigmaswarm.tuning.receiver import FixNoise, accuracy_warnings, fix_noise, noise_warnings
 from sigmaswarm.tuning.tune import tune
 
 DRIVE = simulate("urban", duration=60.0, gps="white-1m")
@@ -39,19 +39,19 @@ def with_r(std: float):
     ],
 )
 def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNoise, said: str):
-    found = said_of_noise(with_r(std), [noise])
+    found = noise_warnings(with_r(std), [noise])
     assert len(found) == bool(said)
     assert all(said in one and "no log without truth can tell" in one for one in found)
     scaled = replace(with_r(std), accuracy_scale=1.0)
-    assert said_of_noise(scaled, [noise]) == []
+    assert noise_warnings(scaled, [noise]) == []
 
 
 @pytest.mark.parametrize(("scale", "said"), [(None, False), (0.004, True), (0.1, False), (1.0, False)])
 def test_a_stated_accuracy_that_plays_no_part_is_named(scale: float | None, said: bool):
     filters = replace(with_r(1.0), accuracy_scale=scale)
-    found = said_of_accuracy(filters, [1.0])
+    found = accuracy_warnings(filters, [1.0])
     assert ["`accuracy` plays no part" in one for one in found] == [True] * said
-    assert said_of_accuracy(filters, [NONE]) == []
+    assert accuracy_warnings(filters, [NONE]) == []
 
 
 def test_a_drive_tells_what_is_stated_and_how_the_fixes_scatter():

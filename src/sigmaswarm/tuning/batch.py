@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -83,34 +84,22 @@ def run_batch(
         If a drive never moves far enough to start a filter.
     """
     (dataset,) = datasets_of(drives, takes="run_batch takes Drives")
-    sets = _sets_given(parameter_sets)
-    _check_executor(executor)
-    goal = objective_named(objective)
-    check_drives(dataset.map(sensors_of), goal)
-    replayer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
-    if executor is None:
-        with ThreadPoolExecutor(cores()) as pool:
-            scores = replayer.scores(sets, pool)
-    else:
-        scores = replayer.scores(sets, executor)
-    each = tuple(tuple(scores[i, j] for j in range(len(dataset))) for i in range(len(sets)))
-    return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
-
-
-def _sets_given(given: Any) -> Sequence[FilterParameters]:
-    """One or many parameter sets, checked."""
-    sets: list[Any] = listed(given)
+    sets: list[Any] = listed(parameter_sets)
     stray = [type(one).__name__ for one in sets if not isinstance(one, FilterParameters)]
     if stray:
         raise InputError(f"got a {stray[0]}; run_batch takes FilterParameters")
-    return sets
-
-
-def _check_executor(given: Any) -> None:
+    given: Any = executor
     if given is not None and not isinstance(given, Executor):
         raise InputError(
             f"executor = {shown(given)}: is none; take concurrent.futures.ThreadPoolExecutor(2), or leave it out"
         )
+    goal = objective_named(objective)
+    check_drives(dataset.map(sensors_of), goal)
+    replayer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
+    with nullcontext(executor) if executor else ThreadPoolExecutor(cores()) as pool:
+        scores = replayer.scores(sets, pool)
+    each = tuple(tuple(scores[i, j] for j in range(len(dataset))) for i in range(len(sets)))
+    return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
 
 
 def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> None:
@@ -157,15 +146,11 @@ def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
                 f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; put truth and sensors on one clock"
             )
     for drive, initial, hidden in zip(replayer.drives, replayer.initial, replayer.hidden_fixes, strict=False):
-        if not hidden:
-            end, remedy = drive.imu.time[-1], "take other drives or innovation-nll"
-            span = f"from the start at {initial.time:g} s to {end:g} s"
-            if len(forecast_windows(drive, initial, seed=seed)):
-                raise InputError(
-                    f"{drive.name}: {span} no fix falls into the windows of 3 to 5 s whose fixes "
-                    f"{objective} hides and forecasts; {remedy}"
-                )
-            raise InputError(
-                f"{drive.name}: {span} there is no room to hide fixes for 3 to 5 s, which {objective} needs; "
-                f"take longer drives or innovation-nll"
-            )
+        if hidden:
+            continue
+        what, drives = f"there is no room to hide fixes for 3 to 5 s, which {objective} needs", "longer"
+        if len(forecast_windows(drive, initial, seed=seed)):
+            what = f"no fix falls into the windows of 3 to 5 s whose fixes {objective} hides and forecasts"
+            drives = "other"
+        span = f"from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s"
+        raise InputError(f"{drive.name}: {span} {what}; take {drives} drives or innovation-nll")

@@ -1,5 +1,6 @@
 """Bounds of the search space, and its coordinates."""
 
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,8 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.tuning.options import Scale
 
 BoxEnd = Literal["lower", "upper"]
+NOISES = (
+    *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale"),
+    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
+)
+"""Fields of `FilterParameters` that are noise variances; all of them times one factor scale the covariance."""
 
 
 @dataclass(frozen=True)
@@ -44,48 +51,76 @@ class TouchedBound:
         return cls(name, cast(BoxEnd, end), float(value))
 
 
-@dataclass(frozen=True, eq=False)
-class Box:
-    """Bounds of d parameters, and the coordinates in which they are searched.
+@dataclass(frozen=True)
+class Dimension:
+    """One parameter that is searched: its field of FilterParameters, and its range.
 
-    Attributes
-    ----------
-    names : tuple of str, length d
-    lowest, highest : ndarray, shape (d,)
-        Bounds of the parameters themselves.
-    logarithmic : ndarray of bool, shape (d,)
-        Which of them are searched in log10.
+    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 where the field is a plain
+    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
+    of its factor; ``least``: the lower limit that it applies.
     """
 
-    names: tuple[str, ...]
-    lowest: Array
-    highest: Array
-    logarithmic: NDArray[np.bool_]
+    name: str
+    field: str
+    entries: int
+    lowest: float
+    highest: float
+    spread: bool = True
+    inflation: float = 0.0
+    least: float = -math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Bounds of d parameters, and the coordinates in which they are searched; its arrays have shape (d,)."""
+
+    dimensions: tuple[Dimension, ...]
+    scale: Scale
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(d.name for d in self.dimensions)
+
+    @cached_property
+    def lowest(self) -> Array:
+        """Lower bounds of the parameters themselves."""
+        return np.array([d.lowest for d in self.dimensions], dtype=np.float64)
+
+    @cached_property
+    def highest(self) -> Array:
+        """Upper bounds of the parameters themselves."""
+        return np.array([d.highest for d in self.dimensions], dtype=np.float64)
+
+    @cached_property
+    def logarithmic(self) -> NDArray[np.bool_]:
+        """True for parameters that are searched in log10."""
+        return np.array([d.spread and self.scale == "log10" for d in self.dimensions])
 
     @cached_property
     def low(self) -> Array:
-        """Lower bounds in search coordinates, shape (d,)."""
+        """Lower bounds in search coordinates."""
         return self._encode(self.lowest)
 
     @cached_property
     def high(self) -> Array:
-        """Upper bounds in search coordinates, shape (d,)."""
+        """Upper bounds in search coordinates."""
         return self._encode(self.highest)
 
     @property
     def noises(self) -> NDArray[np.bool_]:
-        """Which parameters are noise variances, shape (d,); all of them times one factor scale the covariance."""
-        return np.zeros(len(self.names), dtype=np.bool_)
+        """True for noise variances."""
+        return np.array([d.field in NOISES for d in self.dimensions])
 
     @property
     def inflation(self) -> Array:
-        """Decades by which `tuning.inflation` raises each parameter per decade of its factor, shape (d,)."""
-        return np.zeros(len(self.names))
+        """Decades by which `tuning.inflation` raises each parameter per decade of its factor."""
+        return np.array([d.inflation for d in self.dimensions])
 
     @property
     def least(self) -> Array:
-        """Lower limits that `tuning.inflation` applies, in search coordinates, shape (d,)."""
-        return self.low
+        """Lower limits that `tuning.inflation` applies, in search coordinates."""
+        return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def values(self, points: Array) -> Array:
         """Convert points in search coordinates to parameters, shape (..., d)."""

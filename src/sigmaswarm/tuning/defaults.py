@@ -51,16 +51,23 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
     """
     if "model" in options and "use" in options:
         return options, ""
-    found = suggest_filter(drives)
-    model = options.get("model") or _model_with_kind(found.model, options.get("kind"))
+    found, kind = suggest_filter(drives), options.get("kind")
+    model = options.get("model") or found.model
+    if not options.get("model") and kind is not None and kind not in MODELS[model].kinds:
+        model = "planar8"
     if "use" in options:
         return {**options, "model": model}, f"{_described(model, options['use'])}, as given: {found.because}"
-    offered = (*found.use, "gate") if model in MODELS and MODELS[model].options else found.use
-    use = [] if model == PLAIN else [option for option in offered if _fits(option, options, model)]
+    use, because = [], "the paper's model; add measurements with --use"
+    if model != PLAIN:
+        allowed = MODELS[model].options if model in MODELS else ()
+        offered = (*found.use, "gate") if allowed else found.use
+        use = [name for name in offered if name in (allowed or (name,)) and _fits(name, options)]
+        because = (
+            found.because
+            if model == found.model or "model" not in options
+            else (f"{found.model} suits the logs: {found.because}")
+        )
     described = _described(model, use) + (", as given" if "model" in options else "")
-    because = "the paper's model; add measurements with --use" if model == PLAIN else found.because
-    if "model" in options and model not in (PLAIN, found.model):
-        because = f"{found.model} suits the logs: {because}"
     return {**options, "model": model, "use": tuple(use)}, f"{described}: {because}"
 
 
@@ -68,21 +75,12 @@ def _described(model: str, use: Sequence[str]) -> str:
     return f"{model} with {', '.join(use) or 'position fixes alone'}"
 
 
-def _model_with_kind(model: str, kind: str | None) -> str:
-    """Return the model, or the largest smaller one that supports the filter type."""
-    if kind is None or model not in MODELS or kind in MODELS[model].kinds:
-        return model
-    return "planar8"
-
-
-def _fits(option: str, options: dict[str, Any], model: str) -> bool:
+def _fits(name: str, options: dict[str, Any]) -> bool:
     """Check that a measurement agrees with the filter type and the objective."""
-    if model in MODELS and option not in (MODELS[model].options or (option,)):
-        return False
-    if option == "robust" and "innovation-nll" in str(options.get("objective")):
+    if name == "robust" and "innovation-nll" in str(options.get("objective")):
         return False  # innovation-nll counts outliers in full, whatever the filter makes of them
     kind = options.get("kind")
-    return kind is None or clash(kind, [option]) is None
+    return kind is None or clash(kind, [name]) is None
 
 
 def objective_for(data: Sequence[Drive | Sensors | Log], objective: str, model: str = PLAIN) -> str:
@@ -120,15 +118,14 @@ def with_guards(config: C) -> C:
     """Set the prior on R and the inflation of process noise; both are on where truth does not enter the objective."""
     if not isinstance(config, TuneConfig):
         return config
-    objective = objective_named(config.objective)
-    alone = objective.likelihood and not objective.needs_truth
-    usual = TILTED_INFLATION if MODELS[config.model].tilts else INFLATION
-    if MODELS[config.model].measures_imu:
-        usual = ROBOT_INFLATION
-    guards = {
-        "prior": float(alone) if config.prior is None else config.prior,
-        "inflation": config.inflation
-        if config.inflation is not None
-        else (usual if alone and config.scale == "log10" else 0.0),
-    }
-    return config.model_copy(update=guards)
+    objective, model = objective_named(config.objective), MODELS[config.model]
+    blind = objective.likelihood and not objective.needs_truth
+    prior, inflation = float(blind), 0.0
+    if blind and config.scale == "log10":
+        inflation = ROBOT_INFLATION if model.measures_imu else TILTED_INFLATION if model.tilts else INFLATION
+    return config.model_copy(
+        update={
+            "prior": prior if config.prior is None else config.prior,
+            "inflation": inflation if config.inflation is None else config.inflation,
+        }
+    )

@@ -14,6 +14,7 @@ therefore measured.
 """
 
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
@@ -54,6 +55,45 @@ SCALE_NEAR = 0.2
 """Largest error of mean NIS after scaling, as a share, with which the factor is offered."""
 
 
+def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bool) -> list[str]:
+    """Warn of a filter that diverges on its training drives; else, with ``outages``, of one that drifts too far."""
+    found = divergence_warnings(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
+    if found or not outages:
+        return found
+    some = replays.subset(range(min(len(replays.dataset), NAMED)))
+    if not may_drift_far(some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))):
+        return []
+    return drift_warnings(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
+
+
+def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
+    """Warn of a filter that diverged on its own training drives; ``found``: `restarts_of` each."""
+    diverged = [said_of_restarts(name, times) for name, times in found if times]
+    if not diverged:
+        return []
+    more = f"; and on {len(diverged) - NAMED} more drives" if len(diverged) > NAMED else ""
+    why = f"the tuned filter {'; it '.join(diverged[:NAMED])}{more}, though it was tuned there"
+    return [to_do(REMEDY, why)]
+
+
+def may_drift_far(found: Iterable[tuple[float, float]]) -> bool:
+    """Decide from a few outages if the drift deserves a full measurement; ``found``: `drifts_of` each drive."""
+    tuned, other = _together(found)
+    return tuned > NEAR * other
+
+
+def drift_warnings(found: Iterable[tuple[float, float]]) -> list[str]:
+    """Warn of a filter that drifts much further than the data-sheet filter; ``found``: `drifts_of` each drive."""
+    tuned, other = _together(found)
+    if tuned <= FAR * other:
+        return []
+    why = (
+        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
+        f"data-sheet filter {other:.3g} m"
+    )
+    return [to_do(REMEDY, why)]
+
+
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
     """Return a drive's name and the times at which a monitored filter was reset in its first hour, s."""
     start = float(ready.drive.imu.time[0])
@@ -69,15 +109,6 @@ def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
     return PreparedDrive(clip(ready.drive, start, end), as_recorded=ready.as_recorded)
 
 
-def said_of_lost(found: Iterable[tuple[str, list[float]]]) -> list[str]:
-    """Warn of a filter that diverged on its own training drives."""
-    lost = [said_of_restarts(name, times) for name, times in found if times]
-    if not lost:
-        return []
-    more = f"; and on {len(lost) - NAMED} more drives" if len(lost) > NAMED else ""
-    return [to_do(REMEDY, f"the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there")]
-
-
 def drifts_of(
     ready: PreparedDrive, parameters: FilterParameters, most: int | None = None
 ) -> tuple[float, float]:
@@ -86,10 +117,9 @@ def drifts_of(
     ``most`` limits the outage placements.
     """
     middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
+    part = _part(ready, middle - LOOK / 2, middle + LOOK / 2)
     try:
-        outages = Outages(
-            _part(ready, middle - LOOK / 2, middle + LOOK / 2), length=LONG_OUTAGE_LENGTH, seed=0, most=most
-        )
+        outages = Outages(part, length=LONG_OUTAGE_LENGTH, seed=0, most=most)
     except InputError:  # the car stands there
         return np.nan, np.nan
     outages.run({"tuned": parameters, UNTUNED: baseline(ready.drive, like=parameters)}, watched=False)
@@ -105,25 +135,7 @@ def _together(found: Iterable[tuple[float, float]]) -> tuple[float, float]:
     return tuned, other
 
 
-def may_drift_far(found: Iterable[tuple[float, float]]) -> bool:
-    """Decide from a few outages if the drift deserves a full measurement."""
-    tuned, other = _together(found)
-    return tuned > NEAR * other
-
-
-def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
-    """Warn of a filter that drifts much further than the data-sheet filter."""
-    tuned, other = _together(found)
-    if tuned <= FAR * other:
-        return []
-    why = (
-        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
-        f"data-sheet filter {other:.3g} m"
-    )
-    return [to_do(REMEDY, why)]
-
-
-def said_of_scale(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:
+def scale_warnings(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:
     """Warn where the objective leaves the covariance's scale free; state the factor that makes NIS right.
 
     The factor is offered for planar8 and tilted12 where it leaves the positions unchanged; see

@@ -12,7 +12,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.names import FilterKind, ModelName
 
 Scale = Literal["log10", "linear"]
-OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "bo", "nelder-mead", "random", "sobol"]
+OptimizerName = Literal[
+    "pso", "ga", "ga-pso", "de", "de-qpso", "cma-es", "bo", "nelder-mead", "random", "sobol"
+]
 Option = Literal[
     "velocity", "lateral", "slip", "standstill", "odometer", "gate", "latency", "accuracy", "robust"
 ]

@@ -1,10 +1,11 @@
-"""The problem that a tuning solves: a filter's cost on data, over a box."""
+"""The problem that a tuning solves: a filter's cost on data, within bounds."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Protocol, TypeVar, overload
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,112 +24,88 @@ from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
-from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.diagnostics import (
-    FEW,
-    NAMED,
-    drifts_of,
-    may_drift_far,
-    restarts_of,
-    said_of_drifts,
-    said_of_lost,
-    said_of_scale,
-)
+from sigmaswarm.tuning.config import SearchConfig, TuneConfig
+from sigmaswarm.tuning.diagnostics import loss_warnings, scale_warnings
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
-from sigmaswarm.tuning.receiver import (
-    FixNoise,
-    fix_noise,
-    said_of_accuracy,
-    said_of_noise,
-    said_of_prior,
-    stated,
-)
+from sigmaswarm.tuning.prior import prior_costs, receiver_std
+from sigmaswarm.tuning.receiver import accuracy_warnings, fix_noise, noise_warnings, prior_warnings, stated
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
-PRIOR_DECIDED = 0.02
-"""Cost of the prior, nats per fix, above which a warning reports that it decided R."""
 
 
-class Landscape(Protocol):
-    """A box, and the costs of points in it."""
+@dataclass(frozen=True, eq=False)
+class Problem(ABC, Generic[P]):
+    """A filter, its data and its objective, as `tune` uses them.
 
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, shape (m,)."""
-        ...
+    Points are in search coordinates.
 
-    @property
-    def space(self) -> Box:
-        """The box that is searched."""
-        ...
+    Attributes
+    ----------
+    config : SearchConfig
+    space : Box
+        The bounds; may be those of other drives, with the IMU interval of Q.
+    data : list of dict
+        Name, length and fingerprint of each drive or log.
+    """
 
-    def costs(self, points: Array, executor: Executor | None) -> Array:
-        """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
-        ...
-
-    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """The costs on some of the drives, shape (n, len(drives))."""
-        ...
-
-    def mean(self, each: Array) -> Array:
-        """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
-        ...
-
-
-class Problem(Landscape, Protocol[P]):
-    """A filter, its data and its objective, as `tune` uses them."""
-
-    @property
-    def data(self) -> list[dict[str, Any]]:
-        """Name, length and fingerprint of each drive."""
-        ...
+    config: SearchConfig
+    space: Box
+    data: list[dict[str, Any]]
 
     @property
     def seen(self) -> Sequence[Landmarks]:
         """Landmarks by which each drive is recognized; empty for logs of a user's model."""
-        ...
+        return ()
 
+    @property
+    @abstractmethod
+    def steps(self) -> NDArray[np.int64]:
+        """Filter steps that one parameter set costs on each drive, shape (m,)."""
+
+    @abstractmethod
     def parameters(self, point: Array) -> P:
-        """The filter at a point, shape (d,), in search coordinates."""
-        ...
+        """The filter at a point, shape (d,)."""
+
+    @abstractmethod
+    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
+        """Costs of points, shape (n, d), on some of the drives, shape (n, len(drives)); ``inf`` for a failure."""
+
+    @abstractmethod
+    def rise(self, costs: Array | float, best: float) -> Array:
+        """Relative increase of costs: 0.01 is 1%."""
+
+    @abstractmethod
+    def on(self, data: Any) -> "Problem[P]":
+        """The same filters and objective on other data."""
+
+    def mean(self, each: Array) -> Array:
+        """Costs, shape (n,), from the costs on each drive that was tried, shape (n, k)."""
+        return mean_cost(each, self.config.worst)
+
+    def costs(self, points: Array, executor: Executor | None) -> Array:
+        """Costs, shape (n,), of points, shape (n, d); ``inf`` where a filter failed."""
+        return self.mean(self.each(points, range(len(self.steps)), executor))
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective at a point without the prior, for other data."""
-        ...
+        """The objective at a point, without a prior."""
+        return float(self.costs(point[np.newaxis], executor)[0])
 
     def warnings(self, point: Array) -> list[str]:
         """List faults of the filter at a point that the objective does not see, as sentences."""
-        ...
+        return []
 
-    def rise(self, costs: Array | float, best: float) -> Array:
-        """Relative increase of costs: 0.01 is 1%."""
-        ...
-
-    def on(self, data: Any) -> "Problem[P]":
-        """The same filters and objective on other data."""
-        ...
+    def why_none(self, point: Array) -> str | None:
+        """Return the failure of the filter at a point, if it is known."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)
-class CarProblem:
-    """A filter for cars, on drives: `car_problem` makes it.
-
-    Attributes
-    ----------
-    config : TuneConfig
-    space : SearchSpace
-        May be that of other drives, with the IMU interval of Q.
-    data : list of dict
-        Name, length and fingerprint of each drive.
-    replays : Replays
-        The drives, prepared for the objective.
-    """
+class CarProblem(Problem[FilterParameters]):
+    """A filter for cars, on drives that are prepared for the objective: `car_problem` makes it."""
 
     config: TuneConfig
     space: SearchSpace
-    data: list[dict[str, Any]]
     replays: Replays
 
     @cached_property
@@ -157,64 +134,16 @@ class CarProblem:
         return self.replays.steps
 
     def parameters(self, point: Array) -> FilterParameters:
-        """The filter at a point, shape (d,), in search coordinates."""
+        """The filter at a point, shape (d,)."""
         return self.space.decode(point[np.newaxis])[0]
-
-    @cached_property
-    def _fix_noise(self) -> list[FixNoise]:
-        return self.replays.dataset.map(fix_noise)
 
     @cached_property
     def sensors(self) -> list[Sensors]:
         """Sensors of each drive."""
         return self.replays.dataset.map(sensors_of)
 
-    def warnings(self, point: Array) -> list[str]:
-        """List divergence, unused measurements, a free covariance scale and, without truth, an implausible R."""
-        parameters = self.parameters(point)
-        lost = self._lost(parameters)
-        weighs = parameters.accuracy_scale is not None
-        found = [*lost, *(said_of_accuracy(parameters, self.replays.dataset.map(stated)) if weighs else [])]
-        found += said_of_scale(self.objective.name, parameters, self.replays)
-        known = all(drive.truth for drive in self.sensors)
-        if not (
-            known and self.objective.needs_truth
-        ):  # a look at the fixes' noise takes as long as reading a drive
-            found += self._prior_decided(point) or said_of_noise(parameters, self._fix_noise)
-        return found
-
-    def _lost(self, parameters: FilterParameters) -> list[str]:
-        """Where a filter diverges; or else, if the objective hides no fixes, where it drifts too far in outages."""
-        replays = self.replays
-        said = said_of_lost(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
-        if said or self.objective.needs_outages:
-            return said
-        some = replays.subset(range(min(len(replays.dataset), NAMED)))
-        if not may_drift_far(some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))):
-            return []
-        return said_of_drifts(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
-
-    def _prior_decided(self, point: Array) -> list[str]:
-        """Warn where the prior decided R."""
-        if not self.config.prior:
-            return []
-        filters = [self.parameters(point)]
-        costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
-        r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        known = zip(self.sensors, self._receiver_std, self._fix_noise, r, costs, strict=True)
-        found = (
-            said_of_prior(one.name, std, noise, near)
-            for one, std, noise, near, cost in known
-            if cost > PRIOR_DECIDED
-        )
-        return next(filter(None, found), [])
-
-    def costs(self, points: Array, executor: Executor | None) -> Array:
-        """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.mean(self.each(points, range(len(self.replays.dataset)), executor))
-
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """The costs on some of the drives, shape (n, len(drives))."""
+        """Costs of points, shape (n, d), on some of the drives, shape (n, len(drives))."""
         replays = self.replays.subset(drives)
         parameter_sets = self.space.decode(points)
         costs = replays.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
@@ -222,12 +151,8 @@ class CarProblem:
             costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
         return costs
 
-    def mean(self, each: Array) -> Array:
-        """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
-        return mean_cost(each, self.config.worst)
-
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective itself at a point, without the prior."""
+        """The objective at a point, without the prior."""
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
         return float(plain.costs(point[np.newaxis], executor)[0])
 
@@ -239,6 +164,22 @@ class CarProblem:
         """The same filters and objective on other drives."""
         return car_problem(data, self.config, self.space)
 
+    def warnings(self, point: Array) -> list[str]:
+        """List divergence, unused measurements, a free covariance scale and, without truth, an implausible R."""
+        parameters, replays, objective = self.parameters(point), self.replays, self.objective
+        found = loss_warnings(parameters, replays, outages=not objective.needs_outages)
+        if parameters.accuracy_scale is not None:
+            found += accuracy_warnings(parameters, replays.dataset.map(stated))
+        found += scale_warnings(objective.name, parameters, replays)
+        # a look at the fixes' noise takes as long as reading a drive
+        if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
+            noise = replays.dataset.map(fix_noise)
+            prior = self.config.prior or 0.0
+            names = [drive.name for drive in self.sensors]
+            decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
+            found += decided or noise_warnings(parameters, noise)
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class LandmarksOf(Sequence[Landmarks]):
@@ -249,22 +190,18 @@ class LandmarksOf(Sequence[Landmarks]):
     def __len__(self) -> int:
         return len(self.dataset)
 
-    @overload
-    def __getitem__(self, k: int) -> Landmarks: ...
-    @overload
-    def __getitem__(self, k: slice) -> list[Landmarks]: ...
-    def __getitem__(self, k: int | slice) -> Landmarks | list[Landmarks]:
+    def __getitem__(self, k: Any) -> Any:
+        """Landmarks of a drive, or of several."""
         places = range(len(self))[k]
-        if isinstance(places, int):
-            return self.dataset.subset([places]).map(landmarks)[0]
-        return self.dataset.subset(places).map(landmarks)
+        found = self.dataset.subset([places] if isinstance(places, int) else places).map(landmarks)
+        return found[0] if isinstance(places, int) else found
 
     def __iter__(self) -> Iterator[Landmarks]:
         return self.dataset.imap(landmarks)
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
-    """The costs of an objective, given by its name, on each drive, shape (n_sets, n_drives)."""
+    """Costs of an objective, given by its name, on each drive, shape (n_sets, n_drives)."""
     return objective_named(objective).each(scores)
 
 
@@ -310,15 +247,14 @@ def usual_interval(drives: Sequence[Drive | Sensors]) -> float:
 
 
 def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:
-    silent = [drive.name for drive in drives if not drive.accuracy]
-    if "accuracy" in config.use and silent:
-        raise InputError(
-            f"{silent[0]}: its gps.csv has no std_x and std_y, which --use accuracy needs; leave accuracy out"
-        )
     for drive in drives:
-        require_named_axes(drive.name, drive.axes, config.model)
-    lacking = [drive.name for drive in drives if not drive.velocity]
-    if "velocity" in config.use and lacking:
+        if "accuracy" in config.use and not drive.accuracy:
+            lacks, option = "std_x and std_y", "accuracy"
+        elif "velocity" in config.use and not drive.velocity:
+            lacks, option = "speed and course", "velocity"
+        else:
+            require_named_axes(drive.name, drive.axes, config.model)
+            continue
         raise InputError(
-            f"{lacking[0]}: its gps.csv has no speed and course, which --use velocity needs; leave velocity out"
+            f"{drive.name}: its gps.csv has no {lacks}, which --use {option} needs; leave {option} out"
         )

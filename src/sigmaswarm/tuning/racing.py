@@ -22,12 +22,13 @@ shifted behind the last that went further: they keep their order, and none of th
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.tuning.problem import Landscape
+from sigmaswarm.tuning.problem import Problem
 
 FIRST = 12
 """A race against the best point so far begins with this part of the drives."""
@@ -86,14 +87,14 @@ def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
     return found
 
 
-def leader_at(problem: Landscape, point: Array, executor: Executor | None) -> Leader:
+def leader_at(problem: Problem[Any], point: Array, executor: Executor | None) -> Leader:
     """Run the best point so far, shape (d,), again: a resumed search does not know its costs on each drive."""
     each = problem.each(point[np.newaxis], range(len(problem.steps)), executor)
     return Leader(float(problem.mean(each)[0]), each[0])
 
 
 def race(
-    problem: Landscape,
+    problem: Problem[Any],
     points: Array,
     order: Order,
     executor: Executor | None,
@@ -103,55 +104,49 @@ def race(
 
     With many drives they race against ``leader``; without one, or with a single point, all are tried on all drives.
     """
-    many, n = len(order) >= MANY, len(points)
+    order = np.asarray(order)
+    many, n, m = len(order) >= MANY, len(points), len(order)
     rival = leader if many and n > 1 else None
     each, costs = np.empty((n, 0)), np.full(n, np.inf)
     alive, dropped, steps = np.arange(n), list[NDArray[np.int64]](), 0
-    for candidates, drives in [(n, len(order))] if many and not rival else rungs(n, len(order)):
-        seen = each.shape[1]
+    for candidates, drives in [(n, m)] if many and not rival else rungs(n, m):
+        seen, fresh = order[: each.shape[1]], order[each.shape[1] : drives]
         ranked = alive[np.argsort(costs[alive], kind="stable")]
         kept = ranked[:candidates]
-        if rival and seen:
-            kept = kept[_ahead(each[kept], costs[kept], rival, order[:seen])]
-        alive, out = np.sort(kept), ranked[~np.isin(ranked, kept)]
-        dropped.append(out)
+        if rival and len(seen):
+            kept = kept[_ahead(each[kept], costs[kept], rival, seen)]
+        alive = np.sort(kept)
+        dropped.append(ranked[~np.isin(ranked, kept)])
         if not len(alive):
             break
-        fresh = [int(i) for i in order[seen:drives]]
         column = np.full((n, len(fresh)), np.nan)
-        column[alive] = problem.each(points[alive], fresh, executor)
+        column[alive] = problem.each(points[alive], fresh.tolist(), executor)
         each = np.hstack([each, column])
         steps += len(alive) * int(problem.steps[fresh].sum())
         costs[alive] = problem.mean(_in_order(each[alive], order[:drives]))
-        if rival and drives < len(order):  # how much harder or easier these drives are than all
+        if rival and drives < m:  # how much harder or easier these drives are than all
             costs[alive] += rival.cost - problem.mean(rival.each[np.newaxis, np.sort(order[:drives])])[0]
     failures = int(np.isinf(costs).sum())
-    told = _behind(costs, alive, dropped, rival.cost if rival else np.inf)
-    return Raced(
-        told, steps, failures, _leading(leader, told, _in_order(each, order), alive) if many else None
-    )
+    costs = _behind(costs, alive, dropped, rival.cost if rival else np.inf)
+    if not many:
+        return Raced(costs, steps, failures)
+    if len(alive):
+        best = int(alive[np.argmin(costs[alive])])
+        if costs[best] < (leader.cost if leader else np.inf):  # at equal costs the leader stays
+            leader = Leader(float(costs[best]), _in_order(each, order)[best])
+    return Raced(costs, steps, failures, leader)
 
 
-def _ahead(each: Array, costs: Array, rival: Leader, seen: Order) -> NDArray[np.bool_]:
+def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Select those better than the best one on the same drives by more than a standard error of the mean difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate's
-        spread = (each - rival.each[np.asarray(seen)]).std(axis=1, ddof=1)
+        spread = (each - rival.each[seen]).std(axis=1, ddof=1)
     return costs + spread / np.sqrt(len(seen)) < rival.cost
 
 
-def _leading(leader: Leader | None, costs: Array, each: Array, finished: NDArray[np.int64]) -> Leader | None:
-    """Return the better of the leader and the best finished candidate; at equal costs the leader."""
-    if not len(finished):
-        return leader
-    best = int(finished[np.argmin(costs[finished])])
-    behind = costs[best] >= (leader.cost if leader else np.inf)
-    return leader if behind else Leader(float(costs[best]), each[best])
-
-
-def _in_order(each: Array, order: Order) -> Array:
-    """Sort the columns into the drives' own order, since a sum's last bits depend on it."""
-    columns = np.argsort(order[: each.shape[1]], kind="stable")
-    return np.ascontiguousarray(each[:, columns])  # its layout matters to them, too
+def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
+    """Sort the columns into the drives' own order, since a sum's last bits depend on it and on the layout."""
+    return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 
 def _behind(
@@ -162,16 +157,16 @@ def _behind(
     Without a finished candidate they go behind ``otherwise``: the best so far, or infinity if all failed, since no
     candidate may win on fewer drives.
     """
-    told = costs.copy()
-    floor = _highest(costs[finished], otherwise)
+    shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))
-        shifted = costs[group] + max(floor - best, 0.0) if np.isfinite(best) else costs[group]
-        told[group] = np.nextafter(np.maximum(shifted, floor), np.inf)
-        floor = _highest(told[group], otherwise=floor)
-    return told
+        raised = costs[group] + max(floor - best, 0.0) if np.isfinite(best) else costs[group]
+        shifted[group] = np.nextafter(np.maximum(raised, floor), np.inf)
+        floor = _highest(shifted[group], otherwise=floor)
+    return shifted
 
 
 def _highest(costs: Array, otherwise: float) -> float:
     """Return the highest finite cost."""
-    return float(costs[np.isfinite(costs)].max(initial=-np.inf)) if np.isfinite(costs).any() else otherwise
+    finite = costs[np.isfinite(costs)]
+    return float(finite.max()) if len(finite) else otherwise

@@ -12,6 +12,7 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.tuning.prior import prior_costs, typical_variance
 from sigmaswarm.wording import to_do
 
 FAR_BELOW = 3.0
@@ -20,6 +21,8 @@ NO_PART = 0.05
 """Share of R below which the stated accuracy of a fix has no effect."""
 LOOK = 600.0
 """Seconds of a drive whose fixes are checked for scatter; minutes suffice, and hours take long."""
+PRIOR_DECIDED = 0.02
+"""Cost of the prior, nats per fix, above which a warning reports that it decided R."""
 SMOOTH = 0.5
 """Scatter in m below which the receiver either filters its fixes or uses RTK."""
 UNKNOWN = "no log without truth can tell how far off they are together"
@@ -59,7 +62,7 @@ def stated(drive: Drive) -> float:
     return float(np.mean(stated_std(drive) or np.nan))
 
 
-def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
+def noise_warnings(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
     """Warn of an R that contradicts the fixes of the training drives; for tunings without truth."""
     if parameters.accuracy_scale is not None or not drives:
         return []
@@ -82,28 +85,37 @@ def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> l
     return [to_do(REMEDY, f"{said}; errors that last look like none in forecasts, and {UNKNOWN}")]
 
 
-def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list[str]:
-    """Explain why the prior kept R, whose deviation is ``r`` (m), near a drive's receiver; empty if it did not.
+def prior_warnings(
+    parameters: FilterParameters,
+    weight: float,
+    names: Sequence[str],
+    receiver: Array,
+    noise: Sequence[FixNoise],
+) -> list[str]:
+    """Explain why the prior kept R near the receiver's variance, for the first drive on which it did.
 
-    ``receiver``: `receiver_std` of the drive of that name, shape (2,), m.
+    ``receiver``: `receiver_std` of each drive, shape (m, 2), m.
     """
-    std = float(np.mean(receiver))
-    if r * FAR_BELOW < std:
-        return []
-    if np.isfinite(noise.stated):
-        lasting = "; its fixes scatter less, so their errors last, and no log without truth can tell how far off they "
-        more = f"{lasting}are together" if std > LASTS * noise.scatter else ""
-        return [f"{name}: R was held near the {std:.2g} m per axis that the receiver states{more}"]
-    if std == UNSTATED_GPS_STD:
-        why = (
-            f"{name} states no accuracy of its fixes, so R was held near that of a usual receiver, {std:.2g} m per "
-            "axis, and NIS will be low where its fixes are smoothed"
-        )
-        return [to_do("write gps_std_m into drive.toml if yours is another receiver", why)]
-    return [f"{name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
+    costs = weight * prior_costs([parameters], receiver)[0]
+    r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
+    for name, std, one, near, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
+        if cost <= PRIOR_DECIDED or near * FAR_BELOW < std:
+            continue
+        if np.isfinite(one.stated):
+            lasting = f"; its fixes scatter less, so their errors last, and {UNKNOWN}"
+            more = lasting if std > LASTS * one.scatter else ""
+            return [f"{name}: R was held near the {std:.2g} m per axis that the receiver states{more}"]
+        if std == UNSTATED_GPS_STD:
+            why = (
+                f"{name} states no accuracy of its fixes, so R was held near that of a usual receiver, {std:.2g} m per "
+                "axis, and NIS will be low where its fixes are smoothed"
+            )
+            return [to_do("write gps_std_m into drive.toml if yours is another receiver", why)]
+        return [f"{name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
+    return []
 
 
-def said_of_accuracy(parameters: FilterParameters, each: Sequence[float]) -> list[str]:
+def accuracy_warnings(parameters: FilterParameters, each: Sequence[float]) -> list[str]:
     """Warn if the stated accuracy of the fixes, `stated` of each drive, has no effect on the filter."""
     std = _median(each)
     if parameters.accuracy_scale is None or not np.isfinite(std):

@@ -113,21 +113,15 @@ class History:
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> "History":
         """Take the history from the trials of a tuning."""
-        return cls(
-            tuple(
-                TrialHistory(i, np.arange(1.0, len(trial.best) + 1), trial.best, trial.median)
-                for i, trial in enumerate(trials)
-            )
-        )
+        each = enumerate(trials)
+        return cls(tuple(TrialHistory(i, np.arange(1.0, len(t.best) + 1), t.best, t.median) for i, t in each))
 
     def save(self, path: Path) -> Path:
         """Write convergence.csv, with every bit of the costs."""
         lines = ["trial,generation,best_cost,median_cost"]
-        lines += [
-            f"{one.trial},{g},{best!r},{median!r}"
-            for one in self.trials
-            for g, (best, median) in enumerate(zip(one.best.tolist(), one.median.tolist(), strict=True), 1)
-        ]
+        for one in self.trials:
+            rows = zip(one.best.tolist(), one.median.tolist(), strict=True)
+            lines += [f"{one.trial},{g},{best!r},{median!r}" for g, (best, median) in enumerate(rows, 1)]
         write_whole(path, "\n".join(lines) + "\n")
         return path
 
@@ -149,12 +143,8 @@ class History:
                 raise InputError("a row without a trial")
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError):
             raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
-        return cls(tuple(_trial(rows) for _, rows in table.group_by("trial", maintain_order=True)))
-
-
-def _trial(rows: pl.DataFrame) -> TrialHistory:
-    generation, best, median = (
-        rows[name].cast(pl.Float64()).fill_null(np.nan).to_numpy()
-        for name in ("generation", "best_cost", "median_cost")
-    )
-    return TrialHistory(int(rows["trial"][0]), generation, best, median)
+        trials = [
+            (rows["trial"][0], rows.select(pl.exclude("trial").cast(real).fill_null(np.nan)).to_numpy().T)
+            for _, rows in table.group_by("trial", maintain_order=True)
+        ]
+        return cls(tuple(TrialHistory(int(number), *columns) for number, columns in trials))

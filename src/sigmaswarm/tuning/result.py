@@ -1,6 +1,6 @@
 """`Tuning`: the result of a tuning, and its file."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic
@@ -21,7 +21,7 @@ from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, 
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.diagnostics import SCALE_FREE
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, ResultRecord, TuningRecord, seen_by
+from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord, seen_by
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.tuning.space import search_space
@@ -61,14 +61,6 @@ class Validation:
     cost: float
     gap: float
     drives: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain types, as in tuning.toml."""
-        return {
-            "validation_cost": self.cost,
-            "validation_gap": self.gap,
-            "validation_drives": list(self.drives),
-        }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,78 +138,88 @@ class Tuning(Generic[P]):
     @property
     def remarks(self) -> list[str]:
         """Remarks on the result; those that ask for action (`TO_DO`) come first."""
-        return _remarks_on(self)
+        return in_order(_remarks(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as in tuning.toml."""
-        ranges = {
-            s.name: [s.lowest if s.lowest is not None else "-", s.highest if s.highest is not None else "-"]
-            for s in self.sensitivities
+        result: dict[str, Any] = {
+            "cost": self.cost,
+            "objective": self.config.objective,
+            "objective_meaning": self._meaning(),
         }
-        lower = {s.name: s.lowest_rise for s in self.sensitivities if s.lowest_rise < 0}
+        if self.validation:
+            result |= {
+                "validation_cost": self.validation.cost,
+                "validation_gap": self.validation.gap,
+                "validation_drives": list(self.validation.drives),
+            }
+        if self.inflation_factor != 1.0:
+            result["inflation_factor"] = self.inflation_factor
+        result |= {
+            "touched_bounds": [str(touched) for touched in self.touched_bounds],
+            "unidentified": self.unidentified,
+            "remarks": self.remarks,
+            "warnings": list(self.warnings),
+            "best_trial": self.best_trial,
+            "trial_costs": list(self.trial_costs),
+            "evaluations": self.evaluations,
+            "failures": self.failures,
+            "filter_steps": self.steps,
+            "filter_steps_without_racing": self.full_steps,
+        }
+        if lower := {s.name: s.lowest_rise for s in self.sensitivities if s.lowest_rise < 0}:
+            result["lower_cost_at"] = lower
         return {
             **self._filter(),
-            "result": {
-                "cost": self.cost,
-                "objective": self.config.objective,
-                "objective_meaning": self._meaning(),
-                **({} if self.validation is None else self.validation.to_dict()),
-                **({} if self.inflation_factor == 1.0 else {"inflation_factor": self.inflation_factor}),
-                "touched_bounds": [str(touched) for touched in self.touched_bounds],
-                "unidentified": self.unidentified,
-                "remarks": self.remarks,
-                "warnings": list(self.warnings),
-                "best_trial": self.best_trial,
-                "trial_costs": list(self.trial_costs),
-                "evaluations": self.evaluations,
-                "failures": self.failures,
-                "filter_steps": self.steps,
-                "filter_steps_without_racing": self.full_steps,
-                **({"lower_cost_at": lower} if lower else {}),
+            "result": result,
+            "within_1_percent_of_the_cost": {
+                s.name: ["-" if end is None else end for end in (s.lowest, s.highest)]
+                for s in self.sensitivities
             },
-            "within_1_percent_of_the_cost": ranges,
             "config": self.config.model_dump(mode="json", exclude_none=True),
             "versions": versions(),
             "data": self.data,
         }
 
     def _filter(self) -> dict[str, Any]:
-        if isinstance(self.parameters, FilterParameters):
-            return {
-                "filter": self.parameters.to_dict(),
-                "units": units(self.parameters),
-                "densities": densities(self.parameters),
-            }
+        p = self.parameters
+        if isinstance(p, FilterParameters):
+            return {"filter": p.to_dict(), "units": units(p), "densities": densities(p)}
         model = self.config.model if isinstance(self.config, ModelTuneConfig) else {}
         stated = {t["name"]: t["unit"] for t in model["parameters"] if t["unit"]}
-        return {"filter": self.parameters, "units": stated | {"states": model["states"]}}
+        return {"filter": p, "units": stated | {"states": model["states"]}}
 
     def _meaning(self) -> str:
-        name = self.config.objective
-        if isinstance(self.config, ModelTuneConfig):
-            return MODEL_OBJECTIVES[name]
-        prior = getattr(self.config, "prior", None)
-        guarded = f" + {prior:g} x the prior of R where it is smaller than the receiver's" if prior else ""
-        return objective_named(name).summary + guarded
+        if not isinstance(self.config, TuneConfig):
+            return MODEL_OBJECTIVES[self.config.objective]
+        meaning, prior = objective_named(self.config.objective).summary, self.config.prior
+        return (
+            f"{meaning} + {prior:g} x the prior of R where it is smaller than the receiver's"
+            if prior
+            else meaning
+        )
 
     def _headline(self) -> str:
         on = counted(len(self.data), "drive")
         return f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {on}"
 
     def __repr__(self) -> str:
-        lines = [self._headline(), f"filter: {_filter_name(self.config)}, {len(self.trial_costs)} trial(s)"]
-        if self.validation:
-            cost, gap = notebook.number(self.validation.cost), self.validation.gap
-            on = counted(len(self.validation.drives), "validation drive")
-            lines.append(f"cost {cost} on {on}, errors {gap:+.1%}")
+        c, filtered = self.config, "a model of your own"
+        if isinstance(c, TuneConfig):
+            filtered = f"{c.model} ({c.kind}) with {', '.join(c.use) or 'position fixes alone'}"
+        lines = [self._headline(), f"filter: {filtered}, {len(self.trial_costs)} trial(s)"]
+        if v := self.validation:
+            on = counted(len(v.drives), "validation drive")
+            lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
-        if more := len(remarks) - SHOWN_REMARKS:
-            lines += [f"and {counted(more, 'more remark')}: see .remarks"] if more > 0 else []
+        if (more := len(remarks) - SHOWN_REMARKS) > 0:
+            lines.append(f"and {counted(more, 'more remark')}: see .remarks")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         """Show each parameter, how far it can move, and the remarks in a notebook."""
+        heads = ("parameter", "value", "within 1% of the cost: from", "to")
         rows = [
             (
                 s.name,
@@ -226,9 +228,7 @@ class Tuning(Generic[P]):
             )
             for s in self.sensitivities
         ]
-        heads = ("parameter", "value", "within 1% of the cost: from", "to")
-        table = notebook.table(self._headline(), heads, rows)
-        return table + notebook.listed("Warnings:", self.remarks)
+        return notebook.table(self._headline(), heads, rows) + notebook.listed("Warnings:", self.remarks)
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `Tuning.load` and `FilterParameters.load` read."""
@@ -245,16 +245,29 @@ class Tuning(Generic[P]):
         """
         file = Path(path) / FILE if Path(path).is_dir() else Path(path)
         record = load_record(TuningRecord, file)
-        if record.result is None:
+        result = record.result
+        if result is None:
             raise InputError(f"{file}: has no [result] table; give a file written by `sigmaswarm tune`")
         own = isinstance(record.config.get("model"), dict)
         config = validated_config(ModelTuneConfig if own else TuneConfig, record.config)
         parameters: Any = record.filter if own else FilterParameters.load(file)
-        result = record.result
-        values = record.filter
+        values: dict[str, Any] = {**record.filter}
         if isinstance(config, TuneConfig):
             space = search_space(config.model, config.scale, kind=config.kind, use=config.use)
             values = space.values_of(parameters)
+        sensitivities = tuple(
+            Sensitivity(
+                name,
+                float(values.get(name, 1.0)),
+                *(None if end == "-" else end for end in ends),
+                lowest_rise=result.lower_cost_at.get(name, 0.0),
+            )
+            for name, ends in record.within_1_percent_of_the_cost.items()
+        )
+        validation = None
+        if result.validation_cost is not None and result.validation_gap is not None:
+            names = tuple(result.validation_drives)
+            validation = Validation(result.validation_cost, result.validation_gap, names)
         return Tuning(
             parameters=parameters,
             cost=result.cost,
@@ -270,95 +283,52 @@ class Tuning(Generic[P]):
             data=[drive.model_dump(exclude_unset=True) for drive in record.data],
             seen=tuple(seen_by(file)),
             warnings=tuple(result.warnings),
-            sensitivities=_sensitivities(record, values),
-            validation=_validation(result),
+            sensitivities=sensitivities,
+            validation=validation,
             inflation_factor=result.inflation_factor,
         )
 
 
-def _filter_name(config: SearchConfig) -> str:
-    if not isinstance(config, TuneConfig):
-        return "a model of your own"
-    return f"{config.model} ({config.kind}) with {', '.join(config.use) or 'position fixes alone'}"
-
-
-def _sensitivities(record: TuningRecord, values: Mapping[str, Any]) -> tuple[Sensitivity, ...]:
-    changes = record.result.lower_cost_at if record.result else {}
-    return tuple(
-        Sensitivity(
-            name=name,
-            value=float(values.get(name, 1.0)),
-            lowest=None if low == "-" else low,
-            highest=None if high == "-" else high,
-            lowest_rise=changes.get(name, 0.0),
-        )
-        for name, (low, high) in record.within_1_percent_of_the_cost.items()
-    )
-
-
-def _validation(result: ResultRecord) -> Validation | None:
-    if result.validation_cost is None or result.validation_gap is None:
-        return None
-    return Validation(result.validation_cost, result.validation_gap, tuple(result.validation_drives))
-
-
-def _remarks_on(tuning: Tuning[Any]) -> list[str]:
-    """List the remarks as sentences; those that ask for action (`TO_DO`) come first."""
-    t = tuning
-    remarks = [
-        *t.warnings,
-        *([INFLATED.format(_inflated(t))] if t.inflation_factor != 1.0 else []),
-        *(
-            f"{touched}: the optimum may lie beyond the bounds"
-            for touched in t.touched_bounds
-            if touched.parameter not in t.unidentified
-        ),
-    ]
+def _remarks(t: Tuning[Any]) -> Iterator[str]:
+    """Remarks as sentences, without their order of importance."""
+    p, objective, factor = t.parameters, t.config.objective, t.inflation_factor
+    car = p if isinstance(p, FilterParameters) else None
+    yield from t.warnings
+    if factor != 1.0:
+        inflated = f"all process noises are {factor:.3g}"
+        if car and MODELS[car.model].tilts:
+            root = f"{factor**0.5:.3g}"
+            inflated = (
+                f"the random walks of the biases are {factor:.3g}, the noises of position and velocity {root}"
+            )
+        yield INFLATED.format(inflated)
+    for touched in t.touched_bounds:
+        if touched.parameter not in t.unidentified:
+            yield f"{touched}: the optimum may lie beyond the bounds"
     if names := ", ".join(name for name in t.unidentified if name != NOISE_SCALE):
-        remarks.append(
+        yield (
             f"the objective does not determine {names}: each alone may have any value within its bounds at 1% of the "
             "cost"
         )
-    if NOISE_SCALE in t.unidentified and t.config.objective not in SCALE_FREE:
+    if NOISE_SCALE in t.unidentified and objective not in SCALE_FREE:
         why = "it does not determine how large all noises are together, so the covariances can't be trusted"
-        remarks.append(to_do("add innovation-nll or nis to the objective", why))
-    if _heading_is_loose(t):
+        yield to_do("add innovation-nll or nis to the objective", why)
+    if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
         why = (
             "fixes alone determine the heading poorly: it may be off by tens of degrees with a good position"
         )
-        remarks.append(to_do(remedy, why))
+        yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
-    if better is not None and better.lowest_rise < -RISE and t.inflation_factor == 1.0:
+    if better and better.lowest_rise < -RISE and factor == 1.0:
         why = f"moving {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
-        remarks.append(to_do("search longer, with more trials, or polish", why))
-    if isinstance(t.parameters, FilterParameters) and "truth" in t.config.objective:
-        remarks.append(OF_THESE_SENSORS)
-    return in_order([*remarks, *_on_validation(t)])
-
-
-def _on_validation(tuning: Tuning[Any]) -> list[str]:
-    validation = tuning.validation
-    if validation is None:
-        return [NOT_VALIDATED]
-    if not np.isfinite(validation.cost):
-        return [to_do(MORE_DRIVES, "the tuned filter failed on at least one validation drive")]
-    if validation.gap > LARGE_GAP:
-        gap = f"{validation.gap:.0%} larger than on the training drives"
-        return [to_do(MORE_DRIVES, f"errors on the validation drives are {gap}")]
-    return []
-
-
-def _heading_is_loose(tuning: Tuning[Any]) -> bool:
-    p = tuning.parameters
-    held = not isinstance(p, FilterParameters) or p.lateral_noise or p.velocity_noise
-    return not held and "truth-pose" not in tuning.config.objective
-
-
-def _inflated(tuning: Tuning[Any]) -> str:
-    """Name the noises that were inflated, and the factors."""
-    p, factor = tuning.parameters, f"{tuning.inflation_factor:.3g}"
-    if not isinstance(p, FilterParameters) or not MODELS[p.model].tilts:
-        return f"all process noises are {factor}"
-    root = f"{tuning.inflation_factor**0.5:.3g}"
-    return f"the random walks of the biases are {factor}, the noises of position and velocity {root}"
+        yield to_do("search longer, with more trials, or polish", why)
+    if car and "truth" in objective:
+        yield OF_THESE_SENSORS
+    if t.validation is None:
+        yield NOT_VALIDATED
+    elif not np.isfinite(t.validation.cost):
+        yield to_do(MORE_DRIVES, "the tuned filter failed on at least one validation drive")
+    elif t.validation.gap > LARGE_GAP:
+        gap = f"{t.validation.gap:.0%} larger than on the training drives"
+        yield to_do(MORE_DRIVES, f"errors on the validation drives are {gap}")

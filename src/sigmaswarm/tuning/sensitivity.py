@@ -4,7 +4,6 @@ One parameter moves at a time, so a parameter that looks well determined may sti
 is known and tried as well: all noise variances times one factor, which changes the covariance but hardly the estimates.
 """
 
-from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.problem import Problem
 
 RISE = 0.01
@@ -63,45 +61,33 @@ def sensitivities(
         There.
     executor : concurrent.futures.Executor or None
     """
-    ways = list(_ways(problem.space, point))
-    shares = np.array([0.5**k for k in range(HALVINGS, -1, -1)])
-    points = np.concatenate([point + shares[:, None] * step for way in ways for step in (way.down, way.up)])
-    tried, of = np.unique(points, axis=0, return_inverse=True)  # no way leads from a bound
-    rises = problem.rise(problem.costs(tried, executor)[of], cost).reshape(len(ways), 2, len(shares))
-    found = []
-    for way, (falling, rising) in zip(ways, rises, strict=True):
-        reached = (_crossing(shares, falling), way.down), (_crossing(shares, rising), way.up)
-        lowest, highest = (None if s is None else way.value(point + s * step) for s, step in reached)
-        least = float(min(falling.min(), rising.min(), 0.0))
-        found.append(Sensitivity(way.name, way.value(point), lowest, highest, least))
-    return tuple(found)
-
-
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """A direction: the steps to its two bounds, and the parameter's value at a point."""
-
-    name: str
-    down: Array
-    up: Array
-    value: Callable[[Array], float]
-
-
-def _ways(space: Box, point: Array) -> Iterator[_Way]:
-    for i, name in enumerate(space.names):
-        axis = np.where(np.arange(len(point)) == i, 1.0, 0.0)
-        yield _Way(
-            name,
-            (space.low[i] - point[i]) * axis,
-            (space.high[i] - point[i]) * axis,
-            lambda p, i=i: float(space.values(p)[i]),
-        )
+    space, names, axes = problem.space, [*problem.space.names], np.eye(len(point))
+    down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
     noises = space.logarithmic & space.noises
     if noises.any():
         # two decades each way, out of the box if need be: a variance at its bound would else hide the trade
-        first = int(np.argmax(noises))
         together = np.where(noises, 2.0, 0.0)
-        yield _Way(NOISE_SCALE, -together, together, lambda p: float(10 ** (p[first] - point[first])))
+        down, up = np.vstack([down, -together]), np.vstack([up, together])
+        names.append(NOISE_SCALE)
+
+    def value(k: int, at: Array) -> float:
+        first = int(np.argmax(noises))
+        return float(space.values(at)[k] if k < len(point) else 10 ** (at[first] - point[first]))
+
+    shares = np.array([0.5**k for k in range(HALVINGS, -1, -1)])
+    steps = np.stack([down, up], axis=1)
+    points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
+    tried, of = np.unique(points, axis=0, return_inverse=True)  # no way leads from a bound
+    rises = problem.rise(problem.costs(tried, executor)[of], cost).reshape(len(names), 2, len(shares))
+    found: list[Sensitivity] = []
+    for k, name in enumerate(names):
+        reached = [_crossing(shares, rise) for rise in rises[k]]
+        ends = [
+            None if s is None else value(k, point + s * step)
+            for s, step in zip(reached, steps[k], strict=True)
+        ]
+        found.append(Sensitivity(name, value(k, point), *ends, lowest_rise=float(min(rises[k].min(), 0.0))))
+    return tuple(found)
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:

@@ -7,39 +7,17 @@ from functools import cached_property
 from itertools import groupby
 from typing import Any, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.models import MODELS, SENSORS, CarModel, State
+from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.filters.table import ParameterTable
-from sigmaswarm.tuning.box import Box
+from sigmaswarm.tuning.box import Box, Dimension
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
 """Optional measurements and features of a filter; the parameters of a chosen one are tuned, too."""
-
-
-@dataclass(frozen=True)
-class Dimension:
-    """One parameter that is searched: its field of FilterParameters, and its range.
-
-    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 where the field is a plain
-    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
-    of its factor; ``least``: the lower limit that it applies.
-    """
-
-    name: str
-    field: str
-    entries: int
-    lowest: float
-    highest: float
-    spread: bool = True
-    inflation: float = 0.0
-    least: float = -math.inf
 
 
 SCALING = (
@@ -68,10 +46,6 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
 }
 ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R in addition to the stated variance of each fix."""
-NOISES = (
-    *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale"),
-    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
-)
 LEAST = {
     "tilt": 2e-7,
     "gyro_bias_xy": 1e-10,
@@ -87,10 +61,11 @@ IMU_DIMENSIONS = (
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
-ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
-    "adaptive-ukf": (ADAPTIVE,),
-    "strong-tracking-ukf": (ADAPTIVE,),
+    **dict.fromkeys(
+        ("adaptive-ukf", "strong-tracking-ukf"),
+        (Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False),),
+    ),
     "fuzzy-ukf": (
         Dimension("forgetting", "forgetting", 0, 0.5, 0.999, spread=False),
         Dimension("fuzzy_width_ratio", "fuzzy_widths", 1, 0.1, 1.0),
@@ -104,32 +79,9 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace(Box):
-    """A box of filter parameters for cars.
+    """Bounds of filter parameters for cars; ``fixed``: fields of `FilterParameters` that are not searched."""
 
-    Attributes
-    ----------
-    dimensions : tuple of Dimension, length d
-    fixed : dict
-        Fields of `FilterParameters` that are not searched.
-    """
-
-    dimensions: tuple[Dimension, ...]
     fixed: dict[str, Any]
-
-    @property
-    def noises(self) -> NDArray[np.bool_]:
-        """True for variances of noise, shape (d,)."""
-        return np.array([d.field in NOISES for d in self.dimensions])
-
-    @property
-    def inflation(self) -> Array:
-        """Decades by which `tuning.inflation` raises each parameter per decade of its factor, shape (d,)."""
-        return np.array([d.inflation for d in self.dimensions])
-
-    @property
-    def least(self) -> Array:
-        """Lower limits that `tuning.inflation` applies, in search coordinates, shape (d,)."""
-        return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def decode(self, points: Array) -> ParameterTable:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
@@ -189,27 +141,17 @@ def search_space(
         raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
     if reason := clash(kind, use):
         raise InputError(reason)
-    kinds = MODELS[model].kinds
-    lacking = [option for option in use if option not in (MODELS[model].options or OPTIONS)]
+    kinds, options = MODELS[model].kinds, MODELS[model].options or OPTIONS
+    lacking = [option for option in use if option not in options]
     if lacking:
-        raise InputError(
-            f"{model} can't use {lacking[0]!r}; choose from {', '.join(MODELS[model].options or OPTIONS)}"
-        )
+        raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
-    dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
-    logarithmic = np.array([d.spread and scale == "log10" for d in dimensions])
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if kind == "ekf":  # it has no sigma points
         fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
-    return SearchSpace(
-        names=tuple(d.name for d in dimensions),
-        lowest=np.array([d.lowest for d in dimensions]),
-        highest=np.array([d.highest for d in dimensions]),
-        logarithmic=logarithmic,
-        dimensions=dimensions,
-        fixed=fixed,
-    )
+    dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
+    return SearchSpace(dimensions, scale, fixed)
 
 
 def _dimensions(
@@ -229,8 +171,10 @@ def _dimensions(
         alike = list(states)
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
-        box, inflation = (scale * lowest, scale * highest), _inflation(alike[0], described)
-        least = scale * LEAST.get(name, 0.0) if described.tilts else -math.inf
+        box, inflation, least = (scale * lowest, scale * highest), 1.0, -math.inf
+        if described.tilts:  # `tuning.inflation` states the measurements behind these numbers
+            least = scale * LEAST.get(name, 0.0)
+            inflation = 1.0 if alike[0].bias_of else 0.0 if alike[0].unit == "rad" else 0.5
         yield Dimension(f"q_{name}", "process_noise", len(alike), *box, inflation=inflation, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
@@ -246,10 +190,3 @@ def _dimensions(
         if option in use:
             wanted = OPTION_DIMENSIONS[option]
             yield from wanted[:1] if described.measures_imu else wanted  # its twist is at the IMU
-
-
-def _inflation(state: State, model: CarModel) -> float:
-    """Decades for a state's noise; `tuning.inflation` states the measurements behind them."""
-    if not model.tilts or state.bias_of:
-        return 1.0
-    return 0.0 if state.unit == "rad" else 0.5

@@ -109,6 +109,23 @@ def finished_trial(
     return result.model_dump(), vars(history) | (history.model_extra or {})
 
 
+def _with_current_names(config: Any) -> Any:
+    """Rename the options of 0.3.0 in a saved configuration."""
+    if not isinstance(config, dict):
+        return config
+    items = cast(dict[str, Any], config).items()
+    return {RENAMED.get(key, key): _with_current_names(value) for key, value in items}
+
+
+def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
+    """Describe the innermost values that differ."""
+    if isinstance(saved, dict) and isinstance(wanted, dict) and key not in ("data", "model"):
+        old, new = cast(dict[str, Any], saved), cast(dict[str, Any], wanted)
+        inner = next(k for k in sorted(old.keys() | new.keys()) if old.get(k) != new.get(k))
+        return _difference(f"{key}.{inner}" if key else inner, old.get(inner), new.get(inner))
+    return _short(key, saved), _short(key, wanted)
+
+
 def _short(key: str, value: Any) -> str:
     with suppress(LookupError, TypeError):  # a damaged file lacks names or hashes
         if key == "data" and isinstance(value, list):
@@ -117,23 +134,6 @@ def _short(key: str, value: Any) -> str:
             return f"the model {value['name']} ({value['sha256'][:8]})"
     text = str(value)
     return f"{key} = {text if len(text) <= LONGEST else text[:LONGEST] + ' ...'}"
-
-
-def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, Any, Any]:
-    """Return the innermost key whose values differ, with them."""
-    if isinstance(saved, dict) and isinstance(wanted, dict) and key not in ("data", "model"):
-        old, new = cast(dict[str, Any], saved), cast(dict[str, Any], wanted)
-        inner = next(k for k in sorted(old.keys() | new.keys()) if old.get(k) != new.get(k))
-        return _difference(f"{key}.{inner}" if key else inner, old.get(inner), new.get(inner))
-    return key, saved, wanted
-
-
-def _with_current_names(config: Any) -> Any:
-    """Rename the options of 0.3.0 in a saved configuration."""
-    if not isinstance(config, dict):
-        return config
-    items: Any = config.items()  # pyright: ignore
-    return {RENAMED.get(key, key): _with_current_names(value) for key, value in items}
 
 
 class ResultFolder:
@@ -155,33 +155,26 @@ class ResultFolder:
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
-        self.path = make_folder(path)
-        config_file = path / "config.json"
-        if config_file.exists():
-            self._check(config_file, config, resume)
-        else:
-            write_json(config_file, config)
-
-    @staticmethod
-    def _check(config_file: Path, config: dict[str, Any], resume: bool) -> None:
+        self.path, file = make_folder(path), path / "config.json"
+        if not file.exists():
+            write_json(file, config)
+            return
         if not resume:
             raise InputError(
-                f"{config_file.parent}: already holds a tuning; add --resume to go on with it, "
-                "or choose another --out"
+                f"{path}: already holds a tuning; add --resume to go on with it, or choose another --out"
             )
-        saved = _with_current_names(
-            read_content(config_file, "not written by a tuning; choose another --out", infinite=True)
-        )
+        remedy = "not written by a tuning; choose another --out"
+        saved = _with_current_names(read_content(file, remedy, infinite=True))
         wanted = json.loads(json.dumps(config))
         made, now = saved.pop("versions", {}), wanted.pop("versions", {})
         if not (isinstance(made, dict) and same_results(made, now)):
             raise InputError(
-                f"{config_file}: was started with other versions, {made}; go on with those, or choose another --out"
+                f"{file}: was started with other versions, {made}; go on with those, or choose another --out"
             )
         if saved != wanted:
-            key, old, new = _difference("", saved, wanted)
+            old, new = _difference("", saved, wanted)
             raise InputError(
-                f"{config_file}: was started with {_short(key, old)}, now asked for {_short(key, new)}; "
+                f"{file}: was started with {old}, now asked for {new}; "
                 "repeat the first command, or choose another --out"
             )
 
@@ -189,14 +182,9 @@ class ResultFolder:
         """Return the file of a running trial's state."""
         return self.path / f"checkpoint-{trial:03d}.npz"
 
-    def finished(
-        self,
-        trial: int,
-        result_type: type[BaseModel] = TrialRecord,
-        history_type: type[BaseModel] = TrialHistoryRecord,
-    ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Return the result and the history of a finished trial, else None."""
-        done = finished_trial(self.path, trial, result_type, history_type)
+    def finished(self, trial: int, *records: type[BaseModel]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Return the result and the history of a finished trial, else None; ``records`` as in `finished_trial`."""
+        done = finished_trial(self.path, trial, *records)
         if done:  # a run killed between saving the result and deleting the checkpoint left both
             self.checkpoint(trial).unlink(missing_ok=True)
         return done

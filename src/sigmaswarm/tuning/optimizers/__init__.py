@@ -27,7 +27,6 @@ A custom class needs four methods; pass it to ``tune(drives, optimizer=Halton)``
             self.sequence.reset().fast_forward(int(state["drawn"]))
 """
 
-import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -36,8 +35,9 @@ import numpy as np
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell, Optimizer
 from sigmaswarm.tuning.optimizers.bayesian_optimization import BayesianOptimization
-from sigmaswarm.tuning.optimizers.budget import POLISH_SIZE, Budgeted
+from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.optimizers.cma_es import CmaEs
+from sigmaswarm.tuning.optimizers.de_qpso import QuantumSwarm
 from sigmaswarm.tuning.optimizers.differential_evolution import DifferentialEvolution
 from sigmaswarm.tuning.optimizers.ga_pso import GeneticSwarm
 from sigmaswarm.tuning.optimizers.genetic import GeneticAlgorithm
@@ -47,18 +47,13 @@ from sigmaswarm.tuning.optimizers.sampling import RandomSearch, SobolSearch
 
 __all__ = ["OPTIMIZERS", "Optimizer", "create_optimizer"]
 
-OPTIMIZERS: dict[str, Callable[..., AskTell]] = {
-    "pso": ParticleSwarm,
-    "ga": GeneticAlgorithm,
-    "ga-pso": GeneticSwarm,
-    "de": DifferentialEvolution,
-    "cma-es": CmaEs,
-    "bo": BayesianOptimization,
-    "nelder-mead": NelderMead,
-    "random": RandomSearch,
-    "sobol": SobolSearch,
+OPTIMIZERS: dict[str, type[AskTell]] = {
+    optimizer.name: optimizer
+    for optimizer in (
+        *(ParticleSwarm, GeneticAlgorithm, GeneticSwarm, DifferentialEvolution, QuantumSwarm, CmaEs),
+        *(BayesianOptimization, NelderMead, RandomSearch, SobolSearch),
+    )
 }
-"""Each is called with low, high, population, rng and its options."""
 
 
 def create_optimizer(
@@ -69,8 +64,6 @@ def create_optimizer(
     population: int,
     budget: int,
     rng: np.random.Generator,
-    polish: int = 0,
-    polish_size: float = POLISH_SIZE,
     **options: Any,
 ) -> Budgeted:
     """Create an optimizer with a budget of evaluations.
@@ -87,38 +80,27 @@ def create_optimizer(
         Evaluations, at least 1. The last batch is cut to what is left.
     rng : numpy.random.Generator
         The only source of random numbers.
-    polish : int
-        Evaluations of the budget reserved for a Nelder-Mead search from the best point.
-    polish_size : float
-        Edge of its first simplex, in widths of the bounds.
     **options
-        Of the optimizer itself.
+        ``polish``: evaluations of the budget reserved for a Nelder-Mead search from the best point. All others are
+        options of the optimizer itself.
 
     Raises
     ------
     InputError
         If the name or an option is not known, a method is missing, or a number can't be used.
     """
+    polish = options.pop("polish", 0)
     if isinstance(name, str) and name not in OPTIMIZERS:
         raise InputError(f"optimizer = {name!r}: not known; choose one of {', '.join(OPTIMIZERS)}")
-    kind = OPTIMIZERS[name] if isinstance(name, str) else name
-    known = [
-        key
-        for key, parameter in inspect.signature(kind).parameters.items()
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-    ]
-    for option in options:
-        if option not in known:
-            raise InputError(
-                f"{option}: not an option of the optimizer {name}; it has {', '.join(known) or 'none'}"
-            )
     if population < 2 or budget < 1 or not 0 <= polish < budget:
         raise InputError(
             f"population = {population}, budget = {budget}, polish = {polish}: "
             "population must be at least 2, budget at least 1, and polish from 0 to less than budget"
         )
-    first = kind(low, high, population, rng, **options)
-    missing = [m for m in ("ask", "tell", "state", "restore") if not callable(getattr(first, m, None))]
-    if missing:
-        raise InputError(f"optimizer = {name}: has no method {missing[0]}; see sigmaswarm.tuning.optimizers")
-    return Budgeted(first, low, high, rng, budget=budget, polish=polish, polish_size=polish_size)
+    if name == QuantumSwarm.name:
+        options = {"generations": max((budget - polish) // population, 1), **options}
+    first = (OPTIMIZERS[name] if isinstance(name, str) else name)(low, high, population, rng, **options)
+    for method in ("ask", "tell", "state", "restore"):
+        if not callable(getattr(first, method, None)):
+            raise InputError(f"optimizer = {name}: has no method {method}; see sigmaswarm.tuning.optimizers")
+    return Budgeted(first, low, high, rng, budget=budget, polish=polish)

@@ -1,9 +1,12 @@
-"""The protocol of an optimizer, and the parts that the built-in ones share."""
+"""The protocol of an optimizer, and the base class of the built-in ones."""
 
+from inspect import get_annotations
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sigmaswarm.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -36,16 +39,14 @@ class Optimizer(Protocol):
 
 
 class AskTell:
-    """Base of the built-in optimizers; a child implements `_next` and `_learn`.
+    """Base of the built-in optimizers; a child implements `_next` and may implement `_begin` and `_learn`.
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds, in search coordinates.
-    positions : ndarray, shape (n, d)
-        The first points.
-    rng : numpy.random.Generator
-        The only source of random numbers.
+    low, high, population, rng
+        As for every `Optimizer`.
+    **options
+        The annotated class attributes of the child.
 
     Attributes
     ----------
@@ -55,16 +56,30 @@ class AskTell:
         The best point so far.
     global_cost : float
         Its cost; ``inf`` until a point had a finite one.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown.
     """
 
+    name: ClassVar[str] = ""
     saved: ClassVar[tuple[str, ...]] = ()
     """Attributes of the child that are part of the state: arrays, numbers or strings."""
 
-    def __init__(self, low: Array, high: Array, positions: Array, rng: np.random.Generator) -> None:
-        self.low, self.high, self.rng = low, high, rng
-        self.positions = np.clip(positions, low, high)
-        self.global_best = self.positions[0].copy()
-        self.global_cost = np.inf
+    def __init__(
+        self, low: Array, high: Array, population: int, rng: np.random.Generator, **options: Any
+    ) -> None:
+        known = get_annotations(type(self))
+        for option, value in options.items():
+            if option not in known:
+                raise InputError(
+                    f"{option}: not an option of the optimizer {self.name}; it has {', '.join(known) or 'none'}"
+                )
+            setattr(self, option, value)
+        self.low, self.high, self.population, self.rng = low, high, population, rng
+        self.positions = np.clip(self._begin(), low, high)
+        self.global_best, self.global_cost = self.positions[0].copy(), np.inf
         self.told = False
 
     def ask(self) -> Array:
@@ -87,6 +102,10 @@ class AskTell:
         self._learn(costs)
         self.told = True
 
+    def _begin(self) -> Array:
+        """Set up the child's own state and return the first points; random ones by default."""
+        return self.rng.uniform(self.low, self.high, (self.population, len(self.low)))
+
     def _next(self) -> Array:
         """Return the next points; `ask` clips them to the bounds."""
         raise NotImplementedError
@@ -94,23 +113,43 @@ class AskTell:
     def _learn(self, costs: Array) -> None:
         """Update the state from the costs of `positions`."""
 
+    def _redrawn(self, points: Array) -> Array:
+        """Draw coordinates outside the bounds again, uniformly within them."""
+        outside = (points < self.low) | (points > self.high)
+        return np.where(outside, self.rng.uniform(self.low, self.high, points.shape), points)
+
     def _names(self) -> tuple[str, ...]:
         return ("positions", "global_best", "global_cost", "told", *self.saved)
 
     def state(self) -> dict[str, Any]:
         """Return all that `restore` needs to continue bit for bit."""
-        state = {name: getattr(self, name) for name in self._names()}
-        return state | {"rng": self.rng.bit_generator.state}
+        return {name: getattr(self, name) for name in self._names()} | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a saved `state`, in an optimizer made with the same arguments."""
         for name in self._names():
             now, value = getattr(self, name), state[name]
             if isinstance(now, np.ndarray):
-                array = np.array(value)
-                if array.dtype != now.dtype or array.ndim != now.ndim or array.shape[1:] != now.shape[1:]:
+                value = np.array(value)
+                if value.dtype != now.dtype or value.ndim != now.ndim or value.shape[1:] != now.shape[1:]:
                     raise ValueError(f"{name} has another type or shape")
-                setattr(self, name, array)
             else:
-                setattr(self, name, type(now)(value))
+                value = type(now)(value)
+            setattr(self, name, value)
         self.rng.bit_generator.state = state["rng"]
+
+
+class Swarm(AskTell):
+    """Base of the swarms, whose particles remember their best positions."""
+
+    saved = ("personal_best", "personal_cost")
+
+    def _begin(self) -> Array:
+        self.personal_best = super()._begin()
+        self.personal_cost = np.full(self.population, np.inf)
+        return self.personal_best.copy()
+
+    def _learn(self, costs: Array) -> None:
+        better = costs < self.personal_cost
+        self.personal_best[better] = self.positions[better]
+        self.personal_cost[better] = costs[better]

@@ -13,7 +13,7 @@ expected improvement in closed form; without it, it takes several times as long 
 
 import threading
 import warnings
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,6 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
-BATCH = 1
-"""Points between two fits."""
-CANDIDATES = 2000
-"""Places that are looked at for each point."""
-SEARCHES = 3
-"""Searches that climb from the best of them."""
 MOST = 200
 """Costs that the process is fitted to, as a fit grows with their number's third power."""
 NOISE = 1e-6
@@ -43,16 +37,7 @@ _ALONE = threading.Lock()
 
 
 class BayesianOptimization(AskTell):
-    """A Gaussian process that proposes points of the highest expected improvement.
-
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`; the search begins with ``population`` Sobol' points.
-    batch : int
-        Points between two fits: fewer learn more from each evaluation, more take less time.
-    candidates, searches : int
-        Places that are looked at for each point, and searches that climb from the best of them.
+    """A Gaussian process that proposes points of the highest expected improvement; it begins with Sobol' points.
 
     Raises
     ------
@@ -60,23 +45,19 @@ class BayesianOptimization(AskTell):
         If scikit-learn is not installed.
     """
 
-    saved: ClassVar = ("points", "costs")
+    name = "bo"
+    saved = ("points", "costs")
+    batch: int = 1
+    """Points between two fits: fewer learn more from each evaluation, more take less time."""
+    candidates: int = 2000
+    """Places that are looked at for each point."""
+    searches: int = 3
+    """Searches that climb from the best of them."""
 
-    def __init__(
-        self,
-        low: Array,
-        high: Array,
-        population: int,
-        rng: np.random.Generator,
-        *,
-        batch: int = BATCH,
-        candidates: int = CANDIDATES,
-        searches: int = SEARCHES,
-    ) -> None:
+    def _begin(self) -> Array:
         require_packages("bo")
-        self.batch, self.effort = batch, (candidates, searches)
-        self.points, self.costs = np.empty((0, len(low))), np.empty(0)
-        super().__init__(low, high, SobolSearch(low, high, population, rng).ask(), rng)
+        self.points, self.costs = np.empty((0, len(self.low))), np.empty(0)
+        return SobolSearch(self.low, self.high, self.population, self.rng).ask()
 
     def _learn(self, costs: Array) -> None:
         self.points = np.concatenate([self.points, self.positions])
@@ -87,7 +68,9 @@ class BayesianOptimization(AskTell):
             return self.rng.uniform(self.low, self.high, (self.batch, len(self.low)))
         chosen = self._remembered()
         points = (self.points[chosen] - self.low) / (self.high - self.low)
-        found = suggested(points, leveled(self.costs[chosen]), self.batch, self.effort, self.rng)
+        found = suggested(
+            points, leveled(self.costs[chosen]), self.batch, (self.candidates, self.searches), self.rng
+        )
         return self.low + found * (self.high - self.low)
 
     def _remembered(self) -> NDArray[np.intp]:

@@ -8,9 +8,6 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.optimizers.asktell import Array, Optimizer
 from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
-POLISH_SIZE = 0.05
-"""Edge of the first simplex of a polish, in widths of the bounds."""
-
 
 class Budgeted:
     """An optimizer with a budget of evaluations; it may end with a Nelder-Mead search (polish).
@@ -27,8 +24,6 @@ class Budgeted:
         Largest number of points.
     polish : int
         Evaluations of the budget reserved for a Nelder-Mead search from the best point.
-    polish_size : float
-        Edge of its first simplex, in widths of the bounds.
 
     Attributes
     ----------
@@ -49,10 +44,9 @@ class Budgeted:
         *,
         budget: int,
         polish: int = 0,
-        polish_size: float = POLISH_SIZE,
     ) -> None:
         self.low, self.high, self.rng = low, high, rng
-        self.first, self.budget, self.polish, self.polish_size = first, budget, polish, polish_size
+        self.first, self.budget, self.polish = first, budget, polish
         self.local: NelderMead | None = None
         self.spent, self._size, self._points = 0, 0, np.empty((0, len(low)))
         self.global_best, self.global_cost = low.copy(), np.inf
@@ -98,8 +92,7 @@ class Budgeted:
 
     def _local_search(self) -> NelderMead:
         start, cost = self.global_best, self.global_cost
-        size = self.polish_size
-        return NelderMead(self.low, self.high, 1, self.rng, start=start, start_cost=cost, size=size)
+        return NelderMead(self.low, self.high, 1, self.rng, start=start, start_cost=cost)
 
     def state(self) -> dict[str, Any]:
         """Return all that `restore` needs to continue bit for bit."""

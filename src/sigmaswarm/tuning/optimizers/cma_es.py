@@ -9,8 +9,6 @@ method for handling uncertainty in evolutionary optimization, IEEE Trans. Evolut
 with a weight that is not adapted. Drawing until all are inside would keep the search away from an optimum on a bound.
 """
 
-from typing import ClassVar
-
 import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
@@ -22,32 +20,18 @@ NARROWEST, WIDEST, LARGEST_CONDITION = 1e-12, 10.0, 1e14
 
 
 class CmaEs(AskTell):
-    """A normal distribution that adapts to the costs of its samples.
+    """A normal distribution that adapts to the costs of its samples."""
 
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`.
-    step : float
-        Standard deviation at first, in widths of the box.
-    """
+    name = "cma-es"
+    saved = ("mean", "step", "covariance", "step_path", "path", "generation", "samples")
+    step: float = INITIAL_STEP
+    """Standard deviation at first, in widths of the bounds."""
 
-    saved: ClassVar = ("mean", "step", "covariance", "step_path", "path", "generation", "samples")
-
-    def __init__(
-        self,
-        low: Array,
-        high: Array,
-        population: int,
-        rng: np.random.Generator,
-        *,
-        step: float = INITIAL_STEP,
-    ) -> None:
-        self.first_step, self.width = step, high - low
-        self._constants(population, len(low))
-        self.low, self.rng, self.population = low, rng, population
-        self._begin(np.full(len(low), 0.5))
-        super().__init__(low, high, self._next(), rng)
+    def _begin(self) -> Array:
+        self.first_step, self.width = self.step, self.high - self.low
+        self._constants(self.population, len(self.low))
+        self._restart(np.full(len(self.low), 0.5))
+        return self._next()
 
     def _constants(self, n: int, d: int) -> None:
         """Weights and rates, from population and dimension alone."""
@@ -71,7 +55,7 @@ class CmaEs(AskTell):
         self.mu_eff = mu
         self.expected_length = np.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d**2))  # of a normal vector
 
-    def _begin(self, mean: Array) -> None:
+    def _restart(self, mean: Array) -> None:
         d = len(mean)
         self.mean, self.step, self.covariance = mean, self.first_step, np.eye(d)
         self.step_path, self.path, self.generation = np.zeros(d), np.zeros(d), 0
@@ -80,7 +64,7 @@ class CmaEs(AskTell):
         variances, axes = np.linalg.eigh(self.covariance)
         width = self.step * np.sqrt(max(variances[-1], 0.0))
         if not NARROWEST < width < WIDEST or variances[0] * LARGEST_CONDITION < variances[-1]:
-            self._begin(self.rng.random(len(self.mean)))
+            self._restart(self.rng.random(len(self.mean)))
             variances, axes = np.linalg.eigh(self.covariance)
         self.samples = self._drawn(self.population, variances, axes)
         outside = np.any((self.samples < 0) | (self.samples > 1), axis=1)
@@ -99,7 +83,7 @@ class CmaEs(AskTell):
 
     def _learn(self, costs: Array) -> None:
         if costs.min() == costs.max():  # a plateau teaches nothing: look elsewhere
-            self._begin(self.rng.random(len(self.mean)))
+            self._restart(self.rng.random(len(self.mean)))
             return
         n, d = self.positions.shape
         mu = n // 2

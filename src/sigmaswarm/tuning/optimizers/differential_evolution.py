@@ -5,48 +5,30 @@ and best/1/bin, with a scale factor redrawn in every generation (dither). Each t
 if it is not worse. Trials that leave the box are put back at random in the coordinates in which they left it.
 """
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
-Indices = NDArray[np.intp]
-
 
 class DifferentialEvolution(AskTell):
-    """A population whose trials replace their parents where they cost less.
+    """A population whose trials replace their parents where they cost less."""
 
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`.
-    base : {"best", "rand"}
-        Base vector: the best member, or a random one.
-    scale : (float, float)
-        F is drawn from this range, once a generation.
-    crossover : float
-        CR, the chance of a coordinate to come from the mutant.
-    """
+    name = "de"
+    saved = ("members", "member_costs")
+    base: Literal["best", "rand"] = "best"
+    """Base vector: the best member, or a random one."""
+    scale: tuple[float, float] = (0.5, 1.0)
+    """F is drawn from this range, once a generation."""
+    crossover: float = 0.7
+    """CR, the chance of a coordinate to come from the mutant."""
 
-    saved: ClassVar = ("members", "member_costs")
-
-    def __init__(
-        self,
-        low: Array,
-        high: Array,
-        population: int,
-        rng: np.random.Generator,
-        *,
-        base: Literal["best", "rand"] = "best",
-        scale: tuple[float, float] = (0.5, 1.0),
-        crossover: float = 0.7,
-    ) -> None:
-        super().__init__(low, high, rng.uniform(low, high, (population, len(low))), rng)
-        self.base, self.scale, self.crossover = base, scale, crossover
-        self.members = self.positions.copy()
-        self.member_costs = np.full(population, np.inf)
+    def _begin(self) -> Array:
+        self.members = super()._begin()
+        self.member_costs = np.full(self.population, np.inf)
+        return self.members.copy()
 
     def _learn(self, costs: Array) -> None:
         better = costs <= self.member_costs
@@ -61,14 +43,12 @@ class DifferentialEvolution(AskTell):
         mutants = start + factor * (x[r1] - x[r2])
         crossed = self.rng.random((n, d)) < self.crossover
         crossed[np.arange(n), self.rng.integers(d, size=n)] = True  # at least one coordinate changes
-        trials = np.where(crossed, mutants, x)
-        outside = (trials < self.low) | (trials > self.high)
-        return np.where(outside, self.rng.uniform(self.low, self.high, (n, d)), trials)
+        return self._redrawn(np.where(crossed, mutants, x))
 
-    def _others(self) -> tuple[Indices, Indices, Indices]:
+    def _others(self) -> list[NDArray[np.intp]]:
         """Three different other members for each member; of fewer than four members some serve twice."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last
         ranked = np.argsort(order, axis=1)
-        return ranked[:, 0], ranked[:, 1 % n], ranked[:, 2 % n]
+        return [ranked[:, k % n] for k in range(3)]

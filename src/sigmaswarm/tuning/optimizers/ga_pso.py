@@ -5,51 +5,33 @@ Systems, Man, and Cybernetics B 34, 997-1006, 2004 (HGAPSO). Two things differ: 
 `genetic.py`, and children descend from the elites as they stand before they fly, so that a generation is one batch.
 """
 
-from typing import ClassVar
-
 import numpy as np
 
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 from sigmaswarm.tuning.optimizers.genetic import mutated, offspring
-from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
+from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
-class GeneticSwarm(AskTell):
-    """A population of which one half flies and the other is bred.
+class GeneticSwarm(Swarm):
+    """A population of which one half flies and the other is bred."""
 
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`.
-    inertia, cognitive, social : float
-        w, c1, c2 of the half that flies.
-    """
+    name = "ga-pso"
+    saved = ("velocities", "costs", *Swarm.saved)
+    inertia: float = INERTIA
+    """w, of the half that flies."""
+    cognitive: float = ACCELERATION
+    """c1."""
+    social: float = ACCELERATION
+    """c2."""
 
-    saved: ClassVar = ("velocities", "costs", "personal_best", "personal_cost")
-
-    def __init__(
-        self,
-        low: Array,
-        high: Array,
-        population: int,
-        rng: np.random.Generator,
-        *,
-        inertia: float = INERTIA,
-        cognitive: float = ACCELERATION,
-        social: float = ACCELERATION,
-    ) -> None:
-        super().__init__(low, high, rng.uniform(low, high, (population, len(low))), rng)
-        self.inertia, self.cognitive, self.social = inertia, cognitive, social
-        self.velocities = np.zeros_like(self.positions)
-        self.costs = np.full(population, np.inf)
-        self.personal_best = self.positions.copy()
-        self.personal_cost = self.costs.copy()
+    def _begin(self) -> Array:
+        positions = super()._begin()
+        self.velocities, self.costs = np.zeros_like(positions), self.personal_cost.copy()
+        return positions
 
     def _learn(self, costs: Array) -> None:
         self.costs = costs
-        better = costs < self.personal_cost
-        self.personal_best[better] = self.positions[better]
-        self.personal_cost[better] = costs[better]
+        super()._learn(costs)
 
     def _next(self) -> Array:
         n, box = len(self.positions), (self.low, self.high)

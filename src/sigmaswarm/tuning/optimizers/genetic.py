@@ -6,8 +6,6 @@ Comput. Methods Appl. Mech. Engrg. 186, 311-338, 2000, which also gives the poly
 parents and children together live on.
 """
 
-from typing import ClassVar
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,36 +18,21 @@ ATTEMPTS = 10
 
 
 class GeneticAlgorithm(AskTell):
-    """A population whose children replace its worse members.
+    """A population whose children replace its worse members."""
 
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`.
-    crossover : float
-        Chance that two parents are crossed; else their children are copies, before mutation.
-    crossover_index, mutation_index : float
-        eta_c and eta_m: how near to its parents a child stays; higher is nearer.
-    """
+    name = "ga"
+    saved = ("members", "member_costs")
+    crossover: float = CROSSOVER
+    """Chance that two parents are crossed; else their children are copies, before mutation."""
+    crossover_index: float = CROSSOVER_INDEX
+    """eta_c: how near to its parents a child stays; higher is nearer."""
+    mutation_index: float = MUTATION_INDEX
+    """eta_m, of mutation."""
 
-    saved: ClassVar = ("members", "member_costs")
-
-    def __init__(
-        self,
-        low: Array,
-        high: Array,
-        population: int,
-        rng: np.random.Generator,
-        *,
-        crossover: float = CROSSOVER,
-        crossover_index: float = CROSSOVER_INDEX,
-        mutation_index: float = MUTATION_INDEX,
-    ) -> None:
-        super().__init__(low, high, rng.uniform(low, high, (population, len(low))), rng)
-        self.crossover, self.crossover_index = crossover, crossover_index
-        self.mutation_index = mutation_index
-        self.members = self.positions.copy()
-        self.member_costs = np.full(population, np.inf)
+    def _begin(self) -> Array:
+        self.members = super()._begin()
+        self.member_costs = np.full(self.population, np.inf)
+        return self.members.copy()
 
     def _learn(self, costs: Array) -> None:
         if np.isinf(self.member_costs).all():  # the first generation
@@ -70,16 +53,9 @@ class GeneticAlgorithm(AskTell):
         return children
 
     def _bred(self, n: int) -> Array:
-        box = (self.low, self.high)
-        children = offspring(
-            self.members,
-            self.member_costs,
-            n,
-            box,
-            self.rng,
-            crossover=self.crossover,
-            eta=self.crossover_index,
-        )
+        box, members, costs = (self.low, self.high), self.members, self.member_costs
+        chance, eta = self.crossover, self.crossover_index
+        children = offspring(members, costs, n, box, self.rng, crossover=chance, eta=eta)
         return mutated(children, box, self.rng, eta=self.mutation_index)
 
 
@@ -93,21 +69,7 @@ def offspring(
     crossover: float = CROSSOVER,
     eta: float = CROSSOVER_INDEX,
 ) -> Array:
-    """Children of parents that won tournaments of two.
-
-    Parameters
-    ----------
-    parents : ndarray, shape (m, d)
-    costs : ndarray, shape (m,)
-    n : int
-        How many children.
-    box : (ndarray, ndarray), each shape (d,)
-        Lower and upper bounds.
-
-    Returns
-    -------
-    ndarray, shape (n, d)
-    """
+    """Children, shape (n, d), of parents (m, d) with costs (m,) that won tournaments of two; ``box``: both bounds."""
     pairs = (n + 1) // 2
     # neighbors of one round, so that hardly ever someone mates with itself
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
@@ -131,7 +93,7 @@ def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]
 
 
 def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
-    """How far apart the children of two parents lie, beta times the parents' distance, so that they stay in the box."""
+    """Distance of the children of two parents within the bounds: beta times that of the parents."""
     alpha = 2 - (1 + 2 * room / np.maximum(distance, 1e-200)) ** -(eta + 1)
     ua = u * alpha
     beta = np.where(ua <= 1, ua, 1 / (2 - np.minimum(ua, 2 - 1e-15))) ** (1 / (eta + 1))
@@ -141,7 +103,7 @@ def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
 def mutated(
     points: Array, box: tuple[Array, Array], rng: np.random.Generator, eta: float = MUTATION_INDEX
 ) -> Array:
-    """Points of which each coordinate has had a chance of one in d of a polynomial mutation, shape (n, d)."""
+    """Mutate each coordinate of points, shape (n, d), with a chance of one in d (polynomial mutation)."""
     low, width = box[0], box[1] - box[0]
     u = rng.random(points.shape)
     below = (points - low) / width

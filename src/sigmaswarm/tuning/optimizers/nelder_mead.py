@@ -6,7 +6,7 @@ Computational Economics 30, 171-187, 2007; coefficients that suit the dimension 
 Nelder-Mead simplex algorithm with adaptive parameters, Comput. Optim. Appl. 51, 259-277, 2012.
 """
 
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -19,50 +19,39 @@ SMALLEST = 1e-12
 class NelderMead(AskTell):
     """A simplex that moves by the costs of its points.
 
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`; a batch has the points that the step needs, at most d + 1, whatever the population.
-    start : ndarray, shape (d,), optional
-        Where to begin.
-    start_cost : float, optional
-        Its cost, if known.
-    size : float
-        Edge of the first simplex, in widths of the box.
-    parallel : int
-        How many vertices, of the worst, are moved at a time: 1 is the algorithm of 1965, half of them the most.
+    A batch has the points that the step needs, at most d + 1, whatever the population.
     """
 
-    saved: ClassVar = ("phase", "simplex", "values", "reflected", "reflected_values", "reach")
+    name = "nelder-mead"
+    saved = ("phase", "simplex", "values", "reflected", "reflected_values", "reach")
+    start: Array | None = None
+    """First vertex, shape (d,); a random one by default."""
+    start_cost: float = np.inf
+    """Its cost, if known."""
+    size: float = 0.05
+    """Edge of the first simplex, in widths of the bounds."""
+    parallel: int = 1
+    """Number of the worst vertices that are moved at a time: 1 is the algorithm of 1965, half of them the most."""
 
-    def __init__(
-        self,
-        low: Array,
-        high: Array,
-        population: int,
-        rng: np.random.Generator,
-        *,
-        start: Array | None = None,
-        start_cost: float = np.inf,
-        size: float = 0.05,
-        parallel: int = 1,
-    ) -> None:
-        d = len(low)
-        first = rng.uniform(low, high) if start is None else start
-        edges = size * (high - low)
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        if np.isfinite(self.start_cost):
+            self.global_best, self.global_cost = self.simplex[0].copy(), self.start_cost
+
+    def _begin(self) -> Array:
+        low, high, d = self.low, self.high, len(self.low)
+        first = self.rng.uniform(low, high) if self.start is None else self.start
+        edges = self.size * (high - low)
         steps = np.where(first + edges > high, -edges, edges)
         self.simplex = np.clip(np.vstack([first, first + np.diag(steps)]), low, high)
         self.values = np.full(d + 1, np.inf)
-        known = int(np.isfinite(start_cost))
-        super().__init__(low, high, self.simplex[known:], rng)
-        if known:
-            self.global_best, self.global_cost, self.values[0] = first.copy(), start_cost, start_cost
-        self.moved = min(max(parallel, 1), (d + 1) // 2)
+        self.values[0] = self.start_cost
+        self.moved = min(max(self.parallel, 1), (d + 1) // 2)
         n = max(d, 2)  # (Gao and Han 4.1); in two dimensions these are the values of 1965
         self.expansion, self.contraction, self.shrinkage = 1 + 2 / n, 0.75 - 1 / (2 * n), 1 - 1 / n
-        self.phase = "begin"
+        self.phase, self.reach = "begin", np.empty(0)
         self.reflected, self.reflected_values = np.empty((0, d)), np.empty(0)
-        self.reach = np.empty(0)
+        return self.simplex[int(np.isfinite(self.start_cost)) :]
 
     def _next(self) -> Array:
         if self.phase == "shrink":

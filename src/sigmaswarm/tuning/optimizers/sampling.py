@@ -5,7 +5,7 @@ Sobol' points, scrambled, which fill the box more evenly (A. B. Owen, Randomly p
 (t,s)-sequences, 1995).
 """
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -13,39 +13,26 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 
 class RandomSearch(AskTell):
-    """Points drawn evenly from the box.
+    """Points drawn evenly from the box."""
 
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`.
-    """
-
-    def __init__(self, low: Array, high: Array, population: int, rng: np.random.Generator) -> None:
-        super().__init__(low, high, rng.uniform(low, high, (population, len(low))), rng)
+    name = "random"
 
     def _next(self) -> Array:
-        return self.rng.uniform(self.low, self.high, self.positions.shape)
+        return self._begin()
 
 
 class SobolSearch(AskTell):
-    """The points of a scrambled Sobol' sequence; most even where their number is a power of two.
+    """The points of a scrambled Sobol' sequence; most even where their number is a power of two."""
 
-    Parameters
-    ----------
-    low, high, population, rng
-        As for every `Optimizer`.
-    """
+    name = "sobol"
+    saved = ("seed", "drawn")
 
-    saved: ClassVar = ("seed", "drawn")
+    def _begin(self) -> Array:
+        self.seed, self.drawn = int(self.rng.integers(2**63)), 0
+        self._open()
+        return self._next()
 
-    def __init__(self, low: Array, high: Array, population: int, rng: np.random.Generator) -> None:
-        self.low, self.high, self.population = low, high, population
-        self.seed, self.drawn = int(rng.integers(2**63)), 0
-        self._begin()
-        super().__init__(low, high, self._next(), rng)
-
-    def _begin(self) -> None:
+    def _open(self) -> None:
         from scipy.stats import qmc  # takes a second to import
 
         # not the generator itself: scipy would spawn another from its seed, which is no part of its state
@@ -60,6 +47,6 @@ class SobolSearch(AskTell):
         return self.low + even * (self.high - self.low)
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a saved `state`, in an optimizer made with the same arguments."""
+        """Continue from a saved `state`, in an optimizer made with the same arguments."""
         super().restore(state)
-        self._begin()
+        self._open()

@@ -1,0 +1,53 @@
+"""Quantum-behaved particle swarm optimization with moves of differential evolution.
+
+J. Sun, W. Xu and B. Feng, A global search strategy of quantum-behaved particle swarm optimization, Proc. IEEE Conf.
+Cybernetics and Intelligent Systems 2004, 111-116: a particle has no velocity. It is drawn from a Laplace distribution
+about a point between its own best position and the swarm's. The mean of all best positions sets the length of the move,
+and the contraction-expansion coefficient falls linearly.
+
+The hybrid is after Y. Fu, M. Ding, C. Zhou and H. Hu, Route planning for unmanned aerial vehicle (UAV) on the sea using
+hybrid differential evolution and quantum-behaved particle swarm optimization, IEEE Trans. Systems, Man, and
+Cybernetics: Systems 43, 1451-1465, 2013. Here each particle takes one of the two moves by chance, so that a generation
+is one batch.
+"""
+
+import numpy as np
+
+from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
+
+EXPANSION = (1.0, 0.5)
+"""The contraction-expansion coefficient at the start and in the last generation."""
+DIFFERENTIAL, SCALE, CROSSOVER = 0.5, (0.5, 1.0), 0.7
+"""The chance of a differential move, the range of its factor F, and the chance CR of a coordinate to take part."""
+
+
+class QuantumSwarm(Swarm):
+    """A swarm whose particles are drawn about their attractors, or move by differences of best positions."""
+
+    name = "de-qpso"
+    saved = (*Swarm.saved, "generation")
+    generations: int = 50
+    """Generations over which the coefficient falls; `create_optimizer` takes those of the budget."""
+
+    def _begin(self) -> Array:
+        self.generation = 0
+        return super()._begin()
+
+    def _next(self) -> Array:
+        self.generation += 1
+        drawn, moved = self._drawn(), self._moved()
+        return np.where(self.rng.random((len(drawn), 1)) < DIFFERENTIAL, moved, drawn)
+
+    def _drawn(self) -> Array:
+        start, end = EXPANSION
+        expansion = start + (end - start) * min(self.generation / self.generations, 1.0)
+        share, u, side = self.rng.random((3, *self.positions.shape))
+        attractor = share * self.personal_best + (1 - share) * self.global_best
+        length = expansion * np.abs(self.personal_best.mean(axis=0) - self.positions)
+        return self._redrawn(attractor - np.where(side < 0.5, length, -length) * np.log1p(-u))
+
+    def _moved(self) -> Array:
+        n, d = self.positions.shape
+        one, other = self.personal_best[self.rng.integers(n, size=(2, n))]
+        mutants = self.global_best + self.rng.uniform(*SCALE, (n, 1)) * (one - other)
+        return self._redrawn(np.where(self.rng.random((n, d)) < CROSSOVER, mutants, self.personal_best))
