@@ -12,7 +12,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Unpack
@@ -25,7 +25,7 @@ from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.comparison import Comparison, Contender, Outcome
 from sigmaswarm.experiments.grid import Report, run_grid
-from sigmaswarm.files import held_folder, write_whole
+from sigmaswarm.files import held_folder, write_json, write_whole
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import objective_for, with_filter
@@ -49,21 +49,34 @@ OWN = (
     *("inertia", "cognitive", "social", "zero_velocity_at_bounds"),
 )
 """Options in which contenders may differ, besides optimizer and scale."""
+REFUSED = {
+    **{name: f"is compared; use {name}s instead" for name in ("seed", "optimizer", "scale")},
+    **dict.fromkeys(
+        ("prior", "inflation", "margin"),
+        "guards a tuning; a comparison compares plain costs, so leave it out",
+    ),
+}
+"""Options of `tune` that a comparison does not have, and why."""
+
+
+class GridOptions(CompareOptions, total=False):
+    """All options of a comparison: what it varies, and those of every tuning."""
+
+    optimizers: Sequence[str]
+    scales: Sequence[str]
+    seeds: int
 
 
 def compare(
     drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
     *,
-    optimizers: Sequence[str] = ("pso", "ga", "ga-pso", "de", "cma-es", "random"),
-    scales: Sequence[str] = ("log10",),
-    seeds: int = SEEDS,
     validation: "Sequence[Drive | Location] | Drive | Location | Dataset" = (),
     out: str | Path | None = None,
     resume: bool = False,
     workers: int | None = None,
     cluster: "Client | None" = None,
     progress: Callable[[int, int], None] | None = None,
-    **config: Unpack[CompareOptions],
+    **options: Unpack[GridOptions],
 ) -> Comparison:
     """Compare optimizers at the same budget of evaluations on the same drives.
 
@@ -71,13 +84,6 @@ def compare(
     ----------
     drives : Drive or sequence of Drive
         The training drives.
-    optimizers : sequence of str
-        Names, with their own settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All must have the same
-        budget: particles x generations x trials. The first is the reference of the tests.
-    scales : sequence of str
-        log10, linear or both.
-    seeds : int
-        Runs of each, with seeds 0, 1, ...
     validation : Drive or sequence of Drive
         Held-out drives.
     out : path, optional
@@ -91,7 +97,15 @@ def compare(
         then the number of tunings at a time. The result does not depend on it.
     progress : callable, optional
         Called with the numbers of finished runs and of all runs.
-    **config
+    optimizers : sequence of str
+        Names, with their own settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All must have the same
+        budget: particles x generations x trials. The first is the reference of the tests. By default pso, ga,
+        ga-pso, de, cma-es and random.
+    scales : sequence of str
+        log10 (the default), linear or both.
+    seeds : int
+        Runs of each, with seeds 0, 1, ...; 20 by default.
+    **options
         `CompareOptions`, other options of `tune`: objective, model, particles, generations, ...
 
     Raises
@@ -99,13 +113,14 @@ def compare(
     InputError
         If an option, optimizer, drive or folder can't be used.
     """
-    _check_options(seeds, config)
+    seeds = options.get("seeds", SEEDS)
+    if seeds < 1:
+        raise InputError(f"seeds = {seeds}: at least 1 is needed")
+    for name in set(REFUSED).intersection(options):
+        raise InputError(f"{name}: {REFUSED[name]}")
     training, held_out = datasets_of(drives, validation, cluster=cluster)
     trained, tested = training.map(sensors_of), held_out.map(sensors_of)
-    everywhere = [*trained, *tested]
-    shared, _ = with_filter({**config}, everywhere)
-    shared |= {"objective": objective_for(everywhere, config.get("objective", "auto"), shared["model"])}
-    rivals = contenders(optimizers, scales, {**shared, "prior": 0.0, "inflation": 0.0})
+    rivals = _contenders(options, [*trained, *tested])
     problem = car_problem(training, rivals[0].config)
     test = problem.on(held_out) if len(held_out) else None
     if test:
@@ -113,7 +128,7 @@ def compare(
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
     steps_per_set = int(problem.steps.sum())
-    asked = {
+    config = {
         "compared": {rival.label: rival.config.model_dump(mode="json", exclude={"seed"}) for rival in rivals},
         "seeds": seeds,
         "data": problem.data,
@@ -121,22 +136,18 @@ def compare(
         "steps_per_set": steps_per_set,
         "versions": versions(),
     }
-    runs = [(rival, seed) for seed in range(seeds) for rival in rivals]
     with (
         TemporaryDirectory() as scratch,
         held_folder(Path(scratch if out is None else out)) as place,
         ThreadPoolExecutor(workers or (cores() if cluster is None else None)) as pool,
     ):
-        folder = ResultFolder(place, asked, resume=resume or out is None)
-        job = _Job(_problems(problem, rivals), test, folder.path, threading.Lock())
-        if not job.times.exists():
-            write_whole(job.times, "optimizer,scale,seed,cpu_seconds\n")
-
-        def show(done: int, total: int, _: object) -> None:
-            if progress:
-                progress(done, total)
-
-        outcomes = run_grid(runs, job.run, pool, progress=show)
+        ResultFolder(place, config, resume=resume or out is None)
+        outcomes = run_grid(
+            [(rival, seed) for seed in range(seeds) for rival in rivals],
+            _runner(problem, test, rivals, place),
+            pool,
+            progress=(lambda done, total, _: progress(done, total)) if progress else None,
+        )
     return Comparison(
         contenders=tuple(rivals),
         runs={rival.label: tuple(outcomes[rival, seed] for seed in range(seeds)) for rival in rivals},
@@ -147,108 +158,15 @@ def compare(
     )
 
 
-def _check_options(seeds: int, config: Mapping[str, Any]) -> None:
-    if seeds < 1:
-        raise InputError(f"seeds = {seeds}: at least 1 is needed")
-    for name in ("seed", "optimizer", "scale"):
-        if name in config:
-            raise InputError(f"{name}: is compared; use {name}s instead")
-    for name in ("prior", "inflation", "margin"):
-        if name in config:
-            raise InputError(f"{name}: guards a tuning; a comparison compares plain costs, so leave it out")
-
-
-def _problems(problem: CarProblem, rivals: Sequence[Contender]) -> dict[Contender, CarProblem]:
-    """Return the problem of each contender: shared drives, and the search space of its scale."""
-    interval = usual_interval(problem.sensors)
-    spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
-    return {rival: replace(problem, config=rival.config, space=spaces[rival.scale]) for rival in rivals}
-
-
-@dataclass(frozen=True)
-class _Job:
-    """The runs of a comparison."""
-
-    problems: Mapping[Contender, CarProblem]
-    test: CarProblem | None
-    folder: Path
-    lock: threading.Lock
-
-    @property
-    def times(self) -> Path:
-        """The file of the processor times, of uninterrupted runs alone."""
-        return self.folder / "times.csv"
-
-    def run(self, task: tuple[Contender, int], report: Report) -> Outcome:
-        """Run a contender with a seed, or read its outcome."""
-        rival, seed = task
-        folder = self.folder / "runs" / f"{rival.folder}-{seed:03d}"
-        file = folder / "run.json"
-        if not file.exists():
-            fresh, start = not folder.exists(), time.thread_time()
-            problem = self.problems[rival]
-            config = problem.config.model_copy(update={"seed": seed})
-            opened = tuning_folder(folder, problem, config, resume=True)
-            tuning = tune_problem(
-                problem, config, folder=opened, progress=lambda _: report(0), diagnose=False
-            )
-            outcome = _outcome(tuning, self.test)
-            if fresh:
-                line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'
-                with self.lock:
-                    write_whole(self.times, self.times.read_text() + line)
-            outcome.write(file)
-        return Outcome.read(file)
-
-
-def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:
-    """Return a tuning's costs, and its scores on held-out drives."""
-    cost = rmse = heading = None
-    if test:
-        scores = test.replays.scores([tuning.parameters])
-        cost = float(test.objective.costs(scores, tuning.config.worst)[0])
-        rmse, heading = _mean(scores.position_rmse[0]), _mean(np.degrees(scores.heading_rmse[0]))
-    evaluations, steps, best = _history(tuning)
-    return Outcome(
-        cost=tuning.cost,
-        held_out_cost=cost,
-        held_out_rmse=rmse,
-        held_out_heading=heading,
-        touched=tuple(touched.parameter for touched in tuning.touched_bounds),
-        evaluations=sum(trial.evaluations for trial in tuning.trials),
-        failures=sum(trial.failures for trial in tuning.trials),
-        history_evaluations=tuple(evaluations),
-        history_steps=tuple(steps),
-        history_best=tuple(best),
-    )
-
-
-def _history(tuning: Tuning) -> tuple[list[int], list[int], list[float]]:
-    """Return evaluations and steps spent, and the lowest cost so far, after each generation of all trials."""
-    evaluations, steps, best = list[int](), list[int](), list[Array]()
-    spent = 0
-    for trial in tuning.trials:
-        before = steps[-1] if steps else 0
-        counts = np.minimum(tuning.config.particles * np.arange(1, len(trial.best) + 1), trial.evaluations)
-        evaluations += (spent + counts).tolist()
-        steps += (before + trial.steps).tolist()
-        best.append(trial.best)
-        spent += trial.evaluations
-    return evaluations, steps, np.minimum.accumulate(np.concatenate(best)).tolist()
-
-
-def _mean(values: Array) -> float | None:
-    return float(np.mean(values)) if np.isfinite(values).all() else None
-
-
-def contenders(names: Sequence[str], scales: Sequence[str], shared: dict[str, Any]) -> list[Contender]:
-    """Combine every optimizer with every scale, all with the same budget of evaluations.
-
-    Raises
-    ------
-    InputError
-        If a name or setting is unknown or repeated, or has another budget than the first.
-    """
+def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
+    """Combine every optimizer with every scale, all with the same filter, objective and budget of evaluations."""
+    given: dict[str, Any] = {**options}
+    given.pop("seeds", None)
+    names = given.pop("optimizers", ("pso", "ga", "ga-pso", "de", "cma-es", "random"))
+    scales = given.pop("scales", ("log10",))
+    shared, _ = with_filter(given, drives)
+    objective = objective_for(drives, given.get("objective", "auto"), shared["model"])
+    shared |= {"objective": objective, "prior": 0.0, "inflation": 0.0}
     if not names or not scales:
         raise InputError("nothing to compare: name at least one optimizer and one scale")
     found = [_contender(name, scale, shared) for scale in scales for name in names]
@@ -264,7 +182,7 @@ def contenders(names: Sequence[str], scales: Sequence[str], shared: dict[str, An
     return found
 
 
-def _contender(name: str, scale: str, shared: dict[str, Any]) -> Contender:
+def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
     optimizer, _, settings = name.partition(":")
     if optimizer not in OPTIMIZERS:
         raise InputError(f"no optimizer is called {optimizer!r}; choose from {', '.join(OPTIMIZERS)}")
@@ -278,3 +196,63 @@ def _contender(name: str, scale: str, shared: dict[str, Any]) -> Contender:
         own[key] = value
     config = validated_config(TuneConfig, {**shared, "optimizer": optimizer, "scale": scale, **own})
     return Contender(name, scale, config)
+
+
+def _runner(
+    problem: CarProblem, test: CarProblem | None, rivals: Sequence[Contender], out: Path
+) -> Callable[[tuple[Contender, int], Report], Outcome]:
+    """Return the function that runs a contender with a seed, or reads its outcome."""
+    interval, lock, times = usual_interval(problem.sensors), threading.Lock(), out / "times.csv"
+    spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
+    if not times.exists():
+        write_whole(times, "optimizer,scale,seed,cpu_seconds\n")
+
+    def run(task: tuple[Contender, int], report: Report) -> Outcome:
+        rival, seed = task
+        folder = out / "runs" / f"{rival.folder}-{seed:03d}"
+        if not (folder / "run.json").exists():
+            fresh, start = not folder.exists(), time.thread_time()
+            own = replace(problem, config=rival.config, space=spaces[rival.scale])
+            config = rival.config.model_copy(update={"seed": seed})
+            opened = tuning_folder(folder, own, config, resume=True)
+            tuning = tune_problem(own, config, folder=opened, progress=lambda _: report(0), diagnose=False)
+            outcome = _outcome(tuning, test)
+            if fresh:  # of an interrupted run the time is unknown
+                line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'
+                with lock:
+                    write_whole(times, times.read_text() + line)
+            write_json(folder / "run.json", asdict(outcome))
+        return Outcome.read(folder / "run.json")
+
+    return run
+
+
+def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:
+    """Return a tuning's costs and history, and its scores on held-out drives."""
+    cost = rmse = heading = None
+    if test:
+        scores = test.replays.scores([tuning.parameters])
+        cost = float(test.objective.costs(scores, tuning.config.worst)[0])
+        rmse, heading = _mean(scores.position_rmse[0]), _mean(np.degrees(scores.heading_rmse[0]))
+    spent, evaluations, steps = 0, list[int](), list[int]()
+    for trial in tuning.trials:
+        counts = np.minimum(tuning.config.particles * np.arange(1, len(trial.best) + 1), trial.evaluations)
+        evaluations += (spent + counts).tolist()
+        steps += ((steps[-1] if steps else 0) + trial.steps).tolist()
+        spent += trial.evaluations
+    return Outcome(
+        cost=tuning.cost,
+        held_out_cost=cost,
+        held_out_rmse=rmse,
+        held_out_heading=heading,
+        touched=tuple(touched.parameter for touched in tuning.touched_bounds),
+        evaluations=spent,
+        failures=sum(trial.failures for trial in tuning.trials),
+        history_evaluations=tuple(evaluations),
+        history_steps=tuple(steps),
+        history_best=tuple(np.minimum.accumulate(np.concatenate([t.best for t in tuning.trials])).tolist()),
+    )
+
+
+def _mean(values: Array) -> float | None:
+    return float(np.mean(values)) if np.isfinite(values).all() else None

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import polars as pl
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.statistics import holm, median_interval, signed_rank
-from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.files import write_whole
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
@@ -94,10 +94,6 @@ class Outcome:
     history_steps: tuple[int, ...]
     history_best: tuple[float, ...]
 
-    def write(self, file: Path) -> None:
-        """Write run.json."""
-        write_json(file, asdict(self))
-
     @classmethod
     def read(cls, file: Path) -> "Outcome":
         """Read run.json.
@@ -109,8 +105,7 @@ class Outcome:
         """
         remedy = "delete it to redo this run"
         found = load_record(cls, file, remedy, missing="repeat the comparison")
-        lengths = {len(found.history_evaluations), len(found.history_steps), len(found.history_best)}
-        if len(lengths) > 1 or 0 in lengths:
+        if not 0 < len(found.history_evaluations) == len(found.history_steps) == len(found.history_best):
             raise InputError(f"{file}: the histories have not one length; {remedy}")
         return found
 
@@ -164,8 +159,7 @@ class Comparison:
         """
         rows = [self._row(contender) for contender in self.contenders]
         for measure in self.measures:
-            reference = self.values(self.contenders[0].label, measure)
-            others = [self.values(c.label, measure) for c in self.contenders[1:]]
+            reference, *others = (self.values(c.label, measure) for c in self.contenders)
             corrected = holm([signed_rank(other, reference) for other in others])
             for row, p in zip(rows, [None, *corrected], strict=True):
                 row[f"{measure}_p"] = p
@@ -176,29 +170,28 @@ class Comparison:
         row: dict[str, Any] = {"optimizer": contender.name, "scale": contender.scale, "seeds": len(runs)}
         for measure in self.measures:
             values = self.values(contender.label, measure)
-            low, high = median_interval(values)
-            row |= {f"{measure}_median": float(np.median(values)), f"{measure}_low": low}
-            row |= {f"{measure}_high": high, f"{measure}_worst": float(values.max())}
-        row["evaluations"] = float(np.mean([run.evaluations for run in runs]))
-        full = self.budget * self.steps_per_set
-        row["steps_share"] = float(np.mean([run.history_steps[-1] for run in runs])) / full
-        row["failures"] = sum(run.failures for run in runs)
+            figures = (float(np.median(values)), *median_interval(values), float(values.max()))
+            names = (f"{measure}_{figure}" for figure in ("median", "low", "high", "worst"))
+            row |= dict(zip(names, figures, strict=True))
         touched = Counter(name for run in runs for name in run.touched)
-        row["touched_bounds"] = " ".join(f"{name}:{count}" for name, count in sorted(touched.items()))
-        return row
+        full = self.budget * self.steps_per_set
+        return row | {
+            "evaluations": float(np.mean([run.evaluations for run in runs])),
+            "steps_share": float(np.mean([run.history_steps[-1] for run in runs])) / full,
+            "failures": sum(run.failures for run in runs),
+            "touched_bounds": " ".join(f"{name}:{count}" for name, count in sorted(touched.items())),
+        }
 
     @cached_property
     def runs_frame(self) -> pl.DataFrame:
         """One row for each run."""
         rows = [
-            {"optimizer": c.name, "scale": c.scale, "seed": seed}
-            | {m: getattr(run, m) for m in COMPARED}
-            | {
-                "evaluations": run.evaluations,
-                "failures": run.failures,
+            {
+                **{"optimizer": c.name, "scale": c.scale, "seed": seed},
+                **{name: getattr(run, name) for name in (*COMPARED, "evaluations", "failures")},
                 "filter_steps": run.history_steps[-1],
+                "touched_bounds": " ".join(run.touched),
             }
-            | {"touched_bounds": " ".join(run.touched)}
             for c in self.contenders
             for seed, run in enumerate(self.runs[c.label])
         ]
@@ -208,20 +201,28 @@ class Comparison:
     def curves(self) -> pl.DataFrame:
         """Median and quartiles over the seeds of the lowest cost so far, after 1%, 2%, ... of the budget's steps.
 
-        The budget is counted in evaluations on all drives; raced ones count by their filter steps.
+        The budget is counted in evaluations on all drives; raced ones count by their filter steps. The cost is ``inf``
+        in the first generation.
         """
         grid = self.budget * np.arange(1, 101) / 100
-        rows = list[dict[str, Any]]()
+        frames: list[pl.DataFrame] = []
         for contender in self.contenders:
-            reached = np.array([self._reached(run, grid) for run in self.runs[contender.label]])
-            low, high = np.quantile(
-                reached, [0.25, 0.75], axis=0, method="nearest"
-            )  # inf can't be interpolated
-            columns = (grid, np.median(reached, axis=0), low, high)
-            names = ("full_evaluations", "median", "quartile_1", "quartile_3")
-            who = {"optimizer": contender.name, "scale": contender.scale}
-            rows += [who | dict(zip(names, row, strict=True)) for row in np.transpose(columns).tolist()]
-        return pl.DataFrame(rows)
+            reached: list[Array] = []
+            for run in self.runs[contender.label]:
+                spent = np.array(run.history_steps) / self.steps_per_set
+                at = np.searchsorted(spent, grid * (1 + 1e-12), side="right")
+                reached.append(np.array([np.inf, *run.history_best])[at])
+            # inf can't be interpolated
+            low, high = np.quantile(reached, [0.25, 0.75], axis=0, method="nearest")
+            columns = {
+                "full_evaluations": grid,
+                "median": np.median(reached, axis=0),
+                "quartile_1": low,
+                "quartile_3": high,
+            }
+            named = pl.lit(contender.name).alias("optimizer"), pl.lit(contender.scale).alias("scale")
+            frames.append(pl.DataFrame(columns).select(*named, pl.all()))
+        return pl.concat(frames)
 
     def write(self, folder: Path) -> list[Path]:
         """Write comparison.csv, runs.csv and curves.csv; return their paths."""
@@ -229,9 +230,3 @@ class Comparison:
         for name, frame in frames.items():
             write_whole(folder / name, frame.write_csv())
         return [folder / name for name in frames]
-
-    def _reached(self, run: Outcome, grid: Array) -> Array:
-        """Return the lowest cost of a run at each share of the budget; ``inf`` in the first generation."""
-        spent = np.array(run.history_steps) / self.steps_per_set
-        best = np.array([np.inf, *run.history_best])
-        return best[np.searchsorted(spent, grid * (1 + 1e-12), side="right")]

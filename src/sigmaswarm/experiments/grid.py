@@ -7,7 +7,6 @@ Forked processes take three quarters of the time of threads: a tuning spends a q
 which one thread holds at a time. A fork inherits drives and prepared time lines without a copy.
 """
 
-import ctypes
 import gc
 import os
 import signal
@@ -17,6 +16,7 @@ import warnings
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, TypeVar
@@ -26,11 +26,9 @@ from sigmaswarm.errors import SigmaswarmError
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Report = Callable[[int], None]
-"""Takes the number of rounds that a task has done; raises where the grid was interrupted."""
-PR_SET_PDEATHSIG = 1
-"""Of prctl(2): the signal that Linux sends to a process when its parent dies."""
+"""Takes the number of finished rounds of a task; raises where the grid was interrupted."""
 POLL = 0.05
-"""s between two looks at how far the tasks are."""
+"""s between two looks at the progress of the tasks."""
 _run: Callable[[int], Any] | None = None
 """In a forked process: runs a task, given by its index."""
 
@@ -42,7 +40,7 @@ def run_grid(
     *,
     processes: int = 0,
     rounds: int = 1,
-    effort: Callable[[T], float] | None = None,
+    effort: Callable[[T], float] = lambda _: 0.0,
     progress: Callable[[int, int, T], None] | None = None,
 ) -> dict[T, R]:
     """Run every task of a grid; the first failure or interruption stops the others.
@@ -58,7 +56,7 @@ def run_grid(
         Fork so many processes (Linux only). Results and errors are pickled; compile kernels before.
     rounds : int
         Of each task.
-    effort : callable, optional
+    effort : callable
         Duration of a task in any unit: the longest start first, so that workers end together.
     progress : callable, optional
         Called in this thread with the finished rounds of all tasks, their total, and a task that advanced.
@@ -67,39 +65,25 @@ def run_grid(
     -------
     dict of task to result, in the order of the tasks
     """
-    done = RawArray("q", len(tasks))  # shared with forked processes
-    stop = RawArray("b", 1)
-
-    def one(k: int) -> R:
-        def report(finished: int) -> None:
-            if stop[0]:
-                raise InterruptedError("the experiment was interrupted")
-            done[k] = finished
-
-        report(0)
-        result = run(tasks[k], report)
-        report(rounds)
-        return result
-
-    def show() -> None:
-        for k, task in enumerate(tasks):
-            if progress and shown[k] != (now := done[k]):
-                shown[k] = now
-                progress(sum(shown), len(tasks) * rounds, task)
-
-    shown = [0] * len(tasks)
-    order = sorted(range(len(tasks)), key=lambda k: -effort(tasks[k]) if effort else 0)
-    pool = _forks(processes, one, stop) if processes else executor
-    futures: dict[int, Future[R]] = {}
+    done, stop = RawArray("q", len(tasks)), RawArray("b", 1)  # shared with forked processes
+    one = partial(_one, tasks, run, rounds, done, stop)
+    order = sorted(range(len(tasks)), key=lambda k: -effort(tasks[k]))
+    pool, shown, futures = executor, [0] * len(tasks), dict[int, Future[R]]()
+    if processes:
+        context, inherited = get_context("fork"), (one, stop, os.getpid())
+        pool = ProcessPoolExecutor(processes, context, initializer=_begin, initargs=inherited)
     try:
         futures |= _submitted(pool, _in_fork if processes else one, order)
-        while True:
+        left = set(futures.values())
+        while left:
             finished, left = wait(futures.values(), POLL, FIRST_EXCEPTION)
             for future in finished:
                 future.result()  # raises the error of its task
-            show()
-            if not left:
-                return {task: futures[k].result() for k, task in enumerate(tasks)}
+            for k, task in enumerate(tasks):
+                if progress and shown[k] != (now := done[k]):
+                    shown[k] = now
+                    progress(sum(shown), len(tasks) * rounds, task)
+        return {task: futures[k].result() for k, task in enumerate(tasks)}
     except BaseException as error:
         stop[0] = 1
         for future in futures.values():
@@ -114,6 +98,20 @@ def run_grid(
             pool.shutdown()
 
 
+def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: Any, stop: Any, k: int) -> R:
+    """Run a task, given by its index, and note its finished rounds in shared memory."""
+
+    def report(finished: int) -> None:
+        if stop[0]:
+            raise InterruptedError("the experiment was interrupted")
+        done[k] = finished
+
+    report(0)
+    result = run(tasks[k], report)
+    report(rounds)
+    return result
+
+
 def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) -> dict[int, Future[R]]:
     try:
         with warnings.catch_warnings():  # of a fork with threads, which hold no lock that it needs
@@ -123,17 +121,10 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
         raise SigmaswarmError(f"can't start processes ({error.strerror}); choose --workers 1") from None
 
 
-def _forks(size: int, run: Callable[[int], Any], stop: Any) -> ProcessPoolExecutor:
-    context = get_context("fork")
-    return ProcessPoolExecutor(size, context, initializer=_begin, initargs=(run, stop, os.getpid()))
-
-
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which ends at once with its parent or with the grid: files are written whole."""
     global _run
     _run = run
-    # Before a resumed run removes unfinished files, which must not be written any more.
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     gc.freeze()  # a collection would copy all inherited objects
 

@@ -6,16 +6,15 @@ from operator import itemgetter
 
 import numpy as np
 
-from sigmaswarm.drives import alignment, frozen, gaps, gyro_seen, standstill
+from sigmaswarm.drives import standstill
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_kernels import kernels_of
-from sigmaswarm.exports.features import features_of, in_range, listed, plain, values_of
+from sigmaswarm.exports.features import PARAMETERS, features_of, in_range, listed, plain, values_of
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.template import fill
 from sigmaswarm.filters import divergence, schedule
-from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -157,101 +156,48 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
 
 def fits_float(p: FilterParameters) -> bool:
     """Return True if C's float holds all numbers of a filter."""
-    options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise]
-    options += [p.gate, p.accuracy_scale, p.robust_dof, p.odometer_scale, p.odometer_latency]
-    numbers = [
-        *p.process_noise,
-        *p.measurement_noise,
-        *p.bias_std,
-        p.latency,
-        p.rear_axle,
-        p.tire_slip,
-        p.forgetting,
-    ]
-    numbers += [*p.fuzzy_widths, *p.fuzzy_gains]
-    numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
+    numbers: list[float | None] = [*p.process_noise, *p.measurement_noise]
+    numbers += [*p.bias_std, *p.fuzzy_widths, *p.fuzzy_gains]
+    numbers += [getattr(p, name) for name in PARAMETERS if name not in ("alpha", "beta", "kappa")]
     if p.kind != "ekf":
-        numbers.append(8.0 / _sigma_points(p)[0])
+        gamma_squared, spread = _sigma_points(p)
+        numbers += [gamma_squared, spread, 8.0 / gamma_squared]
     low, high = _FLOAT_RANGE
-    return all(v == 0 or low <= abs(v) <= high for v in numbers)
+    return all(v is None or v == 0 or low <= abs(v) <= high for v in numbers)
 
 
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
-    stands, names = p.standstill_noise is not None, MODELS[p.model].names
-    tilted = MODELS[p.model].tilts is not None
-    gamma_squared, spread = _sigma_points(p) if p.kind != "ekf" else (None, None)
+    model = MODELS[p.model]
+    stands, names, tilted = p.standstill_noise is not None, model.names, model.tilts is not None
     derived: dict[str, float | None] = {
-        "QUARTER_GAMMA": None if gamma_squared is None else 0.25 * math.sqrt(gamma_squared),
-        "SHORTENS": None if gamma_squared is None else -8.0 / gamma_squared,
         "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
-        "SPREAD": spread,
-        "BLOCK": standstill.BLOCK,
-        "DEPARTS": standstill.DEPARTS,
-        "FOLLOWS": standstill.FOLLOWS,
-        "FORGETS": standstill.FORGETS,
-        "CALM": standstill.CALM,
-        "SETTLES": standstill.SETTLES,
-        "RISES": standstill.RISES,
-        "TURNING": standstill.TURNING,
-        "FIX_WINDOW": standstill.FIX_WINDOW,
-        "FILLED": standstill.FILLED,
-        "FIX_SPEED": standstill.FIX_SPEED,
-        "BEFORE": frozen.BEFORE,
-        "SPEED_WINDOW": frozen.SPEED_WINDOW,
-        "BRAKING": frozen.BRAKING,
-        "REST": frozen.REST,
-        "NO_REST": frozen.NO_REST,
-        "GAP_MANY": gaps.MANY,
-        "GAP_SHORTEST": gaps.SHORTEST,
-        "GAP_OVER": gaps.OVER,
-        "GAP_MOST": gaps.MOST,
         "GAP_TURN": schedule.GAP_TURN_STD,
         "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
         "GAP_TILT": schedule.GAP_TILT_STD,
-        "LEAP": live.LEAP,
-        "AGREES": live.AGREES,
-        "LOOK_INTERVAL": divergence.LOOK_INTERVAL,
-        "LATEST_LOOK": divergence.LATEST_LOOK,
         "LOST_AFTER": divergence.DIVERGED_AFTER,
-        "MANY_SIGMAS": divergence.MANY_SIGMAS,
-        "HEADING_OFF": float(divergence.HEADING_OFF),
-        "POSITION_OFF": divergence.POSITION_OFF,
-        "SPEED_STD": divergence.SPEED_STD,
-        "CONTRADICTS": gyro_seen.CONTRADICTS,
-        "STRANGE": gyro_seen.STRANGE,
-        "STRANGE_STD": gyro_seen.STRANGE_STD,
-        "YAW_STD": float(gyro_seen.YAW_STD),
-        "TURN_SHARE": gyro_seen.TURN_SHARE,
-        "LEAN_STD": float(gyro_seen.LEAN_STD),
-        "MOST_BIAS": gyro_seen.MOST_BIAS,
+        "FEWEST_LOOKS": divergence.FEWEST_CHECKS,
+        "SLOTS": round(1.0 / schedule.LATERAL_INTERVAL),  # of the standstill and the odometer, too
+        "BLOCKS": round(1.0 / standstill.BLOCK),
+        "HISTORY": max(1, math.ceil(1.0 / interval)),  # as LiveFilter's default
+        "FIXES": 64,  # 6 s at 10 Hz
     }
-    return (
-        plain(derived)
-        | {
-            "FEWEST_LOOKS": str(divergence.FEWEST_CHECKS),
-            "REFITS": str(alignment.REFITS),
-            "SLOTS": str(round(1.0 / schedule.LATERAL_INTERVAL)),  # of the standstill and the odometer, too
-            "BLOCKS": str(round(1.0 / standstill.BLOCK)),
-            "PROCESS_NOISE": listed(p.process_noise, "R({})"),
-            "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
-            "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
-            "FIXES": "64",  # 6 s at 10 Hz
-            "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
-            "STATES": repr(names),
-            "MOST_OF_IT": str(standstill.MOST_OF_IT),
-            "QUARTER": str(standstill.QUARTER),
-            "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-            "CALM_NOTE": ": it learns what calm is" if stands else "",
-            "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-            "GYRO_NOTE": ", and all that the gyro shows is its bias"
-            if MODELS[p.model].gyro_bias is not None
-            else "",
-            "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
-            "LEVER_AXES": ", left and up" if tilted else " and left",
-            "LEVER_COLUMNS": ",left,up" if tilted else ",left",
-            "SAMPLE": "m/s2 forward, left and up, rad/s about the same"
-            if tilted
-            else "m/s2 forward and left, rad/s",
-            "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
-        }
-    )
+    if p.kind != "ekf":
+        gamma_squared, spread = _sigma_points(p)
+        derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
+        derived["SPREAD"] = spread
+    gyro_note = ", and all that the gyro shows is its bias" if model.gyro_bias is not None else ""
+    return plain(derived) | {
+        "PROCESS_NOISE": listed(p.process_noise, "R({})"),
+        "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
+        "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
+        "STATES": repr(names),
+        "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
+        "CALM_NOTE": ": it learns what calm is" if stands else "",
+        "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
+        "GYRO_NOTE": gyro_note,
+        "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
+        "LEVER_AXES": ", left and up" if tilted else " and left",
+        "LEVER_COLUMNS": ",left,up" if tilted else ",left",
+        "SAMPLE": f"m/s2 forward{', left and up, rad/s about the same' if tilted else ' and left, rad/s'}",
+        "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
+    }

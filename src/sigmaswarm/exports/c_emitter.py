@@ -1,4 +1,8 @@
-"""Print the compiled filter's kernels as C99 for one column: the same text, without the loop over columns."""
+"""Print the compiled filter's kernels as C99 for one column: the same text, without the loop over columns.
+
+A function is printed statement by statement. An expression is first rewritten for this filter, which leaves out the
+terms that its numbers make 0, and its leaves are replaced by their C text; then it is printed.
+"""
 
 import ast
 import inspect
@@ -8,7 +12,7 @@ import re
 import textwrap
 import tokenize
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from copy import deepcopy
 from typing import Any
 
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
@@ -22,6 +26,7 @@ PARAMETERS = {
     "z": ("const InsGpsFix *fix",),
     "lever": ("const real *lever",),
     "wheels": ("const Wheels *wheels",),
+    "l": (),
 }
 """C's parameters in place of a kernel's; a function has those that it uses."""
 INPUTS = {
@@ -35,16 +40,15 @@ INPUTS = {
 CALLS = {"math.sqrt": "SQRT", "np.floor": "FLOOR", "abs": "FABS"}
 RENAMED = {"b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
-_PRECEDENCE: dict[type, int] = {ast.Add: 5, ast.Sub: 5, ast.Mult: 6, ast.Div: 6}
 _SIGNS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
     **{ast.BitAnd: "&&", ast.BitOr: "||", ast.And: "&&", ast.Or: "||"},
 }
-_ATOM, _NOT_EVALUATED = 9, (NameError, TypeError, AttributeError, KeyError, SyntaxError, ValueError)
+_UNKNOWN = (NameError, TypeError, AttributeError, KeyError, SyntaxError, ValueError)
+_MISSING = "no row in C: "
 
 
-@dataclass
 class Emitter:
     """Functions of one filter, printed one after another.
 
@@ -55,12 +59,10 @@ class Emitter:
         does not have.
     """
 
-    rows: Mapping[str, str | float | None]
-    texts: list[str] = field(default_factory=list)
-    results: dict[str, int] = field(default_factory=dict)  # how many numbers a function gives
-    used: set[str] = field(default_factory=set)  # rows of scratch
-    constants: dict[str, float] = field(default_factory=dict)
-    signatures: dict[str, tuple[str, list[list[str]]]] = field(default_factory=dict)  # by name in Python
+    def __init__(self, rows: Mapping[str, str | float | None]) -> None:
+        self.rows, self.texts = rows, list[str]()
+        self.constants: dict[str, float] = {}  # of the kernels' modules
+        self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
     def add(self, function: Any, name: str = "", **known: Any) -> None:
         """Print a kernel or a plain function, under another ``name`` if given."""
@@ -69,18 +71,20 @@ class Emitter:
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def text(self) -> str:
-        """All of it: constants, the struct, the functions."""
-        constants = [f"#define {name} R({value!r})\n" for name, value in self.constants.items()]
-        return "\n".join(["".join(constants), self.struct(), *self.texts])
-
-    def struct(self) -> str:
-        """What one kernel leaves for another."""
-        single = sorted({n for n in self.used if n[:3] not in ("C1_", "C2_")}, key=NAMES.index)
-        arrays = [f"{n}[N]" for n in ("C1", "C2") if any(u.startswith(n + "_") for u in self.used)]
-        names = textwrap.fill(
-            ", ".join([*(n.lower() for n in single), *arrays]), 110, subsequent_indent=" " * 9
-        )
-        return f"typedef struct {{\n    real {names};\n}} Work;\n"
+        """All of it: constants, the struct of what one kernel leaves for another, the functions."""
+        code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
+        used = [
+            name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants
+        ]
+        constants = [
+            f"#define {name} R({self.constants[name]!r})\n" for name in used if name not in self.rows
+        ]
+        rows = set(re.findall(r"work->(\w+)", code))
+        names = [row.lower() for row in NAMES if row.lower() in rows]
+        names += [f"{block}[N]" for block in ("C1", "C2") if block in rows]
+        listed = textwrap.fill(", ".join(names), 110, subsequent_indent=" " * 9)
+        struct = f"typedef struct {{\n    real {listed};\n}} Work;\n"
+        return "\n".join(["".join(constants), struct, *self.texts])
 
 
 def state(place: int) -> str:
@@ -88,55 +92,49 @@ def state(place: int) -> str:
     return STATES[place]
 
 
-class _Function:
-    """One function on its way to C."""
+class _Function(ast.NodeTransformer):
+    """One function on its way to C; as a transformer it rewrites expressions.
+
+    In a rewritten expression names are C text, a number among them as ``R(0.5)``.
+    """
 
     def __init__(
         self, emitter: Emitter, function: Callable[..., Any], name: str, known: dict[str, Any]
     ) -> None:
-        self.emitter, self.name, self.known = emitter, name, known
         source = textwrap.dedent(inspect.getsource(function))
-        self.names: dict[str, Any] = {**function.__globals__, **known}
         definition = ast.parse(source).body[0]
         assert isinstance(definition, ast.FunctionDef)
-        self.definition, self.comments = definition, _comments(source)
-        self.values: dict[str, ast.expr] = {}  # locals that are a number
-        self.lines: list[str] = []
-        definition.body = self.chosen(definition.body)
-        self.declared: set[str] = set()
+        self.emitter, self.name, self.definition = emitter, name, definition
+        self.known, self.names = known, {**function.__globals__, **known}
+        emitter.constants |= {n: v for n, v in self.names.items() if n.isupper() and isinstance(v, float)}
+        self.comments = _comments(source)
         self.is_kernel = any(each.arg == "w" for each in definition.args.args)
-        stored = [
-            n.id for n in ast.walk(definition) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        self.body = self.chosen(definition.body[ast.get_docstring(definition) is not None :])
+        nodes = [node for statement in self.body for node in ast.walk(statement)]
+        stored = [n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+        stored += [
+            n.target.id for n in nodes if isinstance(n, ast.AugAssign) and isinstance(n.target, ast.Name)
         ]
-        augmented = [
-            n.target.id
-            for n in ast.walk(definition)
-            if isinstance(n, ast.AugAssign) and isinstance(n.target, ast.Name)
-        ]
-        self.changing = {n for n in stored if stored.count(n) > 1 or n in augmented}
-        self.outs: list[str] = []
+        self.changing = {n for n in stored if stored.count(n) > 1}
+        self.numbers: dict[str, ast.expr] = {}  # locals that are a number
+        self.declared, self.lines, self.outs, self.returns = set[str](), list[str](), list[str](), ""
 
     def text(self) -> str:
         """The function in C."""
-        body = self.definition.body
-        documented = ast.get_docstring(self.definition)
-        self.block(body[documented is not None :], 1)
+        self.block(self.body, 1)
         self.drop_unused()
-        body_text = "\n".join(self.lines)
-        signature: list[list[str]] = []
+        code, signature = "\n".join(self.lines), list[list[str]]()
         for each in self.definition.args.args:
-            ours = PARAMETERS.get(each.arg, ()) if self.is_kernel else ()
-            ours = ours or ((f"real {self.local(each.arg)}",) if each.arg != "l" else ())
-            signature.append([p for p in ours if _uses(body_text, p.split()[-1].lstrip("*"))])
+            ours = PARAMETERS.get(each.arg) if self.is_kernel else None
+            ours = (f"real {self.local(each.arg)}",) if ours is None else ours
+            signature.append([p for p in ours if _uses(code, p.split()[-1].lstrip("*"))])
         self.emitter.signatures[self.definition.name] = self.name, signature
-        count = self.emitter.results.get(self.name, 0)
         parameters = [p for each in signature for p in each] + [f"real *{out}" for out in self.outs]
-        head = f"static {'real' if count == 1 else 'void'} {self.name}({', '.join(parameters)})"
-        if any("P[" in line for line in self.lines):
+        head = f"static {self.returns or 'void'} {self.name}({', '.join(parameters)})"
+        if "P[" in code:
             self.lines.insert(0, "    real(*P)[N] = b->covariance;")
-        doc = textwrap.fill(
-            " ".join((documented or "").split("\n\n")[0].split()), 116, subsequent_indent=" * "
-        )
+        documented = (ast.get_docstring(self.definition) or "").split("\n\n")[0].split()
+        doc = textwrap.fill(" ".join(documented), 116, subsequent_indent=" * ")
         comment = f"/* {doc} */\n" if documented else ""
         head = textwrap.fill(head, 118, subsequent_indent="    ")
         return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
@@ -145,16 +143,13 @@ class _Function:
         """The statements whose conditions hold, where those are known."""
         chosen: list[ast.stmt] = []
         for statement in statements:
+            known = self.value(statement.test) if isinstance(statement, ast.If) else None
+            if isinstance(statement, ast.If) and known is not None:
+                chosen += self.chosen(statement.body if known else statement.orelse)
+                continue
             if isinstance(statement, ast.If | ast.For):
                 statement.body = self.chosen(statement.body)
-            try:
-                known = self.evaluate(statement.test) if isinstance(statement, ast.If) else None
-            except _NOT_EVALUATED:
-                known = None
-            if isinstance(statement, ast.If) and known is not None:
-                chosen += statement.body if known else self.chosen(statement.orelse)
-            else:
-                chosen.append(statement)
+            chosen.append(statement)
         return chosen
 
     def drop_unused(self) -> None:
@@ -166,334 +161,224 @@ class _Function:
 
     # ---- statements ----
 
+    def put(self, line: str, depth: int) -> None:
+        self.lines.append("    " * depth + line)
+
     def block(self, statements: list[ast.stmt], depth: int) -> None:
         for statement in statements:
             for comment in self.comments.get(statement.lineno, []):
                 self.put(f"/* {comment} */", depth)
-            getattr(self, f"on_{type(statement).__name__}")(statement, depth)
+            match statement:
+                case ast.Assign([ast.Tuple(elts=targets)], ast.Call() as call):
+                    self.store_results(targets, call, depth)
+                case ast.Assign([ast.Tuple(elts=targets)], ast.Tuple(elts=values)):
+                    self.store_all(targets, values, depth)
+                case ast.Assign([target], value):
+                    self.store_all([target], [value], depth)
+                case ast.AugAssign(target, op, value):
+                    self.add_to(target, _SIGNS[type(op)], self.fold(value), depth)
+                case ast.For(ast.Name(name), steps, body):
+                    self.loop(name, steps, body, depth)
+                case ast.If(test, body, []):
+                    self.put(f"if ({self.c(test)}) {{", depth)
+                    self.block(body, depth + 1)
+                    self.put("}", depth)
+                case ast.Expr(ast.Call() as call):
+                    self.put(f"{self.call(call)};", depth)
+                case ast.Return(ast.Tuple(elts=values)):
+                    for k, each in enumerate(values):
+                        self.outs.append(f"{each.id}_out" if isinstance(each, ast.Name) else f"result{k + 1}")
+                        self.put(f"*{self.outs[-1]} = {self.c(each)};", depth)
+                case ast.Return(ast.expr() as value):
+                    self.returns = "real"
+                    self.put(f"return {self.c(value)};", depth)
+                case _:
+                    raise self.refused(statement)
 
-    def put(self, line: str, depth: int) -> None:
-        self.lines.append("    " * depth + line)
-
-    def on_Assign(self, node: ast.Assign, depth: int) -> None:
-        target, value = node.targets[0], node.value
-        if not isinstance(target, ast.Tuple):
-            self.store_all([target], [value], depth)
-        elif isinstance(value, ast.Tuple):
-            self.store_all(target.elts, value.elts, depth)
-        else:
-            assert isinstance(value, ast.Call)
-            if (constants := self.constant_results(value)) is not None:
-                self.store_all(target.elts, constants, depth)
-                return
-            outs: list[str] = []
-            for each in target.elts:
-                assert isinstance(each, ast.Name)
-                name = "unused" if each.id == "_" else self.local(each.id)
-                if name not in self.declared:
-                    self.put(f"real {name};", depth)
-                    self.declared.add(name)
-                outs.append(f"&{name}")
-            self.put(f"{self.call(value, outs)};", depth)
-
-    def constant_results(self, call: ast.Call) -> list[ast.expr] | None:
-        """What `spread_of` gives of sigma points that do not spread."""
-        if (
-            isinstance(call.func, ast.Name)
-            and call.func.id == "spread_of"
-            and _number(self.fold(call.args[0])) == 0.0
-        ):
-            return [ast.Constant(1.0), ast.Constant(1.0), ast.Constant(0.0)]  # d/4 is divided by only
-        return None
+    def store_results(self, targets: list[ast.expr], call: ast.Call, depth: int) -> None:
+        """Assign the results of a call, which C returns through pointers."""
+        if ast.unparse(call.func) == "spread_of" and _number(self.fold(call.args[0])) == 0.0:
+            # of sigma points that do not spread; d/4 is divided by only
+            self.store_all(targets, [ast.Constant(1.0), ast.Constant(1.0), ast.Constant(0.0)], depth)
+            return
+        outs: list[str] = []
+        for each in targets:
+            assert isinstance(each, ast.Name)
+            name = "unused" if each.id == "_" else self.local(each.id)
+            if name not in self.declared:
+                self.put(f"real {name};", depth)
+                self.declared.add(name)
+            outs.append(f"&{name}")
+        self.put(f"{self.call(call, outs)};", depth)
 
     def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
         """Simultaneous assignments, one after another where none reads what an earlier one has written."""
-        pairs = [(t, self.fold(v)) for t, v in zip(targets, values, strict=True)]
-        for k, (target, _) in enumerate(pairs):
-            name = ast.unparse(target).replace(" ", "")
-            later = [ast.unparse(v).replace(" ", "") for _, v in pairs[k + 1 :]]
-            if any(_mentions(v, name) for v in later) and not isinstance(target, ast.Subscript):
-                raise TypeError(f"{self.name}: {ast.unparse(target)} is read after it was written")
-            if isinstance(target, ast.Subscript) and any(name in v for v in later):
-                raise TypeError(f"{self.name}: {name} is read after it was written")
+        folded = [self.fold(value) for value in values]
         written: set[str] = set()
-        for target, value in pairs:
-            self.store(target, value, depth, written)
+        for k, (target, value) in enumerate(zip(targets, folded, strict=True)):
+            if isinstance(target, ast.Name) and target.id not in self.changing and _number(value) is not None:
+                self.numbers[target.id] = value
+                continue
+            place, mirror = self.place(target)
+            if place is None or place in written:
+                continue
+            if any(_uses(self.print(v), place) for v in folded[k + 1 :]):
+                raise TypeError(f"{self.name}: {ast.unparse(target)} is read after it was written")
+            if not isinstance(target, ast.Name):
+                written.add(place)
+            self.store(target, place, mirror, value, depth)
 
-    def store(self, target: ast.expr, value: ast.expr, depth: int, written: set[str]) -> None:
-        if isinstance(target, ast.Name):
-            if target.id not in self.changing and _number(value) is not None:
-                self.values[target.id] = value
-                return
-            name = self.local(target.id)
-            kind = "bool" if _is_truth(value) else "real"
-            kind = kind if target.id in self.changing else f"const {kind}"
-            declare = "" if name in self.declared else f"{kind} "
-            self.declared.add(name)
-            if name != self.expression(value):
-                self.put(f"{declare}{name} = {self.expression(value)};", depth)
-            return
-        place, mirror = self.place(target)
+    def store(self, target: ast.expr, place: str, mirror: str, value: ast.expr, depth: int) -> None:
         if place == "b->failed":  # OK = OK if a test holds else 0
             assert isinstance(value, ast.IfExp)
-            self.put(f"if (!({self.expression(value.test)})) {{", depth)
+            self.put(f"if (!({self.print(value.test)})) {{", depth)
             self.put("b->failed = true;", depth + 1)
             self.put("}", depth)
             return
-        if place is None or place in written:
-            return
-        written.add(place)
-        if place == self.expression(value):
-            return
-        both = f"{place} = {mirror} = " if mirror else f"{place} = "
-        self.put(f"{both}{self.expression(value)};", depth)
+        declared = ""
+        if isinstance(target, ast.Name) and place not in self.declared:
+            declared = "" if target.id in self.changing else "const "
+            declared += "bool " if _is_truth(value) else "real "
+            self.declared.add(place)
+        if place != self.print(value):
+            self.put(f"{declared}{place} = {mirror and mirror + ' = '}{self.print(value)};", depth)
 
-    def on_AugAssign(self, node: ast.AugAssign, depth: int) -> None:
-        value = self.fold(node.value)
-        place, mirror = self.place(node.target)
-        if place is None or (_number(value) == 0.0 and isinstance(node.op, ast.Add | ast.Sub)):
+    def add_to(self, target: ast.expr, sign: str, value: ast.expr, depth: int) -> None:
+        place, mirror = self.place(target)
+        if place is None or (_number(value) == 0.0 and sign in "+-"):
             return
-        self.put(f"{place} {_SIGNS[type(node.op)]}= {self.expression(value)};", depth)
+        self.put(f"{place} {sign}= {self.print(value)};", depth)
         if mirror:
             self.put(f"{mirror} = {place};", depth)
 
-    def on_For(self, node: ast.For, depth: int) -> None:
-        assert isinstance(node.target, ast.Name)
-        name = node.target.id
-        if name == "l":
-            self.block(node.body, depth)
+    def loop(self, name: str, steps: ast.expr, body: list[ast.stmt], depth: int) -> None:
+        if name == "l":  # the columns
+            self.block(body, depth)
             return
-        steps = node.iter
-        bound = None
-        if isinstance(steps, ast.Call) and isinstance(steps.func, ast.Name) and steps.func.id == "range":
-            bound = self.bound(steps.args[-1])
-            head = f"for (int {name} = 0; {name} < {bound}; {name}++) {{"
-        else:
-            values = list(self.evaluate(steps))
-            if isinstance(steps, ast.Tuple) and not isinstance(steps.elts[0], ast.Starred):
-                for value in values:  # rows, one after another
-                    self.known, before = {**self.known, name: value}, self.known
-                    self.block(node.body, depth)
-                    self.known = before
-                return
-            n = len(values)
-            assert values == [*range(values[0], n), *range(values[0])]
-            self.put(f"for (int k = {values[0]}; k < N + {values[0]}; k++) {{", depth)
-            head = f"    const int {name} = k % N;"
-        self.put(head, depth) if bound else self.lines.append("    " * (depth + 1) + head.strip())
+        if isinstance(steps, ast.Tuple) and not isinstance(steps.elts[0], ast.Starred):
+            for value in self.evaluate(steps):  # rows, one after another
+                self.known, before = {**self.known, name: value}, self.known
+                self.block(body, depth)
+                self.known = before
+            return
+        if isinstance(steps, ast.Call) and ast.unparse(steps.func) == "range":
+            end, value = ast.unparse(steps.args[-1]), self.value(steps.args[-1])
+            if value is not None:
+                end = "N" if value in (self.known.get("n"), self.names.get("N")) else str(value)
+            self.put(f"for (int {name} = 0; {name} < {end}; {name}++) {{", depth)
+        else:  # from one state around to the one before it
+            first, *_ = values = list(self.evaluate(steps))
+            assert values == [*range(first, len(values)), *range(first)]
+            self.put(f"for (int k = {first}; k < N + {first}; k++) {{", depth)
+            self.put(f"const int {name} = k % N;", depth + 1)
         before = set(self.declared)
-        self.block(node.body, depth + 1)
+        self.block(body, depth + 1)
         self.declared = before
         self.put("}", depth)
 
-    def bound(self, node: ast.expr) -> str:
-        try:
-            value = self.evaluate(node)
-        except _NOT_EVALUATED:
-            return ast.unparse(node)
-        return "N" if value == self.known.get("n") or value == self.names.get("N") else str(value)
-
-    def on_If(self, node: ast.If, depth: int) -> None:
-        self.put(f"if ({self.expression(self.fold(node.test))}) {{", depth)
-        assert not node.orelse
-        self.block(node.body, depth + 1)
-        self.put("}", depth)
-
-    def on_Expr(self, node: ast.Expr, depth: int) -> None:
-        assert isinstance(node.value, ast.Call)
-        self.put(f"{self.call(node.value)};", depth)
-
-    def on_Return(self, node: ast.Return, depth: int) -> None:
-        assert node.value is not None
-        if not isinstance(node.value, ast.Tuple):
-            self.emitter.results[self.name] = 1
-            self.put(f"return {self.expression(self.fold(node.value))};", depth)
-            return
-        self.emitter.results[self.name] = len(node.value.elts)
-        for k, each in enumerate(node.value.elts):
-            self.outs.append(f"{each.id}_out" if isinstance(each, ast.Name) else f"result{k + 1}")
-            self.put(f"*{self.outs[-1]} = {self.expression(self.fold(each))};", depth)
-
-    # ---- expressions ----
+    # ---- places ----
 
     def evaluate(self, node: ast.expr) -> Any:
-        return eval(
-            compile(ast.fix_missing_locations(ast.Expression(node)), "<kernel>", "eval"),
-            self.names | self.known,
-        )
+        return eval(ast.unparse(node), self.names | self.known)
 
-    def fold(self, node: ast.expr) -> ast.expr:
-        """The expression without terms that this filter's numbers make 0."""
-        return _Fold(self).visit(ast.parse(ast.unparse(node), mode="eval").body)
-
-    def row(self, node: ast.expr) -> str | None:
-        """The name of a row whose number is known."""
+    def value(self, node: ast.expr) -> Any:
+        """The value of an expression, or None where it depends on the filter's state."""
         try:
-            return NAMES[self.evaluate(node)]
-        except _NOT_EVALUATED:
+            return self.evaluate(node)
+        except _UNKNOWN:
             return None
-
-    def place(self, node: ast.expr) -> tuple[str | None, str | None]:
-        """What stands for an element of ``w``, and for its mirror image in the covariance."""
-        if isinstance(node, ast.Name):
-            return self.local(node.id), None
-        assert isinstance(node, ast.Subscript)
-        index = node.slice.elts[0] if isinstance(node.slice, ast.Tuple) else node.slice
-        name = self.row(index)
-        if name is None:
-            return self.place_in_loop(index)
-        if name in self.emitter.rows:
-            text = self.emitter.rows[name]
-            return (text if isinstance(text, str) else None), None
-        if name in MEAN:
-            return f"b->mean[{state(MEAN.index(name))}]", None
-        if name in QUATERNION:
-            return f"b->attitude[{QUATERNION.index(name)}]", None
-        if name in COVARIANCE:
-            return self.mirrored(*(state(MEAN.index(letter)) for letter in name))
-        self.emitter.used.add(name)
-        if name[:3] in ("C1_", "C2_"):
-            return f"work->{name[:2]}[{state(MEAN.index(name[3:]))}]", None
-        return f"work->{name.lower()}", None
-
-    def place_in_loop(self, index: ast.expr) -> tuple[str | None, str | None]:
-        if isinstance(index, ast.Call):
-            return self.mirrored(*(self.index(each) for each in index.args))
-        if isinstance(index, ast.BinOp) and isinstance(index.left, ast.Name):
-            block = index.left.id
-            if block == "Q0":
-                return str(self.emitter.rows["Q"]).format(self.index(index.right)), None
-            self.emitter.used.add(f"{block}_X")
-            return f"work->{block}[{self.index(index.right)}]", None
-        return f"b->mean[{self.index(index)}]", None
-
-    def mirrored(self, i: str, j: str) -> tuple[str, str | None]:
-        return f"P[{i}][{j}]", (f"P[{j}][{i}]" if i != j else None)
-
-    def index(self, node: ast.expr) -> str:
-        try:
-            return state(self.evaluate(node))
-        except _NOT_EVALUATED:
-            return ast.unparse(node)
 
     def local(self, name: str) -> str:
         return RENAMED.get(name, name)
 
-    def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
-        name = ast.unparse(node.func)
-        if name in CALLS:
-            return f"{CALLS[name]}({self.expression(node.args[0])})"
-        function: Any = self.names[name]
-        printed, signature = self.emitter.signatures[getattr(function, "__name__", name)]
-        arguments: list[str] = []
-        for each, theirs in zip(node.args, signature, strict=True):
-            if self.is_kernel and isinstance(each, ast.Name) and each.id in PARAMETERS:
-                arguments += [parameter.split()[-1].lstrip("*") for parameter in theirs]
-            elif theirs:
-                arguments.append(self.expression(self.fold(each)))
-        return f"{printed}({', '.join([*arguments, *(outs or [])])})"
+    def place(self, node: ast.expr) -> tuple[str | None, str]:
+        """What stands for a local or an element of ``w``, and for its mirror image in the covariance."""
+        if isinstance(node, ast.Name):
+            return self.local(node.id), ""
+        assert isinstance(node, ast.Subscript)
+        index = node.slice.elts[0] if isinstance(node.slice, ast.Tuple) else node.slice
+        row = self.value(index)
+        if row is None:
+            return self.place_in_loop(index)
+        name = NAMES[row]
+        if name in self.emitter.rows:
+            text = self.emitter.rows[name]
+            return (text if isinstance(text, str) else None), ""
+        if name in MEAN:
+            return f"b->mean[{STATES[MEAN.index(name)]}]", ""
+        if name in QUATERNION:
+            return f"b->attitude[{QUATERNION.index(name)}]", ""
+        if name in COVARIANCE:
+            return self.mirrored(*(STATES[MEAN.index(letter)] for letter in name))
+        if name[:3] in ("C1_", "C2_"):
+            return f"work->{name[:2]}[{STATES[MEAN.index(name[3:])]}]", ""
+        return f"work->{name.lower()}", ""
 
-    def expression(self, node: ast.expr, outer: int = 0) -> str:
-        text, precedence = self.priced(node)
-        return f"({text})" if precedence < outer else text
-
-    def priced(self, node: ast.expr) -> tuple[str, int]:
-        """C's text and how tightly it binds."""
-        match node:
-            case ast.Constant(bool() | int()):
-                return str(node.value), _ATOM
-            case ast.Constant(float(value)):
-                return f"R({value!r})", _ATOM
-            case ast.Name(name):
-                if name.isupper() and isinstance(value := self.names.get(name), float):
-                    if name not in self.emitter.rows:
-                        self.emitter.constants[name] = value
-                    return name, _ATOM
-                return self.local(name), _ATOM
-            case ast.Attribute():
-                value = self.evaluate(node)
-                if isinstance(value, int):
-                    return state(value), _ATOM
-                return ("INFINITY" if math.isinf(value) else f"R({value!r})"), _ATOM
-            case ast.Subscript(ast.Name("w")):
-                place, _ = self.place(node)
-                if place is None:
-                    raise TypeError(f"{self.name}: C has no {ast.unparse(node)}")
-                return place, _ATOM
-            case ast.Subscript(ast.Name("lever"), index):
-                return f"lever[{ast.unparse(index)}]", _ATOM
-            case ast.Subscript(_, ast.Name(index)):
-                return INPUTS[index], _ATOM
-            case ast.UnaryOp(ast.USub(), ast.Constant(float(value))):
-                return f"R({-value!r})", _ATOM
-            case ast.UnaryOp(ast.USub(), operand):
-                return f"-{self.expression(operand, 7)}", 7
-            case ast.UnaryOp(ast.Not(), operand):
-                return f"!({self.expression(operand)})", 8
-            case ast.BinOp(left, op, right) if type(op) in _PRECEDENCE:
-                binds = _PRECEDENCE[type(op)]
-                if (pure := self.pure(node)) is not None:
-                    return f"R({pure!r})", _ATOM
-                return (
-                    f"{self.expression(left, binds)} {_SIGNS[type(op)]} {self.expression(right, binds + 1)}",
-                    binds,
-                )
-            case ast.BinOp(left, op, right):
-                return f"{self.expression(left, 3)} {_SIGNS[type(op)]} {self.expression(right, 3)}", 2
-            case ast.BoolOp(op, values):
-                return f" {_SIGNS[type(op)]} ".join(self.expression(v, 3) for v in values), 2
-            case ast.Compare(left, [op], [right]):
-                return f"{self.expression(left, 4)} {_SIGNS[type(op)]} {self.expression(right, 4)}", 3
-            case ast.IfExp(test, body, orelse):
-                return (
-                    f"{self.expression(test, 2)} ? {self.expression(body, 2)} : {self.expression(orelse, 1)}",
-                    1,
-                )
-            case ast.Call():
-                return self.call(node), _ATOM
+    def place_in_loop(self, index: ast.expr) -> tuple[str | None, str]:
+        match index:
+            case ast.Call(_, [i, j]):
+                return self.mirrored(self.index(i), self.index(j))
+            case ast.BinOp(ast.Name("Q0"), _, right):
+                return str(self.emitter.rows["Q"]).format(self.index(right)), ""
+            case ast.BinOp(ast.Name(block), _, right):
+                return f"work->{block}[{self.index(right)}]", ""
             case _:
-                raise TypeError(f"{self.name}: {ast.unparse(node)} is not in the emitter's subset")
+                return f"b->mean[{self.index(index)}]", ""
 
-    def pure(self, node: ast.expr) -> float | None:
-        """The value of numbers alone, which Python computes in double."""
-        named = [n.id for n in ast.walk(node) if isinstance(n, ast.Name) and n.id != "math"]
-        if named or any(isinstance(each, ast.Subscript | ast.Call) for each in ast.walk(node)):
-            return None
-        try:
-            value = self.evaluate(node)
-        except _NOT_EVALUATED:
-            return None
-        return float(value)
+    def mirrored(self, i: str, j: str) -> tuple[str, str]:
+        return f"P[{i}][{j}]", f"P[{j}][{i}]" if i != j else ""
 
+    def index(self, node: ast.expr) -> str:
+        place = self.value(node)
+        return ast.unparse(node) if place is None else STATES[place]
 
-class _Fold(ast.NodeTransformer):
-    """Leave out what is multiplied by 0, and factors of 1."""
+    # ---- expressions ----
 
-    def __init__(self, function: _Function) -> None:
-        self.function = function
+    def refused(self, node: ast.AST) -> TypeError:
+        return TypeError(f"{self.name}: {ast.unparse(node)} is not in the emitter's subset")
+
+    def fold(self, node: ast.expr) -> ast.expr:
+        """The expression with C's names, without terms that this filter's numbers make 0."""
+        return self.visit(deepcopy(node))
+
+    def c(self, node: ast.expr) -> str:
+        return self.print(self.fold(node))
+
+    def visit_Constant(self, node: ast.Constant) -> ast.expr:
+        return _numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value))
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        return self.function.values.get(node.id, node)
+        return self.numbers.get(node.id, ast.Name(self.local(node.id)))
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        value = self.evaluate(node)
+        return ast.Name(STATES[value]) if isinstance(value, int) else _numeral(value)
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
-        if isinstance(node.value, ast.Name) and node.value.id == "w" and isinstance(node.slice, ast.Tuple):
-            name = self.function.row(node.slice.elts[0])
-            number = self.function.emitter.rows.get(name) if name else None
-            if isinstance(number, float):
-                return ast.Constant(number)
-        return node
+        match node:
+            case ast.Subscript(ast.Name("w"), ast.Tuple([index, *_])):
+                row = self.value(index)
+                number = None if row is None else self.emitter.rows.get(NAMES[row])
+                if isinstance(number, float):
+                    return _numeral(number)
+                return ast.Name(self.place(node)[0] or _MISSING + ast.unparse(node))
+            case ast.Subscript(ast.Name("lever"), index):
+                return ast.Name(f"lever[{ast.unparse(index)}]")
+            case ast.Subscript(_, ast.Name(index)):
+                return ast.Name(INPUTS[index])
+            case _:
+                raise self.refused(node)
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        node.args = [self.visit(each) for each in node.args]
-        return node
+        return ast.Name(self.call(node))
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
         node.operand = self.visit(node.operand)
-        return ast.Constant(0.0) if isinstance(node.op, ast.USub) and _number(node.operand) == 0.0 else node
+        value = _number(node.operand)
+        return node if value is None or isinstance(node.op, ast.Not) else _numeral(-value if value else 0.0)
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
-        left, right = self.visit(node.left), self.visit(node.right)
-        node.left, node.right = left, right
+        left, right = node.left, node.right = self.visit(node.left), self.visit(node.right)
         a, b = _number(left), _number(right)
         match node.op:
             case ast.Add() if a == 0.0:
@@ -503,56 +388,96 @@ class _Fold(ast.NodeTransformer):
             case ast.Sub() if a == 0.0:
                 return ast.UnaryOp(ast.USub(), right)
             case ast.Mult() if a == 0.0 or b == 0.0:
-                return ast.Constant(0.0)
+                return _numeral(0.0)
             case ast.Mult() if a == 1.0:
                 return right
             case ast.Mult() | ast.Div() if b == 1.0:
                 return left
             case ast.Div() if a == 0.0:
                 return left
+            case _ if a is not None and b is not None:  # computed in double
+                return _numeral(eval(f"{a!r} {_SIGNS[type(node.op)]} {b!r}"))
             case _:
                 return node
 
+    def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
+        name = ast.unparse(node.func)
+        if name in CALLS:
+            return f"{CALLS[name]}({self.c(node.args[0])})"
+        printed, signature = self.emitter.signatures[getattr(self.names[name], "__name__", name)]
+        arguments: list[str] = []
+        for each, theirs in zip(node.args, signature, strict=True):
+            if self.is_kernel and isinstance(each, ast.Name) and each.id in PARAMETERS:
+                arguments += [parameter.split()[-1].lstrip("*") for parameter in theirs]
+            elif theirs:
+                arguments.append(self.c(each))
+        return f"{printed}({', '.join([*arguments, *(outs or [])])})"
+
+    def print(self, node: ast.expr, outer: int = 0) -> str:
+        """C's text of a rewritten expression, in parentheses where it binds less tightly than ``outer``."""
+        match node:
+            case ast.Name(text):
+                if text.startswith(_MISSING):
+                    raise TypeError(f"{self.name}: {text}")
+                return text
+            case ast.UnaryOp(ast.USub(), operand):
+                text, binds = f"-{self.print(operand, 7)}", 7
+            case ast.UnaryOp(ast.Not(), operand):
+                text, binds = f"!({self.print(operand)})", 8
+            case ast.BinOp(left, ast.BitAnd() | ast.BitOr() as op, right):
+                text, binds = f"{self.print(left, 3)} {_SIGNS[type(op)]} {self.print(right, 3)}", 2
+            case ast.BinOp(left, op, right) if type(op) in _SIGNS:
+                binds = 5 if isinstance(op, ast.Add | ast.Sub) else 6
+                text = f"{self.print(left, binds)} {_SIGNS[type(op)]} {self.print(right, binds + 1)}"
+            case ast.BoolOp(op, values):
+                text, binds = f" {_SIGNS[type(op)]} ".join(self.print(v, 3) for v in values), 2
+            case ast.Compare(left, [op], [right]):
+                text, binds = f"{self.print(left, 4)} {_SIGNS[type(op)]} {self.print(right, 4)}", 3
+            case ast.IfExp(test, body, orelse):
+                text = f"{self.print(test, 2)} ? {self.print(body, 2)} : {self.print(orelse, 1)}"
+                binds = 1
+            case _:
+                raise self.refused(node)
+        return f"({text})" if binds < outer else text
+
+
+def _numeral(value: float) -> ast.Name:
+    return ast.Name("INFINITY" if math.isinf(value) else f"R({value!r})")
+
 
 def _number(node: ast.expr) -> float | None:
-    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, float) else None
+    match = re.fullmatch(r"R\((.+)\)|\d+", node.id) if isinstance(node, ast.Name) else None
+    return float(match[1] or match[0]) if match else None
+
+
+def _is_truth(node: ast.expr) -> bool:
+    binary = isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
+    return binary or isinstance(node, ast.Compare | ast.BoolOp)
 
 
 def _uses(text: str, name: str) -> bool:
-    return re.search(rf"\b{name}\b", text) is not None or (name == "b" and "P[" in text)
+    found = re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
+    return found or (name == "b" and "P[" in text)
 
 
 def _wrapped(lines: list[str]) -> list[str]:
     """The lines, none too long, declarations of one kind together."""
-    joined: list[str] = []
+    joined = [""]
     for line in lines:
         match = re.match(r"( +(?:const )?(?:real|bool) )(\w+.*;)$", line)
-        before = joined[-1] if joined else ""
-        if match and "(*" not in line and before.startswith(match[1]) and len(before) + len(match[2]) < 118:
-            joined[-1] = f"{before[:-1]}, {match[2]}"
+        last = joined[-1]
+        if match and "(*" not in line and last.startswith(match[1]) and len(last) + len(match[2]) < 118:
+            joined[-1] = f"{last[:-1]}, {match[2]}"
         else:
             joined.append(line)
     wrapped: list[str] = []
-    for line in joined:
+    for line in joined[1:]:
         indent = " " * (len(line) - len(line.lstrip()))
+        further = indent + "    "
         wrapped += textwrap.wrap(
-            line.strip(),
-            120,
-            initial_indent=indent,
-            subsequent_indent=indent + "    ",
-            break_long_words=False,
+            line.strip(), 120, initial_indent=indent, subsequent_indent=further, break_long_words=False
         )
     return wrapped
-
-
-def _is_truth(node: ast.expr) -> bool:
-    return isinstance(node, ast.Compare | ast.BoolOp) or (
-        isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
-    )
-
-
-def _mentions(text: str, name: str) -> bool:
-    return any(isinstance(n, ast.Name) and n.id == name for n in ast.walk(ast.parse(text, mode="eval")))
 
 
 def _comments(source: str) -> dict[int, list[str]]:

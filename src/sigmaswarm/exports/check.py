@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import joined
 from sigmaswarm.filters.run import replay_of, run_filter
+from sigmaswarm.geodesy import wrap_angle
 
 COMPILERS = ("cc", "gcc", "clang")
 _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
@@ -85,19 +85,19 @@ def check_export(
         If a drive never moves far enough for a start.
     """
     side_by_side = Lanes(lanes, seed)
-    double = _shared_object(folder, "libins_gps.so")
-    fits = all(fits_float(p) for p in side_by_side.filters(parameters))
-    single = _shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT") if fits else None
+    built = [_shared_object(folder, "libins_gps.so")]
+    if all(fits_float(p) for p in side_by_side.filters(parameters)):
+        built.append(_shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT"))
     checked: list[Checked] = []
     # They may be rebuilt there, and a process loads a path only once.
     with tempfile.TemporaryDirectory() as loaded:
-        libraries = [Path(shutil.copy(each, loaded)) for each in (double, single) if each is not None]
+        libraries = [Path(shutil.copy(each, loaded)) for each in built]
         for drive in drives:
             ours = _of_library(drive, parameters, side_by_side, as_recorded=as_recorded)
             events = replay_events(drive, parameters.model, as_recorded=as_recorded)
-            runs = (_replay(folder, library, parameters, events) for library in libraries)
-            of_double, *of_single = (_difference(run, ours) for run in runs)
-            checked.append(Checked(drive.name, of_double, of_single[0] if of_single else None))
+            runs = [_replay(folder, library, parameters, events) for library in libraries]
+            double, *single = (_difference(run, ours) for run in runs)
+            checked.append(Checked(drive.name, double, single[0] if single else None))
     return checked
 
 
@@ -139,24 +139,19 @@ def _replay(
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    states_accuracy, tilted = (
-        parameters.accuracy_scale is not None,
-        MODELS[parameters.model].tilts is not None,
-    )
-    (_, start), *told = events
-    lever_arm = (start[1], start[2], start[33] if tilted else 0.0)
-    board: Any = module.Filter(
-        start[0], start[3:8], start[8:33], lever_arm, library, start[34 if tilted else 33 :]
-    )
+    tilted = MODELS[parameters.model].tilts is not None
+    (_, (begin, *start)), *others = events
+    lever_arm, gyro = (*start[:2], start.pop(32) if tilted else 0.0), start[32:]
+    board = module.Filter(begin, start[2:7], start[7:32], lever_arm, library, gyro)
     means: list[list[float]] = []
-    for name, (time, *z) in told:
+    for name, (time, *z) in others:
         if name == "imu":
-            board.predict(time, [z[0], z[1], z[3], z[4], z[5], z[2]] if tilted else z)
-            if time > start[0]:
+            board.predict(time, [*z[:2], *z[3:], z[2]] if tilted else z)
+            if time > begin:
                 means.append(board.mean)
         elif name == "fix":
             velocity = None if len(z) < 4 or np.isnan(z[2]) else z[2:4]
-            std = {"std": z[4:6]} if states_accuracy else {}
+            std = {} if parameters.accuracy_scale is None else {"std": z[4:6]}
             board.update(time, z[:2], velocity=velocity, **std)
         elif parameters.odometer_noise is not None:
             board.odometer(time, z[0])
@@ -165,7 +160,7 @@ def _replay(
 
 def _difference(theirs: Array, ours: Array) -> Difference:
     error = theirs - ours
-    error[:, 4] = (error[:, 4] + np.pi) % (2 * np.pi) - np.pi
+    error[:, 4] = wrap_angle(error[:, 4])
     return Difference(
         float(np.max(np.abs(error) / np.maximum(1.0, np.abs(ours)))),
         float(np.max(np.hypot(error[:, 0], error[:, 1]))),

@@ -1,11 +1,13 @@
 """Values of the templates of exported filters: the parts that a filter uses, and its numbers."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import ModuleType
 
-from sigmaswarm.drives import odometer, timeline
+from sigmaswarm.drives import alignment, frozen, gaps, gyro_seen, odometer, standstill, timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import fuzzy, schedule, student, tilted
+from sigmaswarm.filters import divergence, fuzzy, schedule, student, tilted
+from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
@@ -15,9 +17,8 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
     """Which parts of the templates a filter needs."""
     velocity, lateral, stands, wheels = schedule.switches(p)
     has_tilts = MODELS[p.model].tilts is not None
-    biases, gate = bool(MODELS[p.model].sensors), p.gate is not None
-    adaptive, tracking = p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf"
-    rules = p.kind == "fuzzy-ukf"
+    biases, gate, robust = bool(MODELS[p.model].sensors), p.gate is not None, p.robust_dof is not None
+    adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))
     used = {
         "UNSCENTED": p.kind != "ekf",
         "TILTED": has_tilts,
@@ -30,10 +31,10 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "LATENCY": p.latency != 0.0,
         "GATE": gate,
         "NIS": gate or rules,
-        "GATE_OR_STRETCH": gate or tracking or rules or p.robust_dof is not None,
+        "GATE_OR_STRETCH": gate or tracking or rules or robust,
         "ACCURACY": p.accuracy_scale is not None,
-        "ROBUST": p.robust_dof is not None,
-        "STRETCH": tracking or p.robust_dof is not None,
+        "ROBUST": robust,
+        "STRETCH": tracking or robust,
         "VELOCITY": velocity,
         "LATERAL": lateral,
         "SLIP": lateral and p.tire_slip != 0.0,
@@ -48,55 +49,58 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
     return {f"USE_{name}": value for name, value in used.items()}
 
 
+PARAMETERS = (
+    *(
+        "latency",
+        "alpha",
+        "beta",
+        "kappa",
+        "forgetting",
+        "gate",
+        "accuracy_scale",
+        "robust_dof",
+        "velocity_noise",
+    ),
+    *("lateral_noise", "rear_axle", "tire_slip", "standstill_noise"),
+    *("odometer_noise", "odometer_scale", "odometer_latency"),
+)
+"""Those of a filter that templates name as the filter does."""
+CONSTANTS: tuple[tuple[ModuleType, str, str], ...] = (
+    (alignment, "", "REFITS"),
+    (divergence, "", "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD"),
+    (frozen, "", "BEFORE SPEED_WINDOW BRAKING REST NO_REST"),
+    (fuzzy, "", "LARGEST_RATIO SLOWER"),
+    (gaps, "GAP_", "MANY SHORTEST OVER MOST"),
+    (gyro_seen, "", "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS"),
+    (live, "", "LEAP AGREES"),
+    (odometer, "", "SLOW STALE"),
+    (odometer, "ODOMETER_", "INTERVAL"),
+    (schedule, "", "LATERAL_INTERVAL STANDSTILL_INTERVAL STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED"),
+    (standstill, "", "BLOCK DEPARTS FOLLOWS FORGETS CALM SETTLES RISES TURNING FIX_WINDOW FILLED FIX_SPEED"),
+    (standstill, "", "MOST_OF_IT QUARTER"),
+    (student, "", "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN"),
+    (tilted, "", "GRAVITY"),
+    (timeline, "", "CORNERING"),
+)
+"""Constants of the library that templates name: module, prefix in the templates, names."""
+
+
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
-    """A filter's parameters as text; ``interval`` (s) is that of Q."""
-    numbers: dict[str, float | None] = {
-        "NOMINAL_INTERVAL": interval,
-        "LATENCY": p.latency,
-        "ALPHA": p.alpha,
-        "BETA": p.beta,
-        "KAPPA": p.kappa,
-        "ACCEL_BIAS_STD": p.bias_std[0],
-        "GYRO_BIAS_STD": p.bias_std[1],
-        "FORGETTING": p.forgetting,
-        "FUZZY_WIDTH_RATIO": p.fuzzy_widths[0],
-        "FUZZY_WIDTH_TREND": p.fuzzy_widths[1],
-        "FUZZY_GAIN_R": p.fuzzy_gains[0],
-        "FUZZY_GAIN_Q": p.fuzzy_gains[1],
-        "LARGEST_RATIO": fuzzy.LARGEST_RATIO,
-        "SLOWER": fuzzy.SLOWER,
-        "GATE": p.gate,
-        "ACCURACY_SCALE": p.accuracy_scale,
-        "ROBUST_DOF": p.robust_dof,
-        "OUTLYING": student.OUTLYING,
-        "OUTLIERS_SPAN": student.OUTLIERS_SPAN,
-        "VELOCITY_NOISE": p.velocity_noise,
-        "LATERAL_NOISE": p.lateral_noise,
-        "REAR_AXLE": p.rear_axle,
-        "TIRE_SLIP": p.tire_slip,
-        "LATERAL_INTERVAL": schedule.LATERAL_INTERVAL,
-        "CORNERING": timeline.CORNERING,
-        "STANDSTILL_NOISE": p.standstill_noise,
-        "STANDSTILL_INTERVAL": schedule.STANDSTILL_INTERVAL,
-        "STANDSTILL_RATE_NOISE": schedule.STANDSTILL_RATE_NOISE,
-        "ODOMETER_NOISE": p.odometer_noise,
-        "ODOMETER_SCALE": p.odometer_scale,
-        "ODOMETER_LATENCY": p.odometer_latency,
-        "ODOMETER_INTERVAL": odometer.INTERVAL,
-        "SLOW": odometer.SLOW,
-        "STALE": odometer.STALE,
-        "SLIP_GATE": schedule.SLIP_GATE,
-        "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
-        "GRAVITY": tilted.GRAVITY,
+    """A filter's parameters and the library's constants as text; ``interval`` (s) is that of Q."""
+    constants = {
+        prefix + name: getattr(module, name) for module, prefix, names in CONSTANTS for name in names.split()
     }
-    return plain(numbers) | {
-        "VERSION": __version__,
-        "DESCRIPTION": f"{p.model}, {p.kind}",
-        "MODEL": p.model,
-        "MOST_REJECTED": str(schedule.MOST_REJECTED),
-        "ITERATIONS": str(student.ITERATIONS),
-        "OUTLIERS": str(student.OUTLIERS),
-    }
+    return plain(
+        {
+            **constants,
+            **{name.upper(): getattr(p, name) for name in PARAMETERS},
+            "NOMINAL_INTERVAL": interval,
+            **dict(zip(("ACCEL_BIAS_STD", "GYRO_BIAS_STD"), p.bias_std, strict=True)),
+            **dict(zip(("FUZZY_WIDTH_RATIO", "FUZZY_WIDTH_TREND"), p.fuzzy_widths, strict=True)),
+            **dict(zip(("FUZZY_GAIN_R", "FUZZY_GAIN_Q"), p.fuzzy_gains, strict=True)),
+            "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
+        }
+    ) | {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
 
 
 def in_range(value: float, of: str) -> float:
@@ -114,9 +118,13 @@ def in_range(value: float, of: str) -> float:
     return value
 
 
-def plain(numbers: dict[str, float | None]) -> dict[str, str]:
+def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
     """Numbers as text that keeps every bit; None is left out."""
-    return {name: repr(float(value)) for name, value in numbers.items() if value is not None}
+    return {
+        name: str(value) if isinstance(value, int) else repr(float(value))
+        for name, value in numbers.items()
+        if value is not None
+    }
 
 
 def listed(numbers: Iterable[float], form: str = "{}") -> str:

@@ -41,55 +41,45 @@ class Lanes:
         return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
     def values(self, tuning: FilterParameters) -> dict[str, str]:
-        """The template's values; of a filter alone its numbers stand where the table's are asked for."""
+        """The template's values: numbers of a filter alone, or columns of the table of lanes."""
+        filters, numbers = self.filters(tuning), _numbers(tuning)
+        biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # at the start
         if self.n == 1:
-            own = {f"OF_{name.upper()}": f"R({value!r})" for name, value in _numbers(tuning).items()}
-            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"} | self._biases(tuning)
+            own = {f"OF_{name.upper()}": f"R({value!r})" for name, value in numbers.items()}
+            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"} | biases
         spread = Spread(tuning)
-        against = spread.penalty(self._offsets(spread)).tolist()
-        rows = [_row(p, held) for p, held in zip(self.filters(tuning), against, strict=True)]
-        evidence: dict[str, float | None] = {
-            "EVIDENCE_LASTS": swarm.EVIDENCE_LASTS,
-            "EVIDENCE_COUNTS": swarm.EVIDENCE_COUNTS,
-            "LARGEST_NIS": swarm.LARGEST_NIS,
-        }
-        return plain(evidence) | {
-            **self._biases(tuning),
-            **{f"OF_{name.upper()}": f"lanes[b->lane].{name}" for name in _numbers(tuning)},
+        penalties = spread.penalty(self._offsets(spread)).tolist()
+        constants = ("EVIDENCE_LASTS", "EVIDENCE_COUNTS", "LARGEST_NIS")
+        return {
+            **biases,
+            **plain({name: getattr(swarm, name) for name in constants}),
+            **{f"OF_{name.upper()}": f"lanes[b->lane].{name}" for name in numbers},
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
             "LANES": str(self.n),
             "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes, differently tuned, and their mixture",
-            "LANE_ROWS": ",\n".join(rows),
+            "LANE_ROWS": ",\n".join(map(_row, filters, penalties)),
         }
-
-    def _biases(self, tuning: FilterParameters) -> dict[str, str]:
-        """Gyro bias of each lane at the start."""
-        return {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in self.filters(tuning)])}
 
 
 def _numbers(p: FilterParameters) -> dict[str, float]:
     """Further numbers in which lanes may differ, if the filter has them."""
-    numbers = {
-        "accel_bias_std": p.bias_std[0] if MODELS[p.model].sensors else None,
-        "gyro_bias_std": p.bias_std[1] if MODELS[p.model].sensors else None,
-        "accuracy_scale": p.accuracy_scale,
-        "velocity_noise": p.velocity_noise,
-        "lateral_noise": p.lateral_noise,
-        "rear_axle": None if p.lateral_noise is None else p.rear_axle,
-        "tire_slip": None if p.lateral_noise is None else p.tire_slip or None,
-        "odometer_noise": p.odometer_noise,
-        "standstill_noise": p.standstill_noise,
-    }
+    numbers: dict[str, float | None] = {}
+    if MODELS[p.model].sensors:
+        numbers |= dict(zip(("accel_bias_std", "gyro_bias_std"), p.bias_std, strict=True))
+    numbers |= {name: getattr(p, name) for name in ("accuracy_scale", "velocity_noise", "lateral_noise")}
+    if p.lateral_noise is not None:
+        numbers |= {"rear_axle": p.rear_axle, "tire_slip": p.tire_slip or None}
+    numbers |= {name: getattr(p, name) for name in ("odometer_noise", "standstill_noise")}
     return {name: float(value) for name, value in numbers.items() if value is not None}
 
 
-def _row(p: FilterParameters, against: float) -> str:
+def _row(p: FilterParameters, penalty: float) -> str:
     """A lane, in C."""
     fields = [
         f".process_noise = {{{listed(p.process_noise, 'R({})')}}}",
         f".measurement_noise = {{{listed(p.measurement_noise, 'R({})')}}}",
-        f".against = R({against!r})",
+        f".against = R({penalty!r})",
         *(f".{name} = R({value!r})" for name, value in _numbers(p).items()),
     ]
     return "    {" + ",\n     ".join(fields) + "}"

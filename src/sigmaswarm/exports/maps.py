@@ -9,6 +9,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -32,34 +33,30 @@ def geojson(time: Array, places: Array, path: Path, name: str) -> None:
     ``coordTimes`` is as togeojson writes it: a list, and for a line in parts a list of lists.
     """
     parts = cut(time, places)
-    lines = [[[_rounded(lon), _rounded(lat)] for lat, lon in part] for _, part in parts]
-    key = "coordTimes" if _stamps(time) else "t"
-    times = [_stamps(t) or t.tolist() for t, _ in parts]
-    whole = len(parts) == 1
-    feature = {
-        "type": "Feature",
-        "properties": {"name": _NOT_XML.sub("\ufffd", name), key: times[0] if whole else times},
-        "geometry": {
-            "type": "LineString" if whole else "MultiLineString",
-            "coordinates": lines[0] if whole else lines,
-        },
-    }
+    lines: list[Any] = [[[round(lon, 9), round(lat, 9)] for lat, lon in part.tolist()] for _, part in parts]
+    times: list[Any] = [_stamps(t) or t.tolist() for t, _ in parts]
+    kind = "MultiLineString"
+    if len(parts) == 1:
+        kind, (lines,), (times,) = "LineString", lines, times
+    properties = {"name": _NOT_XML.sub("\ufffd", name), "coordTimes" if _stamps(time) else "t": times}
+    geometry = {"type": kind, "coordinates": lines}
+    feature = {"type": "Feature", "properties": properties, "geometry": geometry}
     write_whole(path, json.dumps(finite(feature)) + "\n")
 
 
 def gpx(time: Array, places: Array, path: Path, name: str) -> None:
     """One track; a new segment where it crosses the antimeridian."""
-    segments: list[str] = []
+    lines = ['<gpx version="1.1" creator="sigmaswarm" xmlns="http://www.topografix.com/GPX/1/1">']
+    start = f"<trk><name>{_escaped(name)}</name><trkseg>"
     for t, part in cut(time, places):
         stamps = [f"<time>{stamp}</time>" for stamp in _stamps(t)] or [""] * len(t)
-        points = [
+        lines += [start]
+        lines += [
             f'<trkpt lat="{lat:.9f}" lon="{min(lon, _EASTMOST):.9f}">{stamp}</trkpt>'
             for (lat, lon), stamp in zip(part, stamps, strict=True)
         ]
-        segments += ["</trkseg><trkseg>", *points]
-    head = '<gpx version="1.1" creator="sigmaswarm" xmlns="http://www.topografix.com/GPX/1/1">'
-    first = f"<trk><name>{_escaped(name)}</name><trkseg>"
-    _write_xml(path, [head, first, *segments[1:], "</trkseg></trk>", "</gpx>"])
+        start = "</trkseg><trkseg>"
+    _write_xml(path, [*lines, "</trkseg></trk>", "</gpx>"])
 
 
 def kml(time: Array, places: Array, path: Path, name: str) -> None:
@@ -67,15 +64,15 @@ def kml(time: Array, places: Array, path: Path, name: str) -> None:
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return
-    start = "<LineString><tessellate>1</tessellate><coordinates>"
-    end = "</coordinates></LineString>"
-    lines: list[str] = []
-    for _, part in cut(time, places):
-        lines += [end + start, *(f"{lon:.9f},{lat:.9f}" for lat, lon in part)]
-    several = ("<MultiGeometry>", "</MultiGeometry>") if lines.count(end + start) > 1 else ("", "")
-    head = '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>'
-    first = f"<name>{_escaped(name)}</name>{several[0]}{start}"
-    _write_xml(path, [head, first, *lines[1:], f"{end}{several[1]}", "</Placemark></Document></kml>"])
+    parts = cut(time, places)
+    several = ("<MultiGeometry>", "</MultiGeometry>") if len(parts) > 1 else ("", "")
+    start, end = "<LineString><tessellate>1</tessellate><coordinates>", "</coordinates></LineString>"
+    lines = ['<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>']
+    begin = f"<name>{_escaped(name)}</name>{several[0]}{start}"
+    for _, part in parts:
+        lines += [begin, *(f"{lon:.9f},{lat:.9f}" for lat, lon in part)]
+        begin = end + start
+    _write_xml(path, [*lines, f"{end}{several[1]}", "</Placemark></Document></kml>"])
 
 
 def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
@@ -131,10 +128,6 @@ def _stamps(time: Array) -> list[str]:
         datetime.fromtimestamp(float(t), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
         for t in time
     ]
-
-
-def _rounded(degrees: float) -> float:
-    return round(float(degrees), 9)
 
 
 MAPS: dict[str, Callable[[Array, Array, Path, str], None]] = {".geojson": geojson, ".gpx": gpx, ".kml": kml}

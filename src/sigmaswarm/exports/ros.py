@@ -5,8 +5,9 @@ The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``,
 """
 
 import heapq
-from collections.abc import Iterable, Iterator
-from contextlib import nullcontext
+import warnings
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -14,17 +15,20 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.errors import InputError
-from sigmaswarm.exports.attitude import quaternions
-from sigmaswarm.exports.beside import RawMessage, recording
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.exports.body import body_velocity, quaternions, tilts_of
 from sigmaswarm.files import whole_folder
-from sigmaswarm.filters import tilted
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
+from sigmaswarm.importing.source import broken
+from sigmaswarm.importing.readers.ros import bag_paths
+from sigmaswarm.importing.source import library
 
 TOPIC = "/sigmaswarm/odometry"
 NOT_ESTIMATED = 1e6
 """Variance of quantities that a filter does not estimate: height, rates, and in the plane roll and pitch."""
+RawMessage = tuple[int, Any, Any]
+"""Time in ns, rosbags' connection of the bag that is written, and the message's bytes."""
 
 
 def ros2(
@@ -69,46 +73,120 @@ def ros2(
     if first < 0:
         raise InputError(f"{path}: a bag has no times before 0 (is {first:g} s); shift the drive's times")
     store = get_typestore(Stores.ROS2_HUMBLE)
-    with recording(beside) if beside else nullcontext() as recorded:
-        if recorded:
-            recorded.require_span(round(first * 1e9), round(last * 1e9))
-            if TOPIC in recorded.topics:
-                raise InputError(f"{beside}: has {TOPIC} already; name the bag as it was recorded")
-        with (
-            whole_folder(path) as new,
-            Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
-        ):
-            originals = recorded.add_to(writer) if recorded else iter(())
-            connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
-            estimates = _messages(pieces, store, connection, time_origin)
-            for nanoseconds, to, raw in heapq.merge(originals, estimates, key=itemgetter(0)):
-                writer.write(to, nanoseconds, raw)
+    with (
+        _reader(beside, first, last) if beside else nullcontext() as recorded,
+        whole_folder(path) as new,
+        Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        originals = _copied(beside, recorded, writer) if beside else iter(())
+        connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
+        estimates = _messages(pieces, store, connection, time_origin)
+        for nanoseconds, to, raw in heapq.merge(originals, estimates, key=itemgetter(0)):
+            writer.write(to, nanoseconds, raw)
+
+
+# ---- the recorded bag ----
+
+
+@contextmanager
+def _reader(path: Path, first: float, last: float) -> Generator[Any]:
+    """Open a ROS 2 bag (a folder, or a .db3 or .mcap file) that was recorded from ``first`` to ``last``, s.
+
+    Raises
+    ------
+    InputError
+        If it is none, is damaged, was recorded at another time, or has the topic of the estimate already.
+    """
+    highlevel, typesys = library("rosbags.highlevel", "ros"), library("rosbags.typesys", "ros")
+    if not path.exists():
+        raise InputError(f"{path}: no such bag; name the one that the drive was imported from")
+    paths = bag_paths(path)
+    if not paths:
+        raise InputError(f"{path}: holds no bag; name the folder with metadata.yaml, or a .db3 or .mcap file")
+    if paths[0].suffix == ".bag":
+        raise InputError(
+            f"{path}: is a ROS 1 bag, whose messages ROS 2 reads only when they are rewritten; convert it first: "
+            f"rosbags-convert --src {path} --dst {path.with_suffix('')}"
+        )
+    try:
+        reader = highlevel.AnyReader(paths, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
+        reader.open()
+    except Exception as error:  # the library raises anything on damaged bytes
+        if "rofile" in str(error):
+            raise InputError(
+                f"{path}: is an MCAP file that ROS 2 did not write; its messages have no place in a ROS 2 bag, so "
+                "leave --beside out"
+            ) from None
+        raise broken(path, error) from None
+    try:
+        begin, end = reader.start_time, reader.end_time
+        if round(last * 1e9) < begin or round(first * 1e9) > end:
+            raise InputError(
+                f"{path}: covers {begin / 1e9:.3f} to {end / 1e9:.3f} s, the estimate {first:.3f} to "
+                f"{last:.3f} s; name the bag that the drive was imported from"
+            )
+        if TOPIC in reader.topics:
+            raise InputError(f"{path}: has {TOPIC} already; name the bag as it was recorded")
+        yield reader
+    finally:
+        reader.close()
+
+
+def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
+    """Add the topics of a bag to one that is written; return its messages by time, read one by one.
+
+    A topic whose type neither the bag nor the latest ROS defines is left out, with a warning.
+    """
+    added: dict[tuple[str, str], Any] = {}
+    for old in reader.connections:
+        kind = old.topic, old.msgtype
+        if kind in added:  # a bag in several files
+            continue
+        if old.msgtype not in reader.typestore.fielddefs:
+            warnings.warn(
+                f"{path}: {old.topic} left out: nothing defines its type {old.msgtype}",
+                SigmaswarmWarning,
+                stacklevel=2,
+            )
+            continue
+        own = {"msgdef": old.msgdef.data, "rihs01": old.digest} if old.msgdef.data and old.digest else {}
+        added[kind] = writer.add_connection(
+            *kind,
+            typestore=reader.typestore,
+            serialization_format=old.ext.serialization_format,
+            offered_qos_profiles=old.ext.offered_qos_profiles,
+            **own,
+        )
+    wanted = [c for c in reader.connections if (c.topic, c.msgtype) in added]
+
+    def messages() -> Iterator[RawMessage]:
+        try:
+            for old, time, raw in reader.messages(connections=wanted) if wanted else ():
+                yield time, added[old.topic, old.msgtype], raw
+        except Exception as error:  # the library raises anything on damaged bytes
+            raise broken(path, error) from None
+
+    return messages()
+
+
+# ---- the estimate ----
 
 
 def _messages(
     pieces: Iterable[Estimate], store: Any, connection: Any, time_origin: float
 ) -> Iterator[RawMessage]:
     for estimate in pieces:
-        for t, mean, (pose, twist) in zip(estimate.time, estimate.mean, _covariances(estimate), strict=True):
+        velocity, jacobian = body_velocity(estimate.mean)
+        n = estimate.mean.shape[1]
+        covariance = estimate.covariance if estimate.covariance.size else np.zeros((len(velocity), n, n))
+        moving, of_pose = [2, 3, THETA, *tilts_of(n)], [*_pose_of(n)]
+        twists = jacobian @ covariance[:, np.array(moving)[:, None], moving] @ jacobian.transpose(0, 2, 1)
+        poses = covariance[:, np.array(of_pose)[:, None], of_pose]
+        columns = (estimate.time, estimate.mean, poses, velocity, twists)
+        for t, *row in zip(*columns, strict=True):
             nanoseconds = round(float(t) * 1e9) + round(time_origin * 1e9)  # apart, so that no digit is lost
-            message = _odometry(store.types, nanoseconds, mean, pose, twist)
+            message = _odometry(store.types, nanoseconds, *row)
             yield nanoseconds, connection, store.serialize_cdr(message, "nav_msgs/msg/Odometry")
-
-
-def _covariances(estimate: Estimate) -> list[tuple[Array, Array]]:
-    """Of the pose's states and of the velocity forward and left, at each time; zero where there are none."""
-    n = estimate.mean.shape[1]
-    covariance = estimate.covariance if estimate.covariance.size else np.zeros((len(estimate.time), n, n))
-    of_pose, moving = [*_pose_of(n)], [2, 3, THETA, *_tilts_of(n)]
-    pose = covariance[:, np.array(of_pose)[:, None], of_pose]
-    inner = covariance[:, np.array(moving)[:, None], moving]
-    jacobian = _twist_jacobian(estimate.mean)
-    return list(zip(pose, jacobian @ inner @ jacobian.transpose(0, 2, 1), strict=True))
-
-
-def _tilts_of(n: int) -> tuple[int, ...]:
-    """Where roll and pitch stand in a state of n numbers; nowhere in the plane."""
-    return tilted.ATTITUDE[:2] if n == tilted.N else ()
 
 
 def _pose_of(n: int) -> dict[int, int]:
@@ -116,59 +194,30 @@ def _pose_of(n: int) -> dict[int, int]:
 
     Such rotations about x, y and z are what roll, pitch and theta are: R = Rz(theta) Ry(pitch) Rx(roll).
     """
-    return {0: 0, 1: 1} | dict(zip(_tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
+    return {0: 0, 1: 1} | dict(zip(tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
 
 
-def _level(mean: Array) -> tuple[Array, ...]:
-    """Velocity ahead and to the left, m/s, in the plane; roll and pitch; of means (..., n)."""
-    c, s = np.cos(mean[..., THETA]), np.sin(mean[..., THETA])
-    ahead, left = c * mean[..., 2] + s * mean[..., 3], c * mean[..., 3] - s * mean[..., 2]
-    tilts = _tilts_of(mean.shape[-1])
-    roll, pitch = (mean[..., tilts[0]], mean[..., tilts[1]]) if tilts else (0 * c, 0 * c)
-    return ahead, left, roll, pitch
-
-
-def body_velocity(mean: Array) -> tuple[Array, Array]:
-    """Velocity along the body's axes forward and left, m/s, of means (..., n).
-
-    R' (vx, vy, vz) with the vz that keeps the car on its road, which its x and y axes span; so there is none upwards.
-    """
-    ahead, left, roll, pitch = _level(mean)
-    return ahead / np.cos(pitch) - np.tan(pitch) * np.tan(roll) * left, left / np.cos(roll)
-
-
-def _twist_jacobian(mean: Array) -> Array:
-    """Of `body_velocity` with respect to vx, vy, theta and, of a tilted model, roll and pitch, (k, 2, 3 or 5)."""
-    ahead, left, roll, pitch = _level(mean)
-    c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])
-    cr, cp, tr, tp = np.cos(roll), np.cos(pitch), np.tan(roll), np.tan(pitch)
-    forwards = [c / cp + tp * tr * s, s / cp - tp * tr * c, left / cp + tp * tr * ahead]
-    leftwards = [-s / cr, c / cr, -ahead / cr]
-    if _tilts_of(mean.shape[1]):
-        forwards += [-tp / cr**2 * left, tp / cp * ahead - tr / cp**2 * left]
-        leftwards += [tr / cr * left, 0 * left]
-    return np.stack([np.stack(forwards, axis=-1), np.stack(leftwards, axis=-1)], axis=1)
-
-
-def _odometry(types: Any, nanoseconds: int, mean: Array, pose: Array, twist: Array) -> Any:
+def _odometry(types: Any, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array) -> Any:
     """The message; covariances are 6 x 6: x, y, z and the rotations about them."""
 
-    def vector(x: float, y: float) -> Any:
-        return types["geometry_msgs/msg/Vector3"](x, y, 0.0)
+    def made(name: str, *fields: Any) -> Any:
+        return types[name.replace("/", "/msg/")](*fields)
 
-    forward, left = (float(v) for v in body_velocity(mean))
-    stamp = types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
-    position = types["geometry_msgs/msg/Point"](float(mean[0]), float(mean[1]), 0.0)
-    orientation = types["geometry_msgs/msg/Quaternion"](*quaternions(mean).tolist())
-    return types["nav_msgs/msg/Odometry"](
-        types["std_msgs/msg/Header"](stamp, "map"),
+    still = made("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
+    moves = made("geometry_msgs/Vector3", *map(float, velocity), 0.0)
+    position = made("geometry_msgs/Point", *map(float, mean[:2]), 0.0)
+    orientation = made("geometry_msgs/Quaternion", *quaternions(mean).tolist())
+    placed = made("geometry_msgs/Pose", position, orientation)
+    stamp = made("builtin_interfaces/Time", nanoseconds // 10**9, nanoseconds % 10**9)
+    return made(
+        "nav_msgs/Odometry",
+        made("std_msgs/Header", stamp, "map"),
         "base_link",
-        types["geometry_msgs/msg/PoseWithCovariance"](
-            types["geometry_msgs/msg/Pose"](position, orientation),
-            _six(pose, [*_pose_of(len(mean)).values()]),
-        ),
-        types["geometry_msgs/msg/TwistWithCovariance"](
-            types["geometry_msgs/msg/Twist"](vector(forward, left), vector(0.0, 0.0)), _six(twist, [0, 1])
+        made("geometry_msgs/PoseWithCovariance", placed, _six(pose, [*_pose_of(len(mean)).values()])),
+        made(
+            "geometry_msgs/TwistWithCovariance",
+            made("geometry_msgs/Twist", moves, still),
+            _six(twist, [0, 1]),
         ),
     )
 

@@ -25,8 +25,6 @@ TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]]
 }
 """From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
 name."""
-WITH_TILTS: frozenset[Target] = frozenset({"c99"})
-"""Those that know models with tilts."""
 
 
 def export_texts(
@@ -68,9 +66,25 @@ def export_texts(
     """
     if target == "robot-localization":
         target = "robot_localization"
+    interval = _checked(parameters, target)
+    side_by_side = Lanes(lanes, seed)
+    if target != "c99":
+        if replay is not None:
+            raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
+        if lanes > 1:
+            raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
+        return TARGETS[target](parameters, interval, as_recorded)
+    texts = c99(parameters, interval, as_recorded, side_by_side)
+    if replay is not None:
+        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
+    return texts
+
+
+def _checked(parameters: FilterParameters, target: Target) -> float:
+    """Check that a target can take a filter, and return the IMU interval (s) that Q refers to."""
     if target not in TARGETS:
         raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
-    if MODELS[parameters.model].tilts and target not in WITH_TILTS:
+    if MODELS[parameters.model].tilts and target != "c99":
         raise InputError(
             f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
         )
@@ -85,18 +99,7 @@ def export_texts(
         raise InputError(
             "a variance of the filter is not positive, so it would fail; tune it again or correct it"
         )
-    if replay is not None and target != "c99":
-        raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
-    side_by_side = Lanes(lanes, seed)
-    if lanes > 1 and target != "c99":
-        raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
-    if target == "c99":
-        texts = c99(parameters, parameters.nominal_interval, as_recorded, side_by_side)
-    else:
-        texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
-    if replay is not None:
-        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
-    return texts
+    return parameters.nominal_interval
 
 
 def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:

@@ -10,7 +10,7 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.attitude import quaternions, rotations
+from sigmaswarm.exports.body import quaternions, rotations
 from sigmaswarm.exports.maps import MAPS
 from sigmaswarm.exports.ros import ros2
 from sigmaswarm.files import whole_file
@@ -80,13 +80,16 @@ def write_pieces(
     if path.suffix in MAPS and origin is not None:  # which has been checked
         rows = [np.column_stack([piece.time, piece.mean[:, :2]]) for piece in pieces]
         time, east, north = np.concatenate(rows).T
-        places = enu_to_geodetic(np.column_stack([east, north, np.zeros(len(time))]), origin)[:, :2]
-        MAPS[path.suffix](time + time_origin, places, path, name or path.stem)
+        MAPS[path.suffix](time + time_origin, _degrees(east, north, origin), path, name or path.stem)
     elif path.suffix == BAG:
         ros2(pieces, span, path, time_origin=time_origin, beside=Path(beside) if beside else None)
     else:
         with whole_file(path) as file:
             _WRITERS[path.suffix](pieces, file)
+
+
+def _degrees(east: Array, north: Array, origin: Origin) -> Array:
+    return enu_to_geodetic(np.column_stack([east, north, np.zeros(len(east))]), origin)[:, :2]
 
 
 def write_fixes(
@@ -110,10 +113,8 @@ def write_fixes(
     check_fixes_target(path, origin)
     gps = drive.gps.select(drive.gps.time < until)
     if path.suffix in MAPS and origin is not None:
-        places = enu_to_geodetic(np.column_stack([gps.x, gps.y, np.zeros(len(gps))]), origin)[:, :2]
-        MAPS[path.suffix](
-            gps.time + time_origin, places, path, f"{drive.name}: fixes before the filter's start"
-        )
+        name = f"{drive.name}: fixes before the filter's start"
+        MAPS[path.suffix](gps.time + time_origin, _degrees(gps.x, gps.y, origin), path, name)
     else:
         with whole_file(path) as file:
             pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(file)
@@ -188,12 +189,9 @@ def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 def _tum(pieces: Iterable[Estimate], file: BinaryIO) -> None:
     for estimate in pieces:
-        np.savetxt(file, _tum_rows(estimate), fmt=["%.9f", *["%.6f"] * 3, *["%.9f"] * 4])
-
-
-def _tum_rows(estimate: Estimate) -> Array:
-    x, y = estimate.mean[:, 0], estimate.mean[:, 1]
-    return np.column_stack([estimate.time, x, y, np.zeros_like(x), quaternions(estimate.mean)])
+        level = np.zeros(len(estimate.time))
+        rows = np.column_stack([estimate.time, estimate.mean[:, :2], level, quaternions(estimate.mean)])
+        np.savetxt(file, rows, fmt=["%.9f", *["%.6f"] * 3, *["%.9f"] * 4])
 
 
 def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -125,17 +126,15 @@ class Design:
         if self.remote is None:
             return Replayer(self.prepared, outages=outages, outage_seed=seed)
         passes = Passes(outages=outages, outage_seed=seed, as_recorded=True)
-        return RemoteReplayer(self.remote, passes, _no_check)
+        return RemoteReplayer(self.remote, passes, _accept)
 
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
         """Return the configuration of the tunings of a method under a protocol."""
         c, particles, generations = self.config, self.config.particles, self.config.generations
-        options: dict[str, Any]
+        options: dict[str, Any] = self._default_options
         if chosen := METHODS[method].filter:
             kind, model = chosen
             options = {"optimizer": "pso", "kind": kind, "model": model, **PROTOCOLS[protocol].model_dump()}
-        else:
-            options = self._default_options
         if method == BY_BO:
             particles = min(particles, BO_EVALUATIONS)
             generations = min(generations, BO_EVALUATIONS // particles)
@@ -198,8 +197,7 @@ class Design:
 
     def fingerprint(self) -> str:
         """Hash the names and numbers of all drives."""
-        each = (f"{name} {sha256}\n" for name, sha256 in self.of_each(_identity))
-        return hashlib.sha256("".join(each).encode()).hexdigest()
+        return hashlib.sha256("".join(self.of_each(_identity)).encode()).hexdigest()
 
 
 def make_design(
@@ -213,7 +211,7 @@ def make_design(
         If the drives are too few, lack truth, or can't be read or made.
     """
     remote: RemoteDataset | None = None
-    drives: list[Drive] | list[Sensors]
+    drives: Sequence[Drive | Sensors]
     if cluster is not None:
         remote, warned = remote_dataset(Cluster(cluster), _sources(config))
         for warning in warned:
@@ -240,20 +238,63 @@ def make_design(
     return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)
 
 
+def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
+    """Read or simulate test drives of other sensors and of another car, by their description.
+
+    Raises
+    ------
+    InputError
+        If drives can't be read, lack truth, or share parts with the study's.
+    """
+    c = home.config
+    if not c.rivals or (c.drives and not c.elsewhere):
+        return {}
+    if c.elsewhere:
+        found = {"as given": [read_drive(place) for place in all_drive_locations(c.elsewhere)]}
+        own = [drive for drive in home.drives if isinstance(drive, Drive)]
+        _require_apart([landmarks(drive) for drive in (*own, *found["as given"])])
+    else:
+        imu = next(name for name in OTHER_IMU if name != c.imu)
+        runs, seed = min(c.runs, ELSEWHERE_RUNS), c.seed + 1  # other roads
+        found = {
+            f"IMU {imu} for {c.imu}": _simulated(c, executor, runs, seed=seed, imu=imu),
+            f"car {OTHER_CAR} for {HOME_CAR}": _simulated(c, executor, runs, seed=seed, vehicle=OTHER_CAR),
+        }
+    designs: dict[str, Design] = {}
+    for place, drives in found.items():
+        _require_truth(drives)
+        conditions = tuple(map(_condition_of, drives))
+        strata = tuple(map("-".join, conditions))
+        designs[place] = Design(tuple(drives), conditions, strata, c, apart=True)
+    return designs
+
+
 def _sources(config: StudyConfig) -> list[Source]:
     """Describe the drives for a cluster's workers."""
     if config.drives:
         return [source_of(location) for location in all_drive_locations(config.drives)]
-    names = ((m, e, run) for m in config.maneuvers for e in config.environments for run in range(config.runs))
+    names = product(config.maneuvers, config.environments, range(config.runs))
     return [simulated_source(*name, **config.simulated) for name in names]
 
 
-def _no_check(_: Replayer) -> None:
+def _simulated(config: StudyConfig, executor: Executor | None, runs: int, **other: Any) -> list[Drive]:
+    options = {**config.simulated, **other}
+    return list(simulate_many(config.maneuvers, config.environments, runs, executor=executor, **options))
+
+
+def _accept(_: Replayer) -> None:
     """Accept all drives."""
 
 
-def _identity(ready: PreparedDrive) -> tuple[str, str]:
-    return ready.drive.name, fingerprint(ready.drive)
+def _identity(ready: PreparedDrive) -> str:
+    return f"{ready.drive.name} {fingerprint(ready.drive)}\n"
+
+
+def _condition_of(drive: Drive) -> tuple[str, str]:
+    """Return maneuver and environment from the metadata."""
+    scenario = drive.metadata.get("scenario", {})
+    named = scenario if isinstance(scenario, dict) else {}
+    return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
 def _require_apart(marks: Sequence[Landmarks]) -> None:
@@ -264,13 +305,6 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
                 f"{one.name}: {found.seconds:.0f} s of it are in {', '.join(found.of)}, too; a study trains on some "
                 "drives and tests on others: remove one of them"
             )
-
-
-def _condition_of(drive: Drive) -> tuple[str, str]:
-    """Return maneuver and environment from the metadata."""
-    scenario = drive.metadata.get("scenario", {})
-    named = scenario if isinstance(scenario, dict) else {}
-    return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
 def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
@@ -287,41 +321,3 @@ def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
                 f"{drive.name}: two drives have this name; rename a folder, or set name in its drive.toml"
             )
         names.add(drive.name)
-
-
-def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives of other sensors and of another car, by their description.
-
-    Raises
-    ------
-    InputError
-        If drives can't be read, lack truth, or share parts with the study's.
-    """
-    c = home.config
-    if not c.rivals or (c.drives and not c.elsewhere):
-        return {}
-    if c.elsewhere:
-        drives = [read_drive(place) for place in all_drive_locations(c.elsewhere)]
-        own = tuple(drive for drive in home.drives if isinstance(drive, Drive))
-        _require_apart([landmarks(drive) for drive in (*own, *drives)])
-        return {"as given": _test_design(drives, c)}
-    imu = next(name for name in OTHER_IMU if name != c.imu)
-    runs, seed = min(c.runs, ELSEWHERE_RUNS), c.seed + 1  # other roads
-    other_imu = _simulated(c, executor, runs, seed=seed, imu=imu)
-    other_car = _simulated(c, executor, runs, seed=seed, vehicle=OTHER_CAR)
-    return {
-        f"IMU {imu} for {c.imu}": _test_design(other_imu, c),
-        f"car {OTHER_CAR} for {HOME_CAR}": _test_design(other_car, c),
-    }
-
-
-def _simulated(config: StudyConfig, executor: Executor | None, runs: int, **other: Any) -> list[Drive]:
-    options = {**config.simulated, **other}
-    return list(simulate_many(config.maneuvers, config.environments, runs, executor=executor, **options))
-
-
-def _test_design(drives: list[Drive], config: StudyConfig) -> Design:
-    _require_truth(drives)
-    conditions = tuple(map(_condition_of, drives))
-    strata = tuple("-".join(condition) for condition in conditions)
-    return Design(tuple(drives), conditions, strata, config, apart=True)

@@ -145,7 +145,6 @@ def trainings(design: Design) -> list[Training]:
 
 def train_all(
     design: Design,
-    each: Sequence[Training],
     parameters: Mapping[Task, FilterParameters],
     folder: Path,
     progress: Callable[[int, Task], None],
@@ -156,10 +155,9 @@ def train_all(
     """
     done = len(list(design.tasks)) * design.config.generations
     trained: dict[Training, Trained] = {}
-    for training in each:
-        minutes = design.config.learn_minutes if training.minutes is None else training.minutes
-        drives, out = lessons(design, training.trial, minutes), folder / training.folder
-        helped = parameters[Task("honest", BESIDE, ALL, training.trial)]
+    for training in trainings(design):
+        drives = lessons(design, training.trial, training.minutes or design.config.learn_minutes)
+        out, helped = folder / training.folder, parameters[Task("honest", BESIDE, ALL, training.trial)]
         finished = (out / "timings.json").exists()  # the last file that `learn` writes
         learned = load_learned(out) if finished else None
         learned = learned or learn(

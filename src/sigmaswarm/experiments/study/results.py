@@ -19,15 +19,7 @@ from sigmaswarm.experiments.statistics import (
     trial_interval,
     trial_means,
 )
-from sigmaswarm.experiments.study.config import (
-    ALL,
-    BESIDE,
-    MAIN,
-    PAPER_RESULTS,
-    PROTOCOLS,
-    UNTUNED,
-    StudyConfig,
-)
+from sigmaswarm.experiments.study.config import ALL, BESIDE, MAIN, PAPER_RESULTS, PROTOCOLS, UNTUNED
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, Training
 from sigmaswarm.experiments.study.record import (
@@ -55,7 +47,6 @@ STABLE = 0.01
 
 
 def results_of(
-    design: Design,
     trials: Mapping[Task, Trial],
     parameters: Mapping[Task, FilterParameters],
     touched: Mapping[Task, list[TouchedBound]],
@@ -63,7 +54,7 @@ def results_of(
     rivals: RivalResults | None = None,
 ) -> Results:
     """Return the content of results.json."""
-    known: Known = {}
+    design, known = scores.design, Known()
     return Results(
         config=design.config,
         drives=DriveCount(
@@ -76,10 +67,7 @@ def results_of(
         comparisons=list(_comparisons(scores, known)),
         tunings=[
             TrialTuning(
-                protocol=task.protocol,
-                method=task.method,
-                group=task.group,
-                trial=task.trial,
+                **vars(task),
                 cost=trial.cost,
                 parameters=parameters[task].to_dict(),
                 touched_bounds=touched[task],
@@ -102,18 +90,17 @@ def _rng(design: Design) -> np.random.Generator:
 
 def _summaries(scores: ScoreTable, known: Known) -> Iterator[VariantSummary]:
     """Summarize every variant and measure, over all conditions and in each."""
-    design = scores.design
+    design, everywhere = scores.design, (ALL, ALL)
     train, test = design.split(0)
-    each = dict.fromkeys(condition for condition in design.conditions if condition != (ALL, ALL))
-    for (protocol, method), measures in scores.values.items():
-        for measure, values in measures.items():
-            for place in ((ALL, ALL), *each):
-                chosen = [i for i, c in enumerate(design.conditions) if place in ((ALL, ALL), c)]
-                strata = [design.strata[i] for i in chosen]
-                found = summarize(values[:, chosen], strata, len(test) / len(train), _rng(design), known)
-                if found.n_drives:
-                    of = {"protocol": protocol, "method": method, "measure": measure}
-                    yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(found))
+    each = dict.fromkeys(condition for condition in design.conditions if condition != everywhere)
+    for protocol, method, measure, values in scores.columns():
+        for place in (everywhere, *each):
+            chosen = [i for i, c in enumerate(design.conditions) if place in (everywhere, c)]
+            strata = [design.strata[i] for i in chosen]
+            found = summarize(values[:, chosen], strata, len(test) / len(train), _rng(design), known)
+            if found.n_drives:
+                of = {"protocol": protocol, "method": method, "measure": measure}
+                yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(found))
 
 
 def summarize(
@@ -124,7 +111,7 @@ def summarize(
     known: Known | None = None,
 ) -> ScoreStatistics:
     """Compute mean, spread and intervals of scores (trials, drives); ``test_per_train`` is a ratio of drives."""
-    each, drives = trial_means(values), drive_means(values)
+    each = trial_means(values)
     each = each[~np.isnan(each)]
     return ScoreStatistics(
         mean=float(np.mean(each)) if len(each) else None,
@@ -133,7 +120,7 @@ def summarize(
         corrected_t_interval=corrected_interval(each, test_per_train),
         bootstrap_interval=crossed_bootstrap(values, strata, rng, known),
         n_trials=len(each),
-        n_drives=int(np.count_nonzero(~np.isnan(drives))),
+        n_drives=int(np.count_nonzero(~np.isnan(drive_means(values)))),
     )
 
 
@@ -141,13 +128,13 @@ def _comparisons(scores: ScoreTable, known: Known) -> Iterator[PairedComparison]
     """Compare the PSO-UKF of each protocol with every method without tuning or tuned under the same protocol."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
-        for measure in _compared(scores.design.config):
+        for measure in _compared(scores):
             yield from _against(scores, (protocol, MAIN), measure, others, known)
 
 
-def _compared(config: StudyConfig) -> list[str]:
+def _compared(scores: ScoreTable) -> list[str]:
     """All measures but NIS, where neither low nor high is better."""
-    return [measure for measure in config.measures if measure != "nis"]
+    return [measure for measure in scores.design.config.measures if measure != "nis"]
 
 
 def _against(
@@ -183,12 +170,11 @@ def compare_paired(
     a, b = drive_means(method), drive_means(other)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
-    difference = a - b
     return PairedStatistics(
-        mean_difference=float(np.mean(difference)) if len(a) else None,
-        interval=bootstrap(np.asarray, [difference], kept, rng, known),
+        mean_difference=float(np.mean(a - b)) if len(a) else None,
+        interval=bootstrap(np.asarray, [a - b], kept, rng, known),
         p=signed_rank(a, b),
-        rank_biserial=rank_biserial(difference),
+        rank_biserial=rank_biserial(a - b),
         improvement=float(improvement(a.mean(), b.mean())) if len(a) else None,
         improvement_interval=bootstrap(improvement, [a, b], kept, rng, known),
         n_drives=len(a),
@@ -202,6 +188,7 @@ def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
         best.setdefault((task.protocol, task.method, task.group), []).append(trial.best)
     for (protocol, method, group), each in best.items():
         low, median, high = np.quantile(each, [0.1, 0.5, 0.9], axis=0)
+        away = np.flatnonzero(np.abs(median - median[-1]) > STABLE * abs(median[-1]))
         yield Convergence(
             protocol=protocol,
             method=method,
@@ -209,36 +196,27 @@ def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
             low=low.tolist(),
             median=median.tolist(),
             high=high.tolist(),
-            stable=_stable_generation(median),
+            stable=int(away[-1]) + 2 if len(away) else 1,
         )
-
-
-def _stable_generation(costs: Array) -> int:
-    """Return the first generation, counted from 1, after which the cost stays within 1% of its last value."""
-    away = np.abs(costs - costs[-1]) > STABLE * abs(float(costs[-1]))
-    return int(np.flatnonzero(away)[-1]) + 2 if away.any() else 1
 
 
 def rival_results(
     trials: Mapping[Task, Trial],
-    networks: Mapping[Training, Trained],
+    networks: Mapping[Task, Trained],
+    less: Mapping[Training, Trained],
     scores: ScoreTable,
     elsewhere: Mapping[str, ScoreTable],
     curve: Mapping[str, Array],
 ) -> RivalResults:
     """Return the results of a study with rivals.
 
-    ``curve``: scores of the networks of the learning curves, in their order, shape (networks, drives) each.
+    ``less`` and ``curve``: the networks of the learning curves, and their scores by measure, shape (networks, drives).
     """
-    whole = {training.task: found for training, found in networks.items() if training.minutes is None}
-    less = [(training, found) for training, found in networks.items() if training.minutes is not None]
     return RivalResults(
-        efforts=list(_efforts(scores.design, trials, whole)),
-        gains=list(_gains(scores, whole)),
-        elsewhere=[
-            row for place, table in elsewhere.items() for row in _elsewhere(place, table, scores.design)
-        ],
-        curve=list(_curve(scores, whole, less, curve)),
+        efforts=list(_efforts(scores.design, trials, networks)),
+        gains=list(_gains(scores, networks)),
+        elsewhere=list(_elsewhere(elsewhere, scores.design)),
+        curve=list(_curve(scores, networks, less, curve)),
     )
 
 
@@ -246,12 +224,9 @@ def _efforts(
     design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
 ) -> Iterator[Effort]:
     """Sum up the data and numbers behind each variant; a network's include those of its filter."""
-
-    def labelled(trial: int) -> float:
-        times = [design.prepared[i].drive.imu.time for i in design.split(trial)[0]]
-        return sum(float(time[-1] - time[0]) for time in times)
-
-    truth = float(np.mean([labelled(trial) for trial in range(design.config.trials)]))
+    durations = [float(ready.drive.imu.time[-1] - ready.drive.imu.time[0]) for ready in design.prepared]
+    splits = [design.split(trial)[0] for trial in range(design.config.trials)]
+    truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))
     numbers: dict[Variant, float] = {task.variant: float(len(trial.point)) for task, trial in trials.items()}
     learned: dict[Variant, float] = {}
     for variant in dict.fromkeys(task.variant for task in networks):
@@ -272,20 +247,19 @@ def _efforts(
 def _gains(scores: ScoreTable, networks: Iterable[Task]) -> Iterator[PairedComparison]:
     """Compare each network with its filter, drive by drive, in the measures that it changes."""
     for protocol, method in dict.fromkeys(task.variant for task in networks):
-        for measure in _compared(scores.design.config):
+        for measure in _compared(scores):
             own, alone = (scores.values[protocol, m].get(measure) for m in (method, BESIDE))
             if own is None or alone is None or np.allclose(own, alone, rtol=1e-9, atol=0.0, equal_nan=True):
                 continue
             yield from _against(scores, (protocol, method), measure, [(protocol, BESIDE)])
 
 
-def _elsewhere(place: str, scores: ScoreTable, home: Design) -> Iterator[ElsewhereSummary]:
-    """Summarize every variant and measure over all drives of one place."""
-    design = scores.design
-    ratio = len(design.drives) / len(home.split(0)[0])
-    for (protocol, method), measures in scores.values.items():
-        for measure, values in measures.items():
-            found = summarize(values, design.strata, ratio, _rng(home))
+def _elsewhere(tables: Mapping[str, ScoreTable], home: Design) -> Iterator[ElsewhereSummary]:
+    """Summarize every variant and measure over all drives of each place."""
+    for place, scores in tables.items():
+        ratio = len(scores.design.drives) / len(home.split(0)[0])
+        for protocol, method, measure, values in scores.columns():
+            found = summarize(values, scores.design.strata, ratio, _rng(home))
             if found.n_drives:
                 of = {"place": place, "protocol": protocol, "method": method, "measure": measure}
                 yield ElsewhereSummary(**of, maneuver=ALL, environment=ALL, **dict(found))
@@ -294,22 +268,23 @@ def _elsewhere(place: str, scores: ScoreTable, home: Design) -> Iterator[Elsewhe
 def _curve(
     scores: ScoreTable,
     networks: Mapping[Task, Trained],
-    less: Sequence[tuple[Training, Trained]],
+    less: Mapping[Training, Trained],
     curve: Mapping[str, Array],
 ) -> Iterator[CurvePoint]:
     """Score each network of the first trial after no training, after parts of it, and after all of it."""
     for task, whole in networks.items():
         if task.trial:
             continue
-        first = {
-            m: {k: values[0] for k, values in scores.values[task.protocol, m].items()}
-            for m in (BESIDE, task.method)
-        }
-        points = [(0.0, first[BESIDE])]
-        for k, (training, found) in enumerate(less):
-            if training.network == task.method:
-                points.append((found.driven, {measure: values[k] for measure, values in curve.items()}))
-        for driven, each in [*points, (whole.driven, first[task.method])]:
+        alone, own = (
+            {measure: values[0] for measure, values in scores.values[task.protocol, method].items()}
+            for method in (BESIDE, task.method)
+        )
+        parts = [
+            (found.driven, {measure: values[k] for measure, values in curve.items()})
+            for k, (training, found) in enumerate(less.items())
+            if training.network == task.method
+        ]
+        for driven, each in [(0.0, alone), *parts, (whole.driven, own)]:
             for measure, values in each.items():
                 known = np.flatnonzero(~np.isnan(values))
                 strata = [scores.design.strata[i] for i in known]

@@ -1,6 +1,6 @@
 """The scores of all methods, those of each trial on its test drives."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -50,26 +50,36 @@ class ScoreTable:
     design: Design
     values: Mapping[Variant, Mapping[str, Array]]
 
+    def columns(self) -> Iterator[tuple[str, str, str, Array]]:
+        """Protocol, method, measure and values of each array."""
+        for (protocol, method), measures in self.values.items():
+            for measure, values in measures.items():
+                yield protocol, method, measure, values
+
     def to_frame(self) -> pl.DataFrame:
         """Return the long table: protocol, trial, method, drive, maneuver, environment, measure, value."""
         names = np.array([drive.name for drive in self.design.drives])
         maneuvers, environments = (np.array(column) for column in zip(*self.design.conditions, strict=True))
         parts: list[pl.DataFrame] = []
-        for (protocol, method), measures in self.values.items():
-            for measure, values in measures.items():
-                trial, drive = np.nonzero(~np.isnan(values))
-                parts.append(
-                    pl.DataFrame({"trial": trial}).select(
-                        pl.lit(protocol).alias("protocol"),
-                        "trial",
-                        pl.lit(method).alias("method"),
-                        pl.Series("drive", names[drive]),
-                        pl.Series("maneuver", maneuvers[drive]),
-                        pl.Series("environment", environments[drive]),
-                        pl.lit(measure).alias("measure"),
-                        pl.Series("value", values[trial, drive]),
-                    )
+        for protocol, method, measure, values in self.columns():
+            trial, drive = np.nonzero(~np.isnan(values))
+            columns = {
+                "trial": trial,
+                "drive": names[drive],
+                "maneuver": maneuvers[drive],
+                "environment": environments[drive],
+                "value": values[trial, drive],
+            }
+            parts.append(
+                pl.DataFrame(columns).select(
+                    pl.lit(protocol).alias("protocol"),
+                    "trial",
+                    pl.lit(method).alias("method"),
+                    *("drive", "maneuver", "environment"),
+                    pl.lit(measure).alias("measure"),
+                    "value",
                 )
+            )
         return pl.concat(parts)
 
     def write(self, folder: Path) -> None:
@@ -93,18 +103,20 @@ def score_all(
     networks: Mapping[Task, Trained] | None = None,
 ) -> ScoreTable:
     """Score every method, networks too, on each trial's test drives."""
-    passes, trials = _passes(design), range(design.config.trials)
-    test = [design.split(trial)[1] for trial in trials]
-    tested = np.zeros((len(trials), len(design.drives)), dtype=np.bool_)
-    for trial, drives in enumerate(test):
-        tested[trial, drives] = True
+    test = [design.split(trial)[1] for trial in range(design.config.trials)]
+    tested = np.array([np.isin(np.arange(len(design.drives)), drives) for drives in test])
+    score = partial(_score_sets, design, _passes(design), executor)
     values: dict[Variant, dict[str, Array]] = {}
     for name, method in design.config.methods.items():
         if not method.protocols:
-            values[UNTUNED, name] = _score_untuned(name, design, passes, executor)
+            unfiltered = name in ("imu-only", "raw-gps")
+            values[UNTUNED, name] = (
+                _unfiltered(name, design) if unfiltered else score(_manual_jobs(name, design))
+            )
     for variant in dict.fromkeys(task.variant for task in parameters):
-        own = {task: p for task, p in parameters.items() if task.variant == variant}
-        values[variant] = _score_tuned(own, design, passes, executor)
+        own = {(task.group, task.trial): p for task, p in parameters.items() if task.variant == variant}
+        sets = ([own[group, trial] for trial in range(len(test))] for group in design.groups)
+        values[variant] = score(zip(map(design.members, design.groups), sets, strict=True))
     for variant in dict.fromkeys(task.variant for task in networks or {}):
         own = [network for task, network in (networks or {}).items() if task.variant == variant]
         values[variant] = score_networks(design, own, test, executor)
@@ -127,67 +139,53 @@ def _passes(design: Design) -> list[_Pass]:
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():
         replays = Replayer(design.prepared, outages=True, outage_length=length, outage_seed=seed)
-        fits = np.array(design.of_each(partial(_fits, length=length, seed=seed)))
-        passes.append(_Pass(replays, fits, {measure: TAKEN["outage_drift_m"]}))
+        fits = [
+            len(outage_windows(r.drive, r.initial, length=length, seed=seed)) > 0 for r in design.prepared
+        ]
+        passes.append(_Pass(replays, np.array(fits), {measure: TAKEN["outage_drift_m"]}))
     return passes
 
 
-def _fits(ready: PreparedDrive, length: float, seed: int) -> bool:
-    return len(outage_windows(ready.drive, ready.initial, length=length, seed=seed)) > 0
-
-
 def _score_sets(
-    passes: Sequence[_Pass],
-    drives: Sequence[int],
-    sets: Sequence[FilterParameters],
-    executor: Executor | None,
-) -> dict[str, Array]:
-    """Score parameter sets on some drives, shape (sets, drives) each; ``inf`` where the filter failed."""
-    found: dict[str, Array] = {}
-    for one in passes:
-        scores = one.replays.subset(drives).scores(sets, executor)
-        for measure, take in one.take.items():
-            found[measure] = np.where(scores.failed & one.fits[drives], np.inf, take(scores))
-    return found
-
-
-def _score_tuned(
-    parameters: Mapping[Task, FilterParameters],
     design: Design,
     passes: Sequence[_Pass],
     executor: Executor | None,
+    jobs: Iterable[tuple[Sequence[int], Sequence[FilterParameters]]],
 ) -> dict[str, Array]:
-    """Score a tuned method, shape (trials, drives): on each drive the filter of its group."""
-    found = {m: np.full((design.config.trials, len(design.drives)), np.nan) for m in design.config.measures}
-    for group in design.groups:
-        own = {task.trial: p for task, p in parameters.items() if task.group == group}
-        members = design.members(group)
-        scores = _score_sets(passes, members, [own[trial] for trial in sorted(own)], executor)
-        for measure, values in scores.items():
-            found[measure][:, members] = values
+    """Score the parameter sets of each job on its drives.
+
+    Returns
+    -------
+    dict of measure to ndarray, shape (sets, all drives)
+        ``inf`` where the filter failed, NaN on drives without a job.
+    """
+    found: dict[str, Array] = {}
+    for drives, sets in jobs:
+        for one in passes:
+            scores = one.replays.subset(drives).scores(sets, executor)
+            for measure, take in one.take.items():
+                column = found.setdefault(measure, np.full((len(sets), len(design.drives)), np.nan))
+                column[:, drives] = np.where(scores.failed & one.fits[drives], np.inf, take(scores))
     return found
 
 
-def _score_untuned(
-    method: str, design: Design, passes: Sequence[_Pass], executor: Executor | None
-) -> dict[str, Array]:
-    """Score a method without tuning on all drives, shape (drives,)."""
-    if method in ("imu-only", "raw-gps"):
-        lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
-        each = design.of_each(partial(_score_unfiltered, method=method, lengths=lengths, seed=seed))
-        return {measure: np.array([scores[measure] for scores in each]) for measure in each[0]}
-    by_set: dict[FilterParameters, list[int]] = {}
+def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[FilterParameters]]]:
+    """Return the distinct parameters of a method without tuning, each with its drives."""
+    drives: dict[FilterParameters, list[int]] = {}
     for i, parameters in enumerate(design.of_each(partial(_manual, method=method))):
-        by_set.setdefault(parameters, []).append(i)
-    found = {m: np.full(len(design.drives), np.nan) for m in design.config.measures}
-    for parameters, members in by_set.items():
-        for measure, values in _score_sets(passes, members, [parameters], executor).items():
-            found[measure][members] = values[0]
-    return found
+        drives.setdefault(parameters, []).append(i)
+    return [(own, [parameters]) for parameters, own in drives.items()]
 
 
 def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
     return manual(method, ready.drive)
+
+
+def _unfiltered(method: str, design: Design) -> dict[str, Array]:
+    """Score the raw fixes or the IMU alone on all drives, shape (1, drives) each."""
+    lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
+    each = design.of_each(partial(_score_unfiltered, method=method, lengths=lengths, seed=seed))
+    return {measure: np.array([[scores[measure] for scores in each]]) for measure in each[0]}
 
 
 def _score_unfiltered(
@@ -203,9 +201,7 @@ def _score_unfiltered(
         gps = drive.gps.select((drive.gps.time > ready.initial.time) & (drive.gps.time <= estimate.time[-1]))
         x, y = (np.interp(gps.time, estimate.time, estimate.mean[:, i]) for i in range(2))
         residual = float(np.sqrt(np.mean((x - gps.x) ** 2 + (y - gps.y) ** 2))) if len(gps) else float("nan")
-        scores = {
-            measure: score_imu_only(ready, estimate, length, seed) for measure, length in lengths.items()
-        }
+        scores = {measure: score_imu_only(ready, estimate, s, seed) for measure, s in lengths.items()}
         score = scores["outage_drift_m"]
         drifts = {measure: one.outage_drift for measure, one in scores.items()}
     return {

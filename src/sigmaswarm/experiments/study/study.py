@@ -22,17 +22,16 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Report, run_grid
 from sigmaswarm.experiments.study.config import MAIN, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design, tuning_name
 from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
-from sigmaswarm.experiments.study.record import Results, StudyRecord, Variant, spreads_of
+from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
 from sigmaswarm.experiments.study.scores import score_all
 from sigmaswarm.experiments.study.timings import Stopwatch, kept_time, rival_times, write_timings
@@ -43,7 +42,6 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.fitting import exact
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.tracks import Picture, save_tracks
-from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import require_packages
 from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
@@ -172,69 +170,9 @@ def run_study(
         pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
         forks = (
             sys.platform == "linux" and crew > 1 and executor is cluster is None and not config.rivals
-        )  # for JAX
-        return _run(folder, config, pool, crew if forks else 0, cluster, progress, watch)
-
-
-def _run(
-    folder: Path,
-    config: StudyConfig,
-    pool: Executor,
-    processes: int,
-    cluster: "Client | None",
-    progress: Callable[[StudyProgress], None] | None,
-    watch: Stopwatch,
-) -> Study:
-    design = make_design(config, pool, cluster)
-    elsewhere = designs_elsewhere(design, pool)
-    spaces, training = _spaces(design), trainings(design)
-    total = len(list(design.tasks)) * config.generations + sum(t.epochs for t in training)
-
-    def report(done: int, task: Task) -> None:
-        if progress:
-            progress(StudyProgress(done, total, task))
-
-    trials = _tune_all(design, spaces, folder, pool, report, processes)
-    watch.lap("tuning")
-    points = {task: spaces[task.variant].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
-    touched = {task: spaces[task.variant].touched(trial.point) for task, trial in trials.items()}
-    networks = train_all(design, training, points, folder, report)
-    if networks:
-        watch.lap("training")
-    whole = {t.task: network for t, network in networks.items() if t.minutes is None}
-    scores = score_all(design, points, pool, whole)
-    away = {place: score_all(other, points, pool, whole) for place, other in elsewhere.items()}
-    rivals = None
-    if config.rivals:
-        less = [network for t, network in networks.items() if t.minutes is not None]
-        curve = score_networks(design, less, [design.split(0)[1]] * len(less), pool)
-        rivals = rival_results(trials, networks, scores, away, curve)
-    results = results_of(design, trials, points, touched, scores, rivals)
-    tracks, picture = follow(design, points, shown_trial(trials))
-    scores.write(folder)
-    for place, table in away.items():
-        table.write(make_folder(folder / "elsewhere" / place.replace(" ", "-")))
-    results.write(folder)
-    save_tracks(tracks, folder / "tracks.npz")
-    watch.lap("scoring")
-    times = rival_times(folder, design, points, networks) if config.rivals else {}
-    live = write_timings(folder, design, watch, times)
-    record = StudyRecord(results, spreads_of(scores.to_frame()), live, times, tracks, versions())
-    return Study(folder, design, trials, points, _write_best(folder, trials, points), record, picture)
-
-
-def _write_best(
-    out: Path, trials: Mapping[Task, Trial], points: Mapping[Task, FilterParameters]
-) -> dict[str, FilterParameters]:
-    """Write a parameter file of the best trial of each tuning, by the training cost alone."""
-    best: dict[str, Task] = {}
-    for task, trial in trials.items():
-        if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
-            best[task.folder] = task
-    make_folder(out / "best")
-    for name, task in best.items():
-        points[task].save(out / "best" / f"{name}.toml")
-    return {name: points[task] for name, task in best.items()}
+        )  # JAX
+        design = make_design(config, pool, cluster)
+        return _run(folder, design, pool, crew if forks else 0, progress or (lambda _: None), watch)
 
 
 def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
@@ -255,37 +193,85 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
             )
 
 
-def _spaces(design: Design) -> dict[Variant, SearchSpace]:
-    """Make the search space of every tuned variant, for the drives' usual IMU interval."""
-    interval = usual_interval(design.drives)
-    return {(p, m): car_space(design.tune_config(m, p), interval) for p, m in design.config.tuned}
+def _run(
+    folder: Path,
+    design: Design,
+    pool: Executor,
+    processes: int,
+    progress: Callable[[StudyProgress], None],
+    watch: Stopwatch,
+) -> Study:
+    elsewhere, interval = designs_elsewhere(design, pool), usual_interval(design.drives)
+    spaces = {(p, m): car_space(design.tune_config(m, p), interval) for p, m in design.config.tuned}
+    total = len(list(design.tasks)) * design.config.generations + sum(t.epochs for t in trainings(design))
+
+    def report(done: int, task: Task) -> None:
+        progress(StudyProgress(done, total, task))
+
+    trials = _tune_all(design, spaces, folder, pool, report, processes)
+    watch.lap("tuning")
+    points = {task: spaces[task.variant].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
+    networks = train_all(design, points, folder, report)
+    if networks:
+        watch.lap("training")
+    whole = {t.task: network for t, network in networks.items() if t.minutes is None}
+    scores = score_all(design, points, pool, whole)
+    away = {place: score_all(other, points, pool, whole) for place, other in elsewhere.items()}
+    rivals = None
+    if design.config.rivals:
+        less = {t: network for t, network in networks.items() if t.minutes is not None}
+        curve = score_networks(design, [*less.values()], [design.split(0)[1]] * len(less), pool)
+        rivals = rival_results(trials, whole, less, scores, away, curve)
+    touched = {task: spaces[task.variant].touched(trial.point) for task, trial in trials.items()}
+    results = results_of(trials, points, touched, scores, rivals)
+    tracks, picture = follow(design, points, shown_trial(trials))
+    scores.write(folder)
+    for place, table in away.items():
+        table.write(make_folder(folder / "elsewhere" / place.replace(" ", "-")))
+    results.write(folder)
+    save_tracks(tracks, folder / "tracks.npz")
+    watch.lap("scoring")
+    times = rival_times(folder, design, points, whole) if design.config.rivals else {}
+    live = write_timings(folder, design, watch, times)
+    record = StudyRecord(results, spreads_of(scores.to_frame()), live, times, tracks, versions())
+    return Study(folder, design, trials, points, _write_best(folder, trials, points), record, picture)
+
+
+def _write_best(
+    out: Path, trials: Mapping[Task, Trial], points: Mapping[Task, FilterParameters]
+) -> dict[str, FilterParameters]:
+    """Write a parameter file of the best trial of each tuning, by the training cost alone."""
+    best: dict[str, Task] = {}
+    for task, trial in trials.items():
+        if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
+            best[task.folder] = task
+    make_folder(out / "best")
+    for name, task in best.items():
+        points[task].save(out / "best" / f"{name}.toml")
+    return {name: points[task] for name, task in best.items()}
 
 
 def _tune_all(
     design: Design,
-    spaces: Mapping[Variant, SearchSpace],
+    spaces: Mapping[tuple[str, str], SearchSpace],
     out: Path,
     pool: Executor,
     progress: Callable[[int, Task], None],
     processes: int,
 ) -> dict[Task, Trial]:
     """Run every tuning of the study, on the drives of its group that its trial trains on."""
-    configs = {(p, m): design.tune_config(m, p) for p, m in spaces}
-    outages = {
-        variant: objective_named(config.objective).needs_outages for variant, config in configs.items()
-    }
+    configs = {(p, m): design.tune_config(m, p) for p, m in design.config.tuned}
+    outages = {v: objective_named(config.objective).needs_outages for v, config in configs.items()}
     replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}
+    problems = {v: CarProblem(configs[v], spaces[v], [], replays[outages[v]]) for v in configs}
     folders = _result_folders(design, out)
     splits = [set(design.split(trial)[0]) for trial in range(design.config.trials)]
 
-    def problem(variant: Variant, drives: list[int]) -> CarProblem:
-        return CarProblem(configs[variant], spaces[variant], [], replays[outages[variant]].subset(drives))
-
     def one(task: Task, report: Report) -> Trial:
         train = [i for i in design.members(task.group) if i in splits[task.trial]]
-        folder = folders[task.folder]
-        landscape = problem(task.variant, train)
-        search = Search(configs[task.variant], landscape, None, folder, lambda now: report(now.generation))
+        folder, config, problem = folders[task.folder], configs[task.variant], problems[task.variant]
+        own = CarProblem(config, problem.space, [], problem.replays.subset(train))
+        search = Search(config, own, None, folder, lambda now: report(now.generation))
         timed = design.config.rivals and folder.finished(task.trial) is None
         file = folder.path / f"trial-{task.trial:03d}" / "timings.json"
         with kept_time(file) if timed else nullcontext():
@@ -297,25 +283,24 @@ def _tune_all(
             )
         return trial
 
+    def effort(task: Task) -> float:
+        """Estimate the duration of a tuning relative to others on as many drives."""
+        config = configs[task.variant]
+        step = len(MODELS[config.model].states) ** 1.5 * (RACED if config.racing else 1.0)
+        return (1 + outages[task.variant]) * step * config.particles * config.generations
+
     if processes:
-        for variant in configs:  # compiled and loaded once, before the processes fork
-            first: Array = spaces[variant].low[np.newaxis]
-            problem(variant, list(range(len(design.drives)))).each(first, [0], None)
+        for problem in problems.values():  # compiled and loaded once, before the processes fork
+            problem.each(problem.space.low[np.newaxis], [0], None)
     return run_grid(
         list(design.tasks),
         one,
         pool,
         processes=processes,
         rounds=design.config.generations,
-        effort=lambda task: _effort(configs[task.variant], outages[task.variant]),
+        effort=effort,
         progress=lambda done, _, task: progress(done, task),
     )
-
-
-def _effort(config: TuneConfig, outages: bool) -> float:
-    """Estimate the duration of a tuning relative to others on as many drives."""
-    passes, step = 1 + outages, len(MODELS[config.model].states) ** 1.5
-    return passes * step * (RACED if config.racing else 1.0) * config.particles * config.generations
 
 
 def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
@@ -324,12 +309,12 @@ def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
     folders: dict[str, ResultFolder] = {}
     for task in design.tasks:
         if task.folder not in folders:
-            asked: dict[str, Any] = {
+            config = {
                 **design.tune_config(task.method, task.protocol).model_dump(mode="json"),
                 "group": task.group,
                 "train_fraction": design.config.train_fraction,
                 "drives": data,
                 "versions": versions(),
             }
-            folders[task.folder] = ResultFolder(out / "trials" / task.folder, asked, resume=True)
+            folders[task.folder] = ResultFolder(out / "trials" / task.folder, config, resume=True)
     return folders

@@ -3,6 +3,7 @@
 import json
 import os
 import time
+from collections import deque
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,17 +35,16 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self.laps: dict[str, dict[str, float]] = {}
-        self._wall, self._processor = time.perf_counter(), _processor_time()
+        self._began = self._now()
+
+    @staticmethod
+    def _now() -> dict[str, float]:
+        return {"wall_s": time.perf_counter(), "processor_s": sum(os.times()[:4])}
 
     def lap(self, name: str) -> None:
         """End a lap."""
-        wall, processor = time.perf_counter(), _processor_time()
-        self.laps[name] = {"wall_s": wall - self._wall, "processor_s": processor - self._processor}
-        self._wall, self._processor = wall, processor
-
-
-def _processor_time() -> float:
-    return sum(os.times()[:4])
+        began, self._began = self._began, self._now()
+        self.laps[name] = {clock: self._began[clock] - t for clock, t in began.items()}
 
 
 @contextmanager
@@ -59,36 +59,36 @@ def rival_times(
     out: Path,
     design: Design,
     parameters: Mapping[Task, FilterParameters],
-    networks: Mapping[Training, Trained],
+    networks: Mapping[Task, Trained],
 ) -> dict[str, dict[str, float]]:
     """Return processor times of every tuned or trained variant, as ``honest-pso-ukf``.
 
     ``training_s``: s of a trial, a network's without its filter's; ``sample_us``: us of an IMU sample over a whole
     drive. A training or tuning that was killed counts from where it was resumed.
     """
-    runs: list[tuple[Task, Path, Trained | FilterParameters]] = [
-        (task, out / "trials" / task.folder / f"trial-{task.trial:03d}", own)
-        for task, own in parameters.items()
-    ]
-    runs += [(t.task, out / t.folder, own) for t, own in networks.items() if t.minutes is None]
-    found: dict[str, dict[str, float]] = {}
-    for name in dict.fromkeys(task.folder for task, _, _ in runs):
-        spent = [s for task, folder, _ in runs if task.folder == name for s in _spent(folder)]
-        found[name] = {"training_s": float(np.mean(spent))} if spent else {}
     ready = design.prepared[design.split(0)[1][0]]
-    for task, _, own in runs:
+    spent: dict[str, list[float]] = {}
+    found: dict[str, dict[str, float]] = {}
+    for task, own in {**parameters, **networks}.items():
+        trial = f"trials/{task.folder}/trial-{task.trial:03d}"
+        folder = Training(task.method, task.trial).folder if isinstance(own, Trained) else trial  # pyright: ignore
+        times = _content(out / folder / "timings.json").get("processor_s")
+        if isinstance(times, float) and np.isfinite(times):
+            spent.setdefault(task.folder, []).append(times)
         if task.trial == 0:
-            found[task.folder]["sample_us"] = _sample_us(own, ready)
+            found[task.folder] = {"sample_us": _sample_us(own, ready)}
+    for name, seconds in spent.items():
+        found[name] = {"training_s": float(np.mean(seconds)), **found[name]}
     return found
 
 
-def _spent(folder: Path) -> list[float]:
-    """Read the processor time, if it was written."""
+def _content(file: Path) -> dict[str, Any]:
+    """Read timings.json, if it was written."""
     try:
-        spent = float(json.loads((folder / "timings.json").read_text())["processor_s"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
-    return [spent] if np.isfinite(spent) else []
+        content: Any = json.loads(file.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
@@ -113,51 +113,38 @@ def write_timings(
     dict
         The times of the live filters, ms.
     """
-    file = out / "timings.json"
-    try:
-        runs = list(json.loads(file.read_text())["runs"])
-    except (OSError, ValueError, KeyError, TypeError):
-        runs: list[Any] = []
-    (live,) = design.of_each(_all_live_times, [0])
+    runs = _content(out / "timings.json").get("runs")
+    (live,) = design.of_each(_live_times, [0])
     more = {"rivals": rivals} if rivals else {}
-    write_json(file, {"runs": [*runs, watch.laps], "live_filter": live, **more})
+    runs = [*(runs if isinstance(runs, list) else []), watch.laps]
+    write_json(out / "timings.json", {"runs": runs, "live_filter": live, **more})
     return live
 
 
-def _all_live_times(ready: PreparedDrive) -> dict[str, dict[str, float]]:
-    return {name: _live_times(ready, kind, model) for name, (kind, model) in LIVE.items()}
+def _live_times(ready: PreparedDrive) -> dict[str, dict[str, float]]:
+    return {name: _live_time(ready, kind, model) for name, (kind, model) in LIVE.items()}
 
 
-def _live_times(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
+def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
     """Measure ms per IMU sample, and per sample with a fix: medians over a drive, one call at a time."""
-    drive, start = ready.drive, ready.initial.time
-    biases = (1e-8,) * (3 if model == "planar8" else 0)
-    q, r = (*DEFAULTS.process_noise, *biases), DEFAULTS.measurement_noise
-    parameters = FilterParameters(0.1, 2.0, 0.0, q, r, model, kind=kind)
+    drive = ready.drive
+    q = (*DEFAULTS.process_noise, *(1e-8,) * (3 if model == "planar8" else 0))
+    parameters = FilterParameters(0.1, 2.0, 0.0, q, DEFAULTS.measurement_noise, model, kind=kind)
     rows = np.column_stack([drive.imu.time, drive.imu.ax, drive.imu.ay, drive.imu.gz]).tolist()
-    plain, updating = list[float](), list[float]()
+    fixes = np.column_stack([drive.gps.time, drive.gps.x, drive.gps.y]).tolist()
+    spent: dict[bool, list[float]] = {}
     for _ in range(2):  # the first round warms up
-        live = LiveFilter(
-            parameters,
-            ready.initial,
-            nominal_interval=drive.nominal_interval,
-            as_recorded=ready.as_recorded,
-        )
-        fixes = list(zip(*(a.tolist() for a in (drive.gps.time, drive.gps.x, drive.gps.y)), strict=True))[
-            ::-1
-        ]
-        plain, updating = [], []
+        interval = drive.nominal_interval
+        live = LiveFilter(parameters, ready.initial, nominal_interval=interval, as_recorded=ready.as_recorded)
+        left, spent = deque[list[float]](fixes), {False: [], True: []}
         for t, *imu in rows:
-            due = bool(fixes) and fixes[-1][0] <= t
+            due = bool(left) and left[0][0] <= t
             began = time.perf_counter()
             if due:
-                fix = fixes.pop()
-                live.update(fix[0], fix[1:])
+                fixed, *place = left.popleft()
+                live.update(fixed, place)
             live.predict(t, imu)
-            if t > start:
-                (updating if due else plain).append(time.perf_counter() - began)
-    return {"predict_ms": _median_ms(plain), "predict_and_update_ms": _median_ms(updating)}
-
-
-def _median_ms(seconds: list[float]) -> float:
-    return float(1e3 * np.median(seconds)) if seconds else float("nan")
+            if t > ready.initial.time:
+                spent[due].append(time.perf_counter() - began)
+    plain, updating = (float(1e3 * np.median(each)) if each else float("nan") for each in spent.values())
+    return {"predict_ms": plain, "predict_and_update_ms": updating}

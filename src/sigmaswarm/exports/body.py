@@ -1,0 +1,55 @@
+"""Attitude of estimates, and velocity along the body's axes; planar models are level."""
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters import tilted
+from sigmaswarm.filters.models import THETA
+
+
+def tilts_of(n: int) -> tuple[int, ...]:
+    """Where roll and pitch stand in a state of n numbers; nowhere in the plane."""
+    return tilted.ATTITUDE[:2] if n == tilted.N else ()
+
+
+def quaternions(mean: Array) -> Array:
+    """Of means (..., n), (..., 4): x, y, z, w, as files have them."""
+    if tilts_of(mean.shape[-1]):
+        return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
+    half = mean[..., THETA] / 2
+    zero = np.zeros_like(half)
+    return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
+
+
+def rotations(mean: Array) -> Array:
+    """Of means (k, n), (k, 3, 3): from the body to the local frame."""
+    if tilts_of(mean.shape[-1]):
+        return tilted.rotation(mean)
+    c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    return np.moveaxis(np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]]), -1, 0)
+
+
+def body_velocity(mean: Array) -> tuple[Array, Array]:
+    """Velocity along the body's axes forward and left, m/s, of means (k, n), and its Jacobian.
+
+    R' (vx, vy, vz) with the vz that keeps the car on its road, which its x and y axes span; so there is none upwards.
+
+    Returns
+    -------
+    velocity : ndarray, shape (k, 2)
+    jacobian : ndarray, shape (k, 2, 3 or 5)
+        With respect to vx, vy, theta and, of a tilted model, roll and pitch.
+    """
+    c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
+    ahead, left = c * vx + s * vy, c * vy - s * vx  # in the plane
+    tilts = tilts_of(mean.shape[1])
+    roll, pitch = mean[:, tilts].T if tilts else np.zeros((2, len(mean)))
+    cr, cp, tr, tp = np.cos(roll), np.cos(pitch), np.tan(roll), np.tan(pitch)
+    velocity = np.stack([ahead / cp - tp * tr * left, left / cr], axis=-1)
+    forwards = [c / cp + tp * tr * s, s / cp - tp * tr * c, left / cp + tp * tr * ahead]
+    leftwards = [-s / cr, c / cr, -ahead / cr]
+    if tilts:
+        forwards += [-tp / cr**2 * left, tp / cp * ahead - tr / cp**2 * left]
+        leftwards += [tr / cr * left, 0 * left]
+    return velocity, np.stack([np.stack(forwards, axis=-1), np.stack(leftwards, axis=-1)], axis=1)
