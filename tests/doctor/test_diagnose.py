@@ -11,7 +11,7 @@ import pytest
 import sigmaswarm
 from doctor.faults import FAULTS, MORE, codes_of, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
-from sigmaswarm.doctor.checks.sampling import clock_jumps
+from sigmaswarm.doctor.checks.timing import clock_jumps
 from sigmaswarm.simulation.gps import with_outliers
 from support import DRIVES, limited_memory, make_drive, needs_shared, quickly
 
