@@ -126,14 +126,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     """Return the plan, shape (m, 3): speed m/s, acceleration m/s2, way m, every `LOOK` s.
 
-    Parameters
-    ----------
-    legs : sequence of Leg
-        The route.
-    sway : Sway
-        The driver's.
-    stand : float or None
-        s of standstill before the start; None starts in motion, at the first leg's speed.
+    The car stands for ``stand`` s before the start; None starts in motion, at the first leg's speed.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)
