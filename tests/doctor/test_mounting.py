@@ -33,7 +33,10 @@ def estimate(drive: Drive, rotation: np.ndarray):
 
 
 @pytest.mark.parametrize(
-    ("grade", "seed"), quickly([(g, s) for g in GRADES for s in range(4)], lambda _, s: s == 0)
+    ("grade", "seed"),
+    quickly(
+        [(g, s) for g in GRADES for s in range(4)], lambda g, s: (g, s) in {("mpu-6050", 0), ("adis16405", 1)}
+    ),
 )
 def test_a_random_rotation_is_found(grade: str, seed: int):
     found, error = estimate(drive_of(grade), Rotation.random(random_state=seed).as_matrix())
@@ -74,7 +77,13 @@ def test_a_straight_road_gives_no_yaw():
 
 
 @needs_shared
-@pytest.mark.parametrize("name", ["colorado-1", "dresden", "kitti-09-30-0018", "kitti-09-30-0033"])
+@pytest.mark.parametrize(
+    "name",
+    quickly(
+        [("colorado-1",), ("dresden",), ("kitti-09-30-0018",), ("kitti-09-30-0033",)],
+        lambda name: "kitti" not in name,
+    ),
+)
 def test_a_recording_is_found_within_3_degrees(name: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)  # gaps
@@ -86,7 +95,9 @@ def test_a_recording_is_found_within_3_degrees(name: str):
     assert np.degrees(error) < 3
 
 
-@pytest.mark.parametrize("angles", [(0, -65, 0), (10, -20, 5), (180, 0, 90)])
+@pytest.mark.parametrize(
+    "angles", quickly([((0, -65, 0),), ((10, -20, 5),), ((180, 0, 90),)], lambda angles: angles[0] != 10)
+)
 def test_a_phone_in_a_holder_is_one_finding_whose_repair_is_a_rotation(angles: tuple[float, float, float]):
     drive = drive_of("icm-20602", "flat")
     rotation = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
@@ -102,7 +113,7 @@ def test_a_phone_in_a_holder_is_one_finding_whose_repair_is_a_rotation(angles: t
         assert np.sqrt(np.mean(off**2)) < 9.81 * np.sin(np.radians(5))
 
 
-@pytest.mark.parametrize("angle", [25.0, 60.0])
+@pytest.mark.parametrize("angle", quickly([(25.0,), (60.0,)], lambda angle: angle == 25.0))
 def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: float):
     drive = drive_of("icm-20602", "flat")
     late = drive.imu.time > 80
