@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
-from sigmaswarm.simulation.carla import METERS_PER_DEGREE, from_geolocation, to_geolocation
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
 
 Array = NDArray[np.float64]
+
+EARTH_RADIUS = 6378137.0
+METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
+"""m, of CARLA's sphere, and 111 319.49 m in a degree of its latitude."""
 
 
 @dataclass(frozen=True)
@@ -128,11 +131,13 @@ def measure_gps(
 
 
 def _through_degrees(place: Array, noise: Array) -> Array:
-    """Add noise (n, 2), m, in degrees, as CARLA does on a map with origin 0, 0, and convert back to m."""
-    lat, lon = to_geolocation(place[:, 0], -place[:, 1], 0.0, 0.0)
-    lon, lat = lon + noise[:, 0] / METERS_PER_DEGREE, lat + noise[:, 1] / METERS_PER_DEGREE
-    x, south = from_geolocation(lat, lon, 0.0, 0.0)
-    return np.column_stack([x, -south])
+    """Add noise (n, 2), m, in degrees, as CARLA does on a map with origin 0, 0: on a Mercator plane."""
+    radius, equator = EARTH_RADIUS, math.log(math.tan(math.radians(90.0) / 2))
+    lat = 2 * np.degrees(np.arctan(np.exp((radius * equator + place[:, 1]) / radius))) - 90
+    lat += noise[:, 1] / METERS_PER_DEGREE
+    lon = np.degrees(place[:, 0] / radius) + noise[:, 0] / METERS_PER_DEGREE
+    north = np.log(np.tan(np.radians(90 + lat) / 2)) - equator
+    return radius * np.column_stack([np.radians(lon), north])
 
 
 def with_outliers(
