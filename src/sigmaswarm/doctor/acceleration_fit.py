@@ -37,24 +37,14 @@ BIN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class AccelerationFit:
-    """The fit.
+    """The fit."""
 
-    Attributes
-    ----------
-    matrix : (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
-    covariance : (5, 5), of M's rows, one after the other, and of ``late``
-    late : s, by which the fixes are late
-    bias : (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
-    rows : (k, n), the fixes of each window
-    residual : (k, n) m, east + i north
-    """
-
-    matrix: Array
-    covariance: Array
-    late: float
-    bias: Array
-    rows: NDArray[np.intp]
-    residual: Complex
+    matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
+    covariance: Array  # (5, 5), of M's rows, one after the other, and of `late`
+    late: float  # s, by which the fixes are late
+    bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
+    rows: NDArray[np.intp]  # (k, n), the fixes of each window
+    residual: Complex  # (k, n) m, east + i north
 
 
 def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:

@@ -24,38 +24,22 @@ FEWEST = 20
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A drive and the quantities computed from it.
+    """A drive and the quantities computed from it."""
 
-    Attributes
-    ----------
-    drive : Drive
-        Its IMU turned by ``mounting``, where that is ``mounted``: what follows is about these axes.
-    stale, outlying : (n,) bool: fixes that repeat an earlier one; fixes far off the path
-    used : (m,) int: indices of the fixes in ``course``
-    course : Course or None
-    yaw_fit, yaw : the regression of the course on the gyro, and its reading
-    acceleration, mount : the regression of the path on the accelerometers, and its reading
-    clock : the fixes' delay
-    noise, scatter : m per axis: of the fixes from one to the next, and about the path over ten seconds
-    mounting : Mounting or None
-        How the IMU sits in the vehicle, of a log with six axes.
-    moved : s, taken off the fixes' times, where the clocks are far apart: what follows is about these times
-    """
-
-    drive: Drive
-    stale: Mask
-    outlying: Mask
-    used: NDArray[np.intp]
+    drive: Drive  # its IMU turned by `mounting`, where that is needed: what follows is about these axes
+    stale: Mask  # (n,), fixes that repeat an earlier one
+    outlying: Mask  # (n,), fixes far off the path
+    used: NDArray[np.intp]  # (m,), indices of the fixes in `course`
     course: Course | None
-    yaw_fit: YawFit | None
-    yaw: Yaw
-    acceleration: AccelerationFit | None
-    mount: Mount | None
-    clock: ClockOffset
-    noise: float
-    scatter: float
-    mounting: Mounting | None
-    moved: float = 0.0
+    yaw_fit: YawFit | None  # the regression of the course on the gyro
+    yaw: Yaw  # its reading
+    acceleration: AccelerationFit | None  # the regression of the path on the accelerometers
+    mount: Mount | None  # its reading
+    clock: ClockOffset  # the fixes' delay
+    noise: float  # m per axis, of the fixes from one to the next
+    scatter: float  # m per axis, of the fixes about the path over ten seconds
+    mounting: Mounting | None  # how the IMU sits in the vehicle, of a log with six axes
+    moved: float = 0.0  # s, taken off the fixes' times, where the clocks are far apart
 
     @property
     def mounted(self) -> bool:

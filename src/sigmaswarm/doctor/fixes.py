@@ -25,28 +25,16 @@ SLOWEST = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Velocity of the car from its fixes, at the fixes' times.
+    """Velocity of the car from its fixes, at the fixes' times."""
 
-    Attributes
-    ----------
-    time : (n,) s
-    position : (n,) m, east + i north
-    velocity : (n,) m/s, east + i north; the mean over about ``span``, weighted by a parabola
-    std : m/s per axis, its deviation from the fixes' white noise
-    angle : (n,) rad, the course, unwrapped
-    moving : (n,) bool: fast enough that noise does not make the course
-    slowest : m/s, that speed
-    span : s
-    """
-
-    time: Array
-    position: Complex
-    velocity: Complex
-    std: float
-    angle: Array
-    moving: Mask
-    slowest: float
-    span: float
+    time: Array  # (n,) s
+    position: Complex  # (n,) m, east + i north
+    velocity: Complex  # (n,) m/s, east + i north; the mean over about `span`, weighted by a parabola
+    std: float  # m/s per axis, of the velocity, from the fixes' white noise
+    angle: Array  # (n,) rad, the course, unwrapped
+    moving: Mask  # (n,): fast enough that noise does not make the course
+    slowest: float  # m/s, that speed
+    span: float  # s
 
 
 def jumps(time: Array, position: Complex) -> Mask:

@@ -54,22 +54,12 @@ Confidence = Literal["sure", "likely", "no"]
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """The rotation from the IMU's axes as recorded to the vehicle's.
+    """The rotation from the IMU's axes as recorded to the vehicle's."""
 
-    Attributes
-    ----------
-    rotation : (3, 3)
-    std : (3,) rad: of roll, pitch and yaw
-    confidence : "sure" (all of it), "likely", or "no" (roll and pitch at most)
-    reason : why the confidence is no better; empty where it is "sure"
-    signs : (accelerometers, gyro): -1 where a sensor reports the opposite of its quantity on all axes
-    """
-
-    rotation: Array
-    std: Array
-    confidence: Confidence
-    reason: str = ""
-    signs: tuple[float, float] = (1.0, 1.0)
+    rotation: Array  # (3, 3)
+    std: Array  # (3,) rad, of roll, pitch and yaw
+    confidence: Confidence  # "no": roll and pitch at most are known
+    reason: str  # why the confidence is no better
 
     @property
     def needed(self) -> bool:
@@ -152,16 +142,11 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     imu = _in_si_units(drive, course)
     if imu is None:
         return None
-    force = 1.0
     rotation, seen = _converged(drive, course, imu)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
         # Levelled upside down: the accelerometers report the opposite of specific force.
-        force = -1.0
-        rotation, seen = _converged(drive, course, _scaled(imu, "a", force))
-    if seen is None:
-        return None
-    rate = -1.0 if seen.yaw_fit.gain < 0 else 1.0
-    return Mounting(rotation, seen.std, *_confidence(seen), (force, rate))
+        rotation, seen = _converged(drive, course, _scaled(imu, "a", -1.0))
+    return Mounting(rotation, seen.std, *_confidence(seen)) if seen else None
 
 
 def _scaled(imu: Imu, sensor: Literal["a", "g"], factor: float) -> Imu:

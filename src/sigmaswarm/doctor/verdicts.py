@@ -56,25 +56,17 @@ def yaw_of(fit: YawFit | None) -> Yaw:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The reading of the accelerometers' columns.
+    """The reading of the accelerometers' columns."""
 
-    Attributes
-    ----------
-    axes : (2, 2), signed permutation of (ax, ay)
-    unit : 1, or m/s2 per g
-    angle, angle_std : rad: the axes, so read, are turned about z by -angle against the car
-    margin : how much better (chi-square) this reading is than the log as it stands
-    known : (forward, left): True if the drive shows that axis
-    scale : (forward, left): remaining factor, and its deviation
-    """
-
-    axes: Array
-    unit: float
-    angle: float
-    angle_std: float
-    margin: float
-    known: tuple[bool, bool]
-    scale: tuple[tuple[float, float], tuple[float, float]]
+    axes: Array  # (2, 2), signed permutation of (ax, ay)
+    unit: float  # 1, or m/s2 per g
+    angle: float  # rad: the axes, so read, are turned about z by -angle against the car
+    angle_std: float  # rad
+    margin: float  # how much better (chi-square) this reading is than the log as it stands
+    known: tuple[bool, bool]  # (forward, left): True if the drive shows that axis
+    scale: tuple[
+        tuple[float, float], tuple[float, float]
+    ]  # (forward, left): remaining factor, and its deviation
 
     @property
     def matrix(self) -> Array:

@@ -53,22 +53,13 @@ def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A robust fit of y = sum over k of solution[k] columns[k], less what each window's own unknowns explain.
+    """A robust fit of y = sum over k of solution[k] columns[k], less what each window's own unknowns explain."""
 
-    Attributes
-    ----------
-    solution : (k,)
-    covariance : (k, k), which allows for windows that overlap and for correlated residuals
-    residual : (w, n) complex
-    weight : (w, n), the robust weight of each value, 0 to 1
-    cost : the mean size of the residual
-    """
-
-    solution: Array
-    covariance: Array
-    residual: Complex
-    weight: Array
-    cost: float
+    solution: Array  # (k,)
+    covariance: Array  # (k, k), which allows for windows that overlap and for correlated residuals
+    residual: Complex  # (w, n)
+    weight: Array  # (w, n), the robust weight of each value, 0 to 1
+    cost: float  # the mean size of the residual
 
 
 def regress(

@@ -25,24 +25,15 @@ LATENESS = np.arange(-2.5, 2.51, 0.1)
 
 @dataclass(frozen=True, eq=False)
 class YawFit:
-    """A fit of the course to one of the gyro's columns, integrated: course = gain x turned, later by ``late``.
-
-    Attributes
-    ----------
-    column : str
-    gain, std : 1 for a column that turns as the car does
-    share : of the course's changes that the column explains, 0 to 1
-    late, late_std : s, by which the fixes are late
-    course_change : rad, how much the course changes within windows, RMS
-    """
+    """A fit of the course to one of the gyro's columns, integrated: course = gain x turned, later by ``late``."""
 
     column: str
-    gain: float
-    std: float
-    share: float
-    late: float
-    late_std: float
-    course_change: float
+    gain: float  # 1 for a column that turns as the car does
+    std: float  # of the gain
+    share: float  # of the course's changes that the column explains, 0 to 1
+    late: float  # s, by which the fixes are late
+    late_std: float  # s
+    course_change: float  # rad, how much the course changes within windows, RMS
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:

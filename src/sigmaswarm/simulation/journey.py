@@ -36,26 +36,13 @@ URBAN_DURATION = 180.0
 
 @dataclass(frozen=True)
 class Journey:
-    """A driven maneuver.
-
-    Attributes
-    ----------
-    maneuver : Maneuver
-    path : ndarray, shape (p, 4)
-        East m, north m, heading rad, curvature 1/m: the path that the driver follows.
-    record : ndarray, shape (n, 21)
-        The car's states at each millisecond, see `sigmaswarm.simulation.dynamics`.
-    start : float
-        s, beginning of the maneuver itself, after the warm-up.
-    outages : list of (start, end)
-        s, without fixes.
-    """
+    """A driven maneuver."""
 
     maneuver: Maneuver
-    path: Array
-    record: Array
-    start: float
-    outages: list[tuple[float, float]]
+    path: Array  # (p, 4): east m, north m, heading rad, curvature 1/m, which the driver follows
+    record: Array  # (n, 21), the car's states at each millisecond, see `dynamics`
+    start: float  # s, beginning of the maneuver itself, after the warm-up
+    outages: list[tuple[float, float]]  # (start, end), s, without fixes
 
 
 def take_journey(

@@ -55,26 +55,14 @@ SPRINGS = 1.0
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of a point of the body, without errors.
+    """Motion of a point of the body, without errors."""
 
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (n, 3)
-        m and m/s east, north, up.
-    rotation : ndarray, shape (n, 3, 3)
-        From body to local axes.
-    yaw : ndarray, shape (n,)
-        rad, not wrapped.
-    specific_force, angular_rate : ndarray, shape (n, 3)
-        m/s2 and rad/s, in the body frame: what an ideal IMU there measures.
-    """
-
-    position: Array
-    velocity: Array
-    rotation: Array
-    yaw: Array
-    specific_force: Array
-    angular_rate: Array
+    position: Array  # (n, 3) m east, north, up
+    velocity: Array  # (n, 3) m/s
+    rotation: Array  # (n, 3, 3), from body to local axes
+    yaw: Array  # (n,) rad, not wrapped
+    specific_force: Array  # (n, 3) m/s2, in the body frame: what an ideal IMU there measures
+    angular_rate: Array  # (n, 3) rad/s, as well
 
 
 def sample(record: Array, times: Array) -> Array:
