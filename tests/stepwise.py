@@ -29,7 +29,7 @@ from sigmaswarm.filters.compiled.single import single_step, take_step
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook.car import TextbookCar
-from sigmaswarm.simulation.gps import find_gps
+from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, make_drive
 
@@ -366,7 +366,7 @@ def on_time_line(drive: Drive) -> tuple[Timeline, InitialState]:
 
 def urban(first: float = 7.0, last: float = 22.0) -> Drive:
     """A simulated town: an antenna away from the IMU, velocities, jitter, a gap soon after the start, a standstill."""
-    grade = replace(find_gps("ublox-m8"), lever_arm=(0.4, -0.3, 1.2), latency=0.08)
+    grade = replace(GPS_GRADES["ublox-m8"], lever_arm=(0.4, -0.3, 1.2), latency=0.08)
     drive = clip(simulate("urban", run=1, duration=60, gps=grade, gps_rate=8, jitter=1e-3), first, last)
     return with_gap(drive, initial_state(drive).time + 1.0, 0.7)
 

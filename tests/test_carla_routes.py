@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sigmaswarm.simulation.carla import from_geolocation, to_geolocation
+from standin.geodesy import from_geolocation, to_geolocation
 from standin.process import python_with, recorder
 from standin.town import REACH, WIDTH, write_town
 
@@ -149,8 +149,8 @@ def test_the_recorder_needs_only_the_standard_library_and_the_syntax_of_38():
 
 def test_figures_are_the_simulators():
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
-    from sigmaswarm.simulation.carla import METERS_PER_DEGREE
     from sigmaswarm.simulation.dynamics import GRAVITY
+    from sigmaswarm.simulation.gps import METERS_PER_DEGREE
     from sigmaswarm_carla import geometry, options
 
     assert options.MANEUVERS == PAPER_MANEUVERS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Callable
 
@@ -26,11 +25,11 @@ def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[floa
         easy = min(0.4 * guess * GRAVITY, 2.5)
         speed = max(min(10.0, 15.0 * easy), 3.0)  # reached within 15 s
         away = 1.2 * speed**2 / 2 / easy + 10.0
-        legs = [Leg(away, speed, easy, 20.0)]
         rng = random.Random(seed_of(session.options.seed, "sweep", tire_friction))
         with session.trouble():
             path = find_path(session.town, straight(away + 1.5 * speed**2 / guess / GRAVITY), rng)
-            measured = _brake(session, Plan(path, legs, {}), tire_friction, rng)
+            plan = Plan(path, [Leg(away, speed, easy, 20.0)], {})
+            measured = _brake(session, plan, tire_friction, rng)
         found.append([tire_friction, round(measured, 4)])
         say(f"tire_friction {tire_friction:g} brakes with {measured:.3f} g")
         guess = max(0.5 * measured, 0.02)
@@ -46,12 +45,11 @@ def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Rando
     state = state_of(session, car, session.tick())
     fast, falling = 0.0, [0.0, 0.0]
     for tick in range(RATE * 120):
-        speed = math.hypot(*state.velocity[:2])
-        wanted = driver.look(*state.place[:2], state.heading, speed)
+        wanted = driver.look(*state.place[:2], state.heading, state.speed)
         if driver.arrived:
-            fast = fast or speed
-            falling = [tick if speed > share * fast else at for share, at in zip((0.9, 0.3), falling)]
-            if speed < 0.2 * fast:
+            fast = fast or state.speed
+            falling = [tick if state.speed > share * fast else at for share, at in zip((0.9, 0.3), falling)]
+            if state.speed < 0.2 * fast:
                 break
         control(session, car, physics, wanted)
         state = state_of(session, car, session.tick())

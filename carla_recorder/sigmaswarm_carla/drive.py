@@ -25,14 +25,19 @@ STUCK = 20.0
 
 
 class Row(NamedTuple):
-    """One tick: time s; specific force m/s2 and angular rate rad/s; position m, velocity m/s and heading rad."""
+    """One tick: time s; position m, velocity m/s and heading rad; specific force m/s2 and angular rate rad/s."""
 
     t: float
-    force: tuple[float, float, float]
-    rate: tuple[float, float, float]
     place: tuple[float, float, float]
     velocity: tuple[float, float, float]
     heading: float
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def speed(self) -> float:
+        """In the plane, m/s."""
+        return math.hypot(*self.velocity[:2])
 
 
 @dataclass
@@ -57,21 +62,21 @@ class Sensors:
         o = session.options
         lat, lon = session.geodesy.degrees(o.gps_noise)
         self.bias = [rng.uniform(-o.gyro_bias, o.gyro_bias) for _ in range(3)]
-        noise = {"accel": o.accel_noise, "gyro": o.gyro_noise}
-        imu = {f"noise_{kind}_stddev_{axis}": repr(noise[kind]) for kind in noise for axis in "xyz"}
-        imu.update({f"noise_gyro_bias_{axis}": repr(v) for axis, v in zip("xyz", self.bias)})
-        gnss = {"noise_lat_stddev": repr(lat), "noise_lon_stddev": repr(lon)}
-        self.seeds = {sensor: seed_of(o.seed, name, sensor) for sensor in ("imu", "gnss")}
+        figures = {f"gyro_bias_{axis}": v for axis, v in zip("xyz", self.bias)}
+        for axis in "xyz":
+            figures.update({f"accel_stddev_{axis}": o.accel_noise, f"gyro_stddev_{axis}": o.gyro_noise})
+        noise = {"imu": figures, "gnss": {"lat_stddev": lat, "lon_stddev": lon}}
+        self.seeds = {sensor: seed_of(o.seed, name, sensor) for sensor in noise}
         self._timeout = o.timeout
-        self._queues: dict[str, queue.Queue[Any]] = {}
-        self._actors: dict[str, Any] = {}
-        for sensor, attributes in (("imu", imu), ("gnss", gnss)):
-            attributes = {**attributes, "noise_seed": str(self.seeds[sensor]), "sensor_tick": "0.0"}
-            self._queues[sensor] = queue.Queue()
-            self._actors[sensor] = session.spawn(
+        self._queues: dict[str, queue.Queue[Any]] = {sensor: queue.Queue() for sensor in noise}
+        actors: dict[str, Any] = {}
+        for sensor, stated in noise.items():
+            attributes = {f"noise_{key}": repr(value) for key, value in stated.items()}
+            attributes.update(noise_seed=str(self.seeds[sensor]), sensor_tick="0.0")
+            actors[sensor] = session.spawn(
                 f"sensor.other.{sensor}", attributes, session.carla.Transform(), car
             )
-        for sensor, actor in self._actors.items():
+        for sensor, actor in actors.items():
             actor.listen(self._queues[sensor].put)
 
     def awake(self, tick: Callable[[], int]) -> int:
@@ -87,16 +92,17 @@ class Sensors:
             wait *= 2
         for _ in range(GARBAGE):
             frame = tick()
-            for sensor in self._queues:
-                self.read(sensor, frame)
+            self.read(frame)
         return frame
 
-    def read(self, sensor: str, frame: int) -> Any:
-        """Wait for a sensor's data of a frame."""
-        data = self._get(sensor, frame, self._timeout)
-        if data is None:
-            raise self._silence(sensor, frame)
-        return data
+    def read(self, frame: int) -> list[Any]:
+        """Wait for the data of a frame: of IMU and GNSS."""
+        found: list[Any] = []
+        for sensor in self._queues:
+            found.append(self._get(sensor, frame, self._timeout))
+            if found[-1] is None:
+                raise self._silence(sensor, frame)
+        return found
 
     def _silence(self, sensor: str, frame: int) -> RecorderError:
         return RecorderError(
@@ -130,7 +136,8 @@ def drive(
     show: Callable[[float], None],
 ) -> Sensors:
     """Drive a plan and record it into `recording`, which keeps its data if the drive fails."""
-    sensors = Sensors(session, car, recording.name, rng)
+    name, rows = recording.name, recording.rows
+    sensors = Sensors(session, car, name, rng)
     driver = Driver(plan, physics.wheelbase, rng)
     car.apply_control(session.carla.VehicleControl(brake=1.0))
     frame = sensors.awake(session.tick)
@@ -139,22 +146,20 @@ def drive(
     furthest, since = 0.0, 0.0  # m and s
     while not driver.arrived:
         x, y = state.place[:2]
-        control(session, car, physics, driver.look(x, y, state.heading, math.hypot(*state.velocity[:2])))
-        now = session.tick()
-        if now != frame + 1:
+        control(session, car, physics, driver.look(x, y, state.heading, state.speed))
+        frame, now = frame + 1, session.tick()
+        if now != frame:
             raise RecorderError(
-                f"frame {frame + 1} of {recording.name} is missing: the server went from {frame} to {now}; let "
+                f"frame {frame} of {name} is missing: the server went from {frame - 1} to {now}; let "
                 "no other client tick it"
             )
-        frame = now
         t = round((frame - recording.first_frame) * TICK, 6)
-        imu, fix = sensors.read("imu", frame), sensors.read("gnss", frame)
-        state = state_of(session, car, frame)._replace(
-            t=t, force=polar(imu.accelerometer), rate=axial(imu.gyroscope)
-        )
-        if not all(map(math.isfinite, (*state.force, *state.rate))):
-            raise FailedRun(f"{recording.name}: the IMU gave no finite number at t = {t} s")
-        recording.rows.append(state)
+        imu, fix = sensors.read(frame)
+        force, rate = polar(imu.accelerometer), axial(imu.gyroscope)
+        state = state_of(session, car, frame)._replace(t=t, force=force, rate=rate)
+        if not all(map(math.isfinite, (*force, *rate))):
+            raise FailedRun(f"{name}: the IMU gave no finite number at t = {t} s")
+        rows.append(state)
         if began is None and driver.way >= plan.start:
             began = t
         hidden = began is not None and any(0 <= t - began - at < long for at, long in plan.outages)
@@ -164,10 +169,11 @@ def drive(
                 check_fixes(recording, session.options.gps_noise)
         if driver.way > furthest + 1.0:
             furthest, since = driver.way, t
-        if abs(driver.off) > 4.0 or t - since > STUCK:
-            trouble = "got stuck" if t - since > STUCK else "left its route"
+        stuck = t - since > STUCK
+        if abs(driver.off) > 4.0 or stuck:
+            trouble = "got stuck" if stuck else "left its route"
             raise FailedRun(
-                f"{recording.name}: the car {trouble} after {driver.way:.0f} m, at {x:.0f}, {y:.0f} m east and north"
+                f"{name}: the car {trouble} after {driver.way:.0f} m, at {x:.0f}, {y:.0f} m east and north"
             )
         show(t)
     return sensors
@@ -176,21 +182,19 @@ def drive(
 def state_of(session: Session, car: Any, frame: int) -> Row:
     """Return the truth of a frame from the world's snapshot."""
     snapshot = session.world.get_snapshot()
+    step, seen = snapshot.timestamp.delta_seconds, snapshot.find(car.id)
     if snapshot.frame != frame:
         raise RecorderError(
             f"the world's snapshot is of frame {snapshot.frame}, not {frame}; let no other client tick the server"
         )
-    if abs(snapshot.timestamp.delta_seconds - TICK) > 1e-6:
+    if abs(step - TICK) > 1e-6:
         raise RecorderError(
-            f"the server's step is {snapshot.timestamp.delta_seconds:g} s, not {TICK:g} s; restart it without "
-            "other clients"
+            f"the server's step is {step:g} s, not {TICK:g} s; restart it without other clients"
         )
-    seen = snapshot.find(car.id)
     if seen is None:
         raise RecorderError(f"the car is gone from frame {frame}; let no other client remove it")
-    place, nothing = seen.get_transform(), (0.0, 0.0, 0.0)
-    velocity = polar(seen.get_velocity())
-    return Row(0.0, nothing, nothing, polar(place.location), velocity, heading_of(place.rotation))
+    place = seen.get_transform()
+    return Row(0.0, polar(place.location), polar(seen.get_velocity()), heading_of(place.rotation))
 
 
 def check_fixes(recording: Recording, noise: float) -> None:

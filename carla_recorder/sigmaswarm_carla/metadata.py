@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
 from .drive import Recording, Row, Sensors
-from .geometry import axial, wrap
+from .geometry import wrap
 from .options import BRAKE_GAIN, ENVIRONMENTS, GPS_EVERY, KMH, RATE, TICK, Condition
 from .plans import Plan
 from .routes import SPACING
@@ -48,7 +47,7 @@ def describe(
             "gnss_seed": sensors.seeds["gnss"],
             "velocity_against_positions_ms": velocity_check(recording.rows),
         },
-        "imu_noise": {"grade": "carla", "gyro_bias": list(axial(SimpleNamespace(x=x, y=y, z=z)))},
+        "imu_noise": {"grade": "carla", "gyro_bias": [-x, y, -z]},  # axial
         "gps_noise": {"grade": "carla", "white_std_m": o.gps_noise},
         "imu_place": {"ahead_of_rear_axle_m": round(physics.ahead, 4)},
         "scenario": {
@@ -69,10 +68,10 @@ def describe(
 
 def _passed(row: Row, plan: Plan) -> bool:
     """Return true once the car has reached the beginning of its maneuver."""
-    i = min(round(plan.start / SPACING), len(plan.path.x) - 1)
-    heading = plan.path.heading[i]
-    dx, dy = row.place[0] - plan.path.x[i], row.place[1] - plan.path.y[i]
-    return abs(dx) + abs(dy) < 20.0 and dx * math.cos(heading) + dy * math.sin(heading) >= 0
+    path = plan.path
+    i = min(round(plan.start / SPACING), len(path.x) - 1)
+    dx, dy = row.place[0] - path.x[i], row.place[1] - path.y[i]
+    return abs(dx) + abs(dy) < 20.0 and dx * math.cos(path.heading[i]) + dy * math.sin(path.heading[i]) >= 0
 
 
 def velocity_check(rows: Sequence[Row]) -> float:
@@ -82,8 +81,7 @@ def velocity_check(rows: Sequence[Row]) -> float:
     """
     total = 0.0
     for a, b, c in zip(rows, rows[1:], rows[2:]):
-        east, north = ((c.place[i] - a.place[i]) / (c.t - a.t) for i in (0, 1))
-        total += (east - b.velocity[0]) ** 2 + (north - b.velocity[1]) ** 2
+        total += sum(((c.place[i] - a.place[i]) / (c.t - a.t) - b.velocity[i]) ** 2 for i in (0, 1))
     return round(math.sqrt(total / max(len(rows) - 2, 1)), 6)
 
 
@@ -91,32 +89,28 @@ def achieved(maneuver: str, recording: Recording, began: float) -> dict[str, flo
     """Return the achieved figures, under the target's names."""
     rows = recording.rows
     own = [row for row in rows if row.t >= began]
-    speeds = [math.hypot(*row.velocity[:2]) for row in rows]
-    figures: dict[str, float] = {}
+    speeds = [row.speed for row in rows]
     if maneuver == "cruise":
-        figures["distance_m"] = _length(own)
-        figures["speed_kmh"] = sum(math.hypot(*row.velocity[:2]) for row in own) / len(own) / KMH
+        mean = sum(row.speed for row in own) / len(own)
+        figures = {"distance_m": _length(own), "speed_kmh": mean / KMH}
     elif maneuver == "turns":
         yaw = [0.0]
         for a, b in zip(own, own[1:]):
             yaw.append(yaw[-1] + wrap(b.heading - a.heading))
         extreme = max(yaw, key=abs)
-        first, second = math.degrees(extreme), math.degrees(yaw[-1] - extreme)
-        figures["left_deg"], figures["right_deg"] = max(first, second), min(first, second)
+        right, left = sorted((math.degrees(extreme), math.degrees(yaw[-1] - extreme)))
         tenths = zip(own, own[RATE // 10 :])
-        figures["peak_lateral_ms2"] = max(
-            abs(wrap(b.heading - a.heading)) * 10 * math.hypot(*a.velocity[:2]) for a, b in tenths
-        )
+        lateral = max(abs(wrap(b.heading - a.heading)) * 10 * a.speed for a, b in tenths)
+        figures = {"left_deg": left, "right_deg": right, "peak_lateral_ms2": lateral}
     elif maneuver == "outages":
         times = [fix[0] for fix in recording.fixes]
         gaps = sorted(zip(times, times[1:]), key=lambda pair: pair[0] - pair[1])[:2]
-        figures.update({f"outage_{i + 1}_s": b - a for i, (a, b) in enumerate(sorted(gaps))})
+        figures = {f"outage_{i + 1}_s": b - a for i, (a, b) in enumerate(sorted(gaps))}
     else:
         fast = (60 if maneuver == "accelerate" else 50) * KMH
-        figures["speed_kmh"] = min(max(speeds), fast) / KMH
-        figures["time_s"] = _time_between(speeds if maneuver == "accelerate" else speeds[::-1], fast)
-    figures["total_distance_m"] = _length(rows)
-    figures["top_speed_kmh"] = max(speeds) / KMH
+        took = _time_to(fast, speeds if maneuver == "accelerate" else speeds[::-1])
+        figures = {"speed_kmh": min(max(speeds), fast) / KMH, "time_s": took}
+    figures.update(total_distance_m=_length(rows), top_speed_kmh=max(speeds) / KMH)
     return {key: round(value, 4) for key, value in figures.items() if math.isfinite(value)}
 
 
@@ -124,14 +118,12 @@ def _length(rows: Sequence[Row]) -> float:
     return sum(math.hypot(b.place[0] - a.place[0], b.place[1] - a.place[1]) for a, b in zip(rows, rows[1:]))
 
 
-def _time_between(speeds: Sequence[float], fast: float) -> float:
-    """Shortest time, s, from a standstill to the speed `fast`, m/s; NaN if never."""
-    best = math.nan
-    stood = None
+def _time_to(fast: float, speeds: Sequence[float]) -> float:
+    """Shortest time, s, from a standstill to the speed `fast`, m/s; infinite if never."""
+    best, stood = math.inf, None
     for i, speed in enumerate(speeds):
         if speed <= 0.1:
             stood = i
         elif speed >= fast and stood is not None:
-            best = (i - stood) * TICK if math.isnan(best) else min(best, (i - stood) * TICK)
-            stood = None
+            best, stood = min(best, (i - stood) * TICK), None
     return best

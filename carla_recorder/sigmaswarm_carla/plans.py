@@ -13,45 +13,26 @@ from .routes import RUN_OUT, SPACING, Need, Path2D, find_path, straight
 
 
 class Leg(NamedTuple):
-    """A part of a route.
+    """A part of a route."""
 
-    Attributes
-    ----------
-    length : m
-    speed : m/s, the fastest allowed
-    acceleration, braking : m/s2, both positive
-    lateral : m/s2, in bends
-    wait : s of standstill at its end; 0 drives on
-    ease : s, over which accelerations build up
-    """
-
-    length: float
-    speed: float
-    acceleration: float
-    braking: float
-    lateral: float = 3.0
-    wait: float = 0.0
-    ease: float = 0.6
+    length: float  # m
+    speed: float  # m/s, the fastest allowed
+    acceleration: float  # m/s2
+    braking: float  # m/s2, positive
+    lateral: float = 3.0  # m/s2, in bends
+    wait: float = 0.0  # s of standstill at its end; 0 drives on
+    ease: float = 0.6  # s, over which accelerations build up
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A route and how to drive it.
-
-    Attributes
-    ----------
-    path : the route
-    legs : parts of the route
-    target : the paper's figures, units in the names
-    start : m, where the maneuver itself begins, after the warm-up
-    outages : (start, length) s, the former after the maneuver's beginning
-    """
+    """A route and how to drive it."""
 
     path: Path2D
     legs: list[Leg]
-    target: dict[str, float]
-    start: float = 0.0
-    outages: list[tuple[float, float]] = field(default_factory=list)
+    target: dict[str, float]  # the paper's figures, units in the names
+    start: float = 0.0  # m, where the maneuver itself begins, after the warm-up
+    outages: list[tuple[float, float]] = field(default_factory=list)  # (start after that, length) s
 
     @property
     def length(self) -> float:

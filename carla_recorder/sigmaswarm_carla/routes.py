@@ -48,22 +48,23 @@ class Path2D:
     @property
     def turns(self) -> list[Turn]:
         """All bends tighter than 40 m of radius that turn by more than 30 degrees."""
-        found: list[Turn] = []
-        bent = [i for i, c in enumerate(self.curvature) if abs(c) > 1 / 40]
-        while bent:
-            last = 0
-            while (
-                last + 1 < len(bent)
-                and (bent[last + 1] - bent[last]) * SPACING < 3.0
-                and (self.curvature[bent[last + 1]] * self.curvature[bent[0]] > 0)
-            ):
-                last += 1
-            first, end = bent[0], bent[last]
-            angle = self.heading[min(end + 4, len(self.x) - 1)] - self.heading[max(first - 4, 0)]
-            if abs(angle) > math.radians(30):
-                found.append(Turn(first * SPACING, end * SPACING, angle))
-            bent = bent[last + 1 :]
-        return found
+        bends: list[list[int]] = []  # first and last point
+        for i, curvature in enumerate(self.curvature):
+            if abs(curvature) <= 1 / 40:
+                continue
+            if bends and (i - bends[-1][1]) * SPACING < 3.0 and curvature * self.curvature[bends[-1][0]] > 0:
+                bends[-1][1] = i
+            else:
+                bends.append([i, i])
+        turns = [
+            Turn(
+                a * SPACING,
+                b * SPACING,
+                self.heading[min(b + 4, len(self.x) - 1)] - self.heading[max(a - 4, 0)],
+            )
+            for a, b in bends
+        ]
+        return [turn for turn in turns if abs(turn.angle) > math.radians(30)]
 
     @property
     def bend(self) -> float:
@@ -152,19 +153,16 @@ def _resample(points: Sequence[Any]) -> Path2D:
         step = max(math.hypot(b[0] - a[0], b[1] - a[1]), 1e-6)
         climb = max(climb, abs(b[2] - a[2]) / step if step > 0.5 else 0.0)
         way.append(way[-1] + step)
-    rows = [(place[0], place[1], heading) for place, heading in zip(places, headings)]
-    resampled = []
+    rows: list[tuple[float, ...]] = [(x, y, h) for (x, y, _), h in zip(places, headings)]
+    resampled = rows[:1]
     i = 0
-    for k in range(int(way[-1] / SPACING) + 1):
-        while i < len(way) - 2 and way[i + 1] < k * SPACING:
+    for k in range(1, int(way[-1] / SPACING) + 1):
+        while way[i + 1] < k * SPACING:
             i += 1
-        j = min(i + 1, len(way) - 1)
-        w = 0.0 if len(way) < 2 else (k * SPACING - way[i]) / (way[i + 1] - way[i])
-        resampled.append([a * (1 - w) + b * w for a, b in zip(rows[i], rows[j])])
+        w = (k * SPACING - way[i]) / (way[i + 1] - way[i])
+        resampled.append(tuple(a * (1 - w) + b * w for a, b in zip(rows[i], rows[i + 1])))
     x, y, heading = (list(column) for column in zip(*resampled))
     # The mean curvature over 3 m: lanes in junctions often begin with a kink.
-    curvature: list[float] = []
-    for k in range(len(x)):
-        first, last = max(k - 3, 0), min(k + 3, len(x) - 1)
-        curvature.append((heading[last] - heading[first]) / max((last - first) * SPACING, SPACING))
+    spans = [(max(k - 3, 0), min(k + 3, len(x) - 1)) for k in range(len(x))]
+    curvature = [(heading[b] - heading[a]) / max((b - a) * SPACING, SPACING) for a, b in spans]
     return Path2D(x, y, heading, curvature, climb, points[0])

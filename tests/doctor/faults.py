@@ -162,6 +162,9 @@ THIRD_AXES: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
 }
 """Faults of az, gx and gy, for drives that have them: planar filters do not feel them."""
 
+THIRD = {"gyro-tilt", "gravity-size", "accelerometer-up", "unseen-tilt"}
+"""Codes of faults of az, gx and gy."""
+
 ROTATIONS = {"gravity", "15 deg", "right and down"}
 """Faults that are one rotation of the IMU."""
 

@@ -8,6 +8,7 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm import Drive, Gps, Imu
+from support import quickly
 
 
 @cache
@@ -15,7 +16,10 @@ def drive() -> Drive:
     return sigmaswarm.simulate("urban", run=3, duration=150, gps="white-1m")
 
 
-@pytest.mark.parametrize("offset", [-37.0, -18.0, -6.0, 4.0, 18.0, 33.0])
+@pytest.mark.parametrize(
+    "offset",
+    quickly([(s,) for s in (-37.0, -18.0, -6.0, 4.0, 18.0, 33.0)], lambda s: s in (-37.0, 4.0, 18.0)),
+)
 def test_an_offset_of_seconds_is_found_and_mended(offset: float):
     late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))
     found = sigmaswarm.diagnose(late)
@@ -26,7 +30,7 @@ def test_an_offset_of_seconds_is_found_and_mended(offset: float):
     assert not sigmaswarm.diagnose(mended).serious
 
 
-@pytest.mark.parametrize("offset", [60.0, 120.0])
+@pytest.mark.parametrize("offset", quickly([(60.0,), (120.0,)], lambda s: s == 60.0))
 def test_beyond_the_search_no_axis_is_blamed(offset: float):
     late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))
     found = sigmaswarm.diagnose(late)
@@ -49,7 +53,7 @@ def robot(reverse: bool, seed: int) -> Drive:
     return Drive("robot", imu, Gps(t[k], x, y))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", quickly([(s,) for s in range(3)], lambda s: s == 0))
 def test_a_log_that_begins_in_reverse(seed: int):
     found = {f.code: f for f in sigmaswarm.diagnose(robot(True, seed)).findings}
     assert found["reverse-start"].span[1] == pytest.approx(16, abs=2)

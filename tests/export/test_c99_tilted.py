@@ -15,7 +15,7 @@ from sigmaswarm.exports.c99 import replay_rows
 from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.simulation.gps import find_gps
+from sigmaswarm.simulation.gps import GPS_GRADES
 from support import DRIVES, make_drive, needs_shared
 
 OPTIONS = {
@@ -39,7 +39,7 @@ def given(option: str) -> FilterParameters:
 @cache
 def hills() -> Drive:
     """A hilly town: an antenna above the IMU, velocities, accuracies, outliers, a gap, frozen fixes, a stop."""
-    grade = replace(find_gps("ublox-m8"), lever_arm=(0.4, -0.3, 1.2))
+    grade = replace(GPS_GRADES["ublox-m8"], lever_arm=(0.4, -0.3, 1.2))
     drive = simulate("brake", terrain="hilly", gps=grade, jitter=1e-3, run=2)
     imu, gps, rng = drive.imu, drive.gps, np.random.default_rng(2)
     silent = (imu.time > 16.0) & (imu.time < 16.7)

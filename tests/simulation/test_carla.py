@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from oracles import carla_geodesy
-from sigmaswarm.simulation.carla import METERS_PER_DEGREE, from_geolocation, to_geolocation
+from sigmaswarm.simulation.gps import METERS_PER_DEGREE
+from standin.geodesy import from_geolocation, to_geolocation
 
 ORIGINS = [(0.0, 0.0), (49.0, 8.0), (-33.0, 151.0)]
 # Multiples of 1/8 m: CARLA's locations are single floats.

@@ -10,7 +10,6 @@ from sigmaswarm.simulation.imu import (
     ImuGrade,
     Triad,
     carla_force,
-    find_imu,
     measure_imu,
 )
 from sigmaswarm.simulation.motion import Motion
@@ -85,7 +84,7 @@ def test_turn_on_bias_fills_its_range_and_stays_for_a_run():
 
 def test_scale_misalignment_saturation_and_quantization():
     motion = at_rest(5)
-    ideal = measure_imu(np.arange(5) / 100, motion, find_imu("ideal"), np.random.default_rng(0))
+    ideal = measure_imu(np.arange(5) / 100, motion, IMU_GRADES["ideal"], np.random.default_rng(0))
     assert (ideal.az == GRAVITY).all() and (ideal.ax == 0).all()
 
     skewed = measured(ImuGrade("test", Triad(scale=0.03, misalignment=0.02)), 5, 0.01)[0, :, 0]

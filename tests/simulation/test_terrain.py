@@ -113,10 +113,12 @@ def test_the_angular_rate_integrated_returns_the_attitude_of_road_and_suspension
     _, tilted = hills
     motion = motion_at(tilted, MODEL_3, (0.2, 0.0, 0.1))
     middle = (motion.angular_rate[1:] + motion.angular_rate[:-1]) / 2
-    turned = Rotation.from_matrix(motion.rotation[0])
-    for step in Rotation.from_rotvec(middle * STEP):
-        turned = turned * step
-    yaw, pitch, roll = turned.as_euler("ZYX")
+    steps = Rotation.from_rotvec(middle * STEP)
+    while len(steps) > 1:  # the product of neighbors, until one rotation is left
+        odd = len(steps) % 2
+        pairs = steps[: len(steps) - odd]
+        steps = Rotation.concatenate([pairs[::2] * pairs[1::2], *([steps[-1:]] if odd else [])])
+    yaw, pitch, roll = (Rotation.from_matrix(motion.rotation[0]) * steps[0]).as_euler("ZYX")
     assert np.angle(np.exp(1j * (yaw - tilted[-1, YAW]))) == pytest.approx(0, abs=1e-5)
     suspension = -MODEL_3.pitch_gain * tilted[-1, PITCH], MODEL_3.roll_gain * tilted[-1, ROLL]
     assert pitch == pytest.approx(tilted[-1, ROAD_PITCH] + suspension[0], abs=1e-5)

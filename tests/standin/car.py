@@ -46,7 +46,7 @@ class Car:
         self.physics = stock_physics()
         self.control = [0.0, 0.0, 1.0, False, False, False, 0]
         self.state = dynamics.start_state(x, -y, -math.radians(yaw), 0.0, MODEL_3_CARLA)
-        self._stages, self._trial = np.zeros((4, dynamics.STATES)), np.empty(dynamics.STATES)
+        self._stages = np.zeros((5, dynamics.STATES))
         self.rows = 3 * [self._look(self.state.copy(), 0.0, -1.0)]
         self.seconds, self.motion = 0.05, motion_at(np.array(self.rows), MODEL_3_CARLA, _ORIGIN)
 
@@ -57,7 +57,7 @@ class Car:
         brakes = MODEL_3_CARLA.full_brake * (wheels[0][4] / STOCK_BRAKE)
         car = MODEL_3_CARLA._replace(full_brake=brakes)
         row = np.empty(dynamics.RECORDED)
-        dynamics._advance(state, self._stages, self._trial, row, steer, pedal, friction, car)
+        dynamics._advance(state, self._stages, row, steer, pedal, friction, car)
         return row
 
     def tick(self, seconds: float) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from sigmaswarm.simulation.carla import to_geolocation
 from standin import wire
 from standin.car import Car
+from standin.geodesy import to_geolocation
 from standin.town import write_town
 
 ORIGIN = (49.0, 8.0)

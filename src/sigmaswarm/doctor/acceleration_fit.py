@@ -8,15 +8,14 @@ observed ``late`` s later. theta is known from course and gyro; M (2, 2) and ``l
 windows, p0, v0 and b (tilt, slope, bias) belong to each. For a good log M is the identity.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.fixes import Complex, Course
-from sigmaswarm.doctor.windows import Regression, regress, windows_of
-from sigmaswarm.doctor.yaw_fit import integral, smoothed
+from sigmaswarm.doctor.fixes import Course
+from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed, windows_of
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
 
@@ -28,7 +27,6 @@ FEW = 8.0
 """Number of windows at which their variances are doubled."""
 LEAST_NOISE = 0.03
 """m: lowest deviation of an IMU from a path over some seconds."""
-Heading = Callable[[float], Array]
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)
 """s: delays of the fixes that are tried one by one."""
@@ -39,26 +37,21 @@ BIN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class AccelerationFit:
-    """The fit.
+    """The fit."""
 
-    Attributes
-    ----------
-    matrix : (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
-    covariance : (5, 5), of M's rows, one after the other, and of ``late``
-    late : s, by which the fixes are late
-    bias : (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
-    time : (k,) s, the middles of the windows
-    rows : (k, n), the fixes of each window
-    residual : (k, n) m, east + i north
-    """
+    matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
+    covariance: Array  # (5, 5), of M's rows, one after the other, and of `late`
+    late: float  # s, by which the fixes are late
+    bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
+    rows: NDArray[np.intp]  # (k, n), the fixes of each window
+    residual: Complex  # (k, n) m, east + i north
 
-    matrix: Array
-    covariance: Array
-    late: float
-    bias: Array
-    time: Array
-    rows: NDArray[np.intp]
-    residual: Complex
+
+def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:
+    """The gyro's integral (n,), and the course of the moving car less that integral, rad."""
+    turned = integral(time, rate)
+    seen = course.moving
+    return turned, course.angle[seen] - smoothed(time, turned, course.time[seen] - late, course.span)
 
 
 def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
@@ -70,63 +63,53 @@ def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
     rate : (n,) rad/s, the yaw rate with its sign and unit right
     late : s, of the fixes
     """
-    rate = rate + drift_of(time, course, rate, late)
-    seen = course.moving
-    at, turned = course.time[seen] - late, integral(time, rate)
-    off = course.angle[seen] - smoothed(time, turned, at, course.span)
+    turned, off = _off_course(time, course, rate + drift_of(time, course, rate, late), late)
+    at, speed = course.time[course.moving] - late, np.abs(course.velocity[course.moving])
     jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
     off = off - jump  # while it stands the course's turns are lost by whole circles
     bin_of = ((at - at[0]) // BIN).astype(np.intp)
-    weight = np.bincount(bin_of, np.abs(course.velocity[seen]))  # the faster, the better known
-    total = np.bincount(bin_of, np.abs(course.velocity[seen]) * off)
     bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
-    weight, total = np.convolve(weight, bell)[6:-6], np.convolve(total, bell)[6:-6]
+    # the faster, the better known
+    weight, total = (np.convolve(np.bincount(bin_of, v), bell)[6:-6] for v in (speed, speed * off))
     middles = at[0] + BIN * (np.arange(len(weight)) + 0.5)
     return turned + np.interp(time, middles[weight > 0], (total / np.maximum(weight, 1e-12))[weight > 0])
 
 
 def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
     """rad/s that the gyro's rate lacks, by the course: less its bias. Parameters as of `heading_of`."""
-    seen = course.moving
-    off = course.angle[seen] - smoothed(time, integral(time, rate), course.time[seen] - late, course.span)
+    _, off = _off_course(time, course, rate, late)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
         return 0.0
-    slope = (off[step:] - off[:-step]) / (course.time[seen][step:] - course.time[seen][:-step])
-    return float(np.median(slope))
+    at = course.time[course.moving]
+    return float(np.median((off[step:] - off[:-step]) / (at[step:] - at[:-step])))
 
 
 def fit_acceleration(
-    drive: Drive, course: Course, heading: Heading, tried: Array = LATENESS
+    drive: Drive, course: Course, rate: Array, tried: Array = LATENESS
 ) -> AccelerationFit | None:
-    """Fit; ``heading(late)`` gives theta at the IMU's times, ``tried`` are values of ``late`` to begin with, s."""
+    """Fit; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are values of ``late`` to begin with, s."""
     rows = _windows(drive, course)
     if not len(rows):
         return None
-    fit = _Fit(drive, course, heading, rows, max(white_noise(course.position), LEAST_NOISE))
+    fit = _Fit(drive, course, rate, rows)
     late = float(tried[0])
     if len(tried) > 1:
         late = float(min(tried, key=lambda late: fit.at(float(late), rounds=1).cost))
-    step = 0.0
     for k in range(10):
         found = fit.at(late)
+        step = 1.0
         if k > 1:  # the first rounds find M and the biases, which the fifth column rests on
             step = float(np.clip(found.solution[4], -0.2, 0.2))
             late += step
-            if abs(step) < 1e-3:
-                break
+        if abs(step) < 1e-3:
+            break
         fit.learn(found, late)
     found = fit.at(late)
     fit.learn(found, late)
-    return AccelerationFit(
-        found.solution[:4].reshape(2, 2),
-        found.covariance * (1 + FEW / len(rows)),
-        late,
-        fit.bias,
-        course.time[rows].mean(axis=1),
-        rows,
-        found.residual[:, :-1],
-    )
+    covariance = found.covariance * (1 + FEW / len(rows))
+    matrix = found.solution[:4].reshape(2, 2)
+    return AccelerationFit(matrix, covariance, late, fit.bias, rows, found.residual[:, :-1])
 
 
 def _windows(drive: Drive, course: Course) -> NDArray[np.intp]:
@@ -134,20 +117,18 @@ def _windows(drive: Drive, course: Course) -> NDArray[np.intp]:
     interval = float(np.median(np.diff(course.time)))
     imu = drive.imu.time
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, WINDOW))
-    inside = (course.time > imu[0] + 1) & (course.time < imu[-1] - 1)
-    rows = windows_of(course.time, inside, length)
+    rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
     gaps = imu[:-1][np.diff(imu) > 0.3]
-    start, end = course.time[rows[:, 0]] - 1, course.time[rows[:, -1]] + 1
-    whole = np.searchsorted(gaps, start) == np.searchsorted(gaps, end)
-    return rows[whole & (course.moving[rows].mean(axis=1) > 0.3)]
+    before, after = np.searchsorted(gaps, [course.time[rows[:, 0]] - 1, course.time[rows[:, -1]] + 1])
+    return rows[(before == after) & (course.moving[rows].mean(axis=1) > 0.3)]
 
 
 class _Fit:
     """Regression at a given delay, with M and the spread of the windows' biases from the last one."""
 
-    def __init__(self, drive: Drive, course: Course, heading: Heading, rows: NDArray[np.intp], noise: float):
-        self._drive, self._course, self._heading = drive, course, heading
-        self._rows, self._noise = rows, noise
+    def __init__(self, drive: Drive, course: Course, rate: Array, rows: NDArray[np.intp]):
+        self._drive, self._course, self._rate, self._rows = drive, course, rate, rows
+        self._noise = max(white_noise(course.position), LEAST_NOISE)
         self._matrix = np.zeros((2, 2))
         self._usual = np.zeros(2)  # bias of most windows, m/s2
         self._spread = BIAS_SPREAD[1]
@@ -159,8 +140,8 @@ class _Fit:
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
         # One more row a window: its bias lies about where the others' lie.
         own = [np.hstack([c, f * one]) for c, f in zip(own, (0, 0, self._noise / self._spread), strict=True)]
-        columns = [np.hstack([c, 0 * one]) for c in columns]
-        return regress(np.hstack([position, 0 * one]), columns, own, np.ones(own[0].shape), rounds)
+        position, *columns = (np.hstack([c, 0 * one]) for c in (position, *columns))
+        return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
     def learn(self, found: Regression, late: float) -> None:
         """Take over M, and the bias of each window, given M and ``late``."""
@@ -177,22 +158,19 @@ class _Fit:
 
     def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
         """The positions, the columns of the shared unknowns and those of each window's own, all (w, n)."""
-        imu, rows = self._drive.imu, self._rows
-        direction = np.exp(1j * self._heading(late))
-        at = self._course.time - late
+        imu, rows, course = self._drive.imu, self._rows, self._course
+        direction = np.exp(1j * heading_of(imu.time, course, self._rate, late))
+        at, usual = course.time - late, complex(*self._usual)
 
-        def path(force: Array | Complex) -> tuple[Complex, Complex]:
+        def path(force: Array) -> list[Any]:
             once = integral(imu.time, direction * force)
-            twice = integral(imu.time, once)
-            return tuple(np.interp(at, imu.time, v)[rows] for v in (once, twice))  # pyright: ignore
+            return [np.interp(at, imu.time, v)[rows] for v in (once, integral(imu.time, once))]
 
-        usual = complex(*self._usual)
         (vx, x), (vy, y), (vb, b) = path(imu.ax), path(imu.ay), path(np.ones(len(imu)))
         (xx, xy), (yx, yy) = self._matrix
         speed = (xx + 1j * yx) * vx + (xy + 1j * yy) * vy + usual * vb
-        t = self._course.time[rows]
+        t = course.time[rows]
         t = (t - t.mean(axis=1, keepdims=True)) / (t[:, -1:] - t[:, :1])
         lever = complex(*self._drive.lever_arm) * np.interp(at, imu.time, direction)[rows]
-        position = self._course.position[rows] - lever - usual * b
         own = [np.ones_like(b), t + 0j, b - b.mean(axis=1, keepdims=True)]
-        return position, [x, y, 1j * x, 1j * y, -speed], own
+        return course.position[rows] - lever - usual * b, [x, y, 1j * x, 1j * y, -speed], own

@@ -5,8 +5,8 @@ import numpy as np
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.mounting import level, turned
 from sigmaswarm.doctor.verdicts import DEGREE
-from sigmaswarm.doctor.yaw_fit import integral
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.doctor.windows import integral
+from sigmaswarm.drives.drive import Drive
 
 WIDEST = 40.0
 """s: more than GPS time differs from UTC (18 s) and most receivers' start-up."""
@@ -24,29 +24,40 @@ LEAST_TURN = 0.15
 
 def search_offset(drive: Drive, course: Course) -> float | None:
     """The offset, s, by which the fixes are late, within 40 s either way; None where none stands out."""
+    imu, at = drive.imu, course.time
     first, last = _pairs(course)
     if len(first) < FEWEST:
         return None
     turn = course.angle[last] - course.angle[first]
+    whole = float(np.sum((turn - turn.mean()) ** 2))
     if np.sqrt(np.mean((turn - np.mean(turn)) ** 2)) < LEAST_TURN:
         return None
-    total = integral(drive.imu.time, _yaw_rate(drive))
+    # About the vertical, whatever the mounting; gz of an IMU without six axes.
+    planar = imu.az is None or imu.gx is None or imu.gy is None
+    total = integral(imu.time, imu.gz if planar else turned(imu, level(imu)).gz)
+
+    def explained(lag: float) -> float:
+        """The share of the turns that those of the gyro explain, in either sense and unit."""
+        start, end = at[first] - lag, at[last] - lag
+        inside = (start >= imu.time[0]) & (end <= imu.time[-1])
+        if np.count_nonzero(inside) < max(FEWEST, len(turn) / 3):
+            return 0.0
+        seen = np.interp(end[inside], imu.time, total) - np.interp(start[inside], imu.time, total)
+        seen, true = seen - seen.mean(), turn[inside] - turn[inside].mean()
+        power = float(true @ true)
+        if power < 0.3 * whole:
+            return 0.0
+        return max(1 - float(np.sum((true - k * seen) ** 2)) / power for k in (1.0, -1.0, DEGREE, -DEGREE))
+
     lags = np.arange(-WIDEST, WIDEST + STEP / 2, STEP)
-    found = np.array(
-        [
-            _explained(drive.imu.time, total, course.time[first] - lag, course.time[last] - lag, turn)
-            for lag in lags
-        ]
-    )
+    found = np.array([explained(lag) for lag in lags])
     best = int(np.argmax(found))
     others = found[np.abs(lags - lags[best]) > NEAR]
-    if found[best] < LEAST or found[best] - others.max() < CLEARLY:
-        return None
-    return float(lags[best])
+    return float(lags[best]) if found[best] >= max(LEAST, others.max() + CLEARLY) else None
 
 
 def _pairs(course: Course) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of fixes some 5 s apart between which the car moves throughout."""
+    """Indices of fixes some 5 s apart between which the car moves throughout."""
     interval = float(np.median(np.diff(course.time)))
     step = max(round(SPAN / interval), 1)
     first = np.arange(max(len(course.time) - step, 0))
@@ -54,26 +65,3 @@ def _pairs(course: Course) -> tuple[np.ndarray, np.ndarray]:
     first = first[moves[first + step + 1] - moves[first] == step + 1] if len(first) else first
     first = first[course.time[first + step] - course.time[first] < 1.5 * max(SPAN, interval)]
     return first, first + step
-
-
-def _yaw_rate(drive: Drive) -> Array:
-    """The rate about the vertical, whatever the mounting; gz of an IMU without six axes."""
-    imu = drive.imu
-    if imu.az is None or imu.gx is None or imu.gy is None:
-        return imu.gz
-    return turned(imu, level(imu)).gz
-
-
-def _explained(time: Array, total: Array, start: Array, end: Array, turn: Array) -> float:
-    """The share of the turns that those of the gyro explain, in either sense and unit, of pairs that the IMU covers."""
-    inside = (start >= time[0]) & (end <= time[-1])
-    if np.count_nonzero(inside) < max(FEWEST, len(turn) / 3):
-        return 0.0
-    seen = np.interp(end[inside], time, total) - np.interp(start[inside], time, total)
-    seen, true = seen - seen.mean(), turn[inside] - turn[inside].mean()
-    power, whole = float(true @ true), float(np.sum((turn - turn.mean()) ** 2))
-    if power < 0.3 * whole:
-        return 0.0
-    return max(
-        1 - float(np.sum((true - factor * seen) ** 2)) / power for factor in (1.0, -1.0, DEGREE, -DEGREE)
-    )

@@ -1,19 +1,13 @@
 """All checks over one drive."""
 
-from sigmaswarm.doctor.checks import (
-    accelerometer,
-    clock,
-    gyro,
-    mounting,
-    noise,
-    observability,
-    odometer,
-    reverse,
-    sampling,
-    tilt,
-    use,
-    velocity,
-)
+from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
+from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
+from sigmaswarm.doctor.checks.limits import check_observability, check_use
+from sigmaswarm.doctor.checks.mounting import check_mounting, check_reverse
+from sigmaswarm.doctor.checks.noise import check_noise
+from sigmaswarm.doctor.checks.odometer import check_odometer
+from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
+from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, finding_of
 from sigmaswarm.drives.checks import shortage_of, spoiled_times
@@ -21,18 +15,18 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import DriveError
 
 CHECKS = (
-    reverse,
-    mounting,
-    gyro,
-    accelerometer,
-    tilt,
-    clock,
-    velocity,
-    odometer,
-    noise,
-    sampling,
-    observability,
-    use,
+    check_reverse,
+    check_mounting,
+    check_gyro,
+    check_accelerometer,
+    check_tilt,
+    check_clock,
+    check_velocity,
+    check_odometer,
+    check_noise,
+    check_sampling,
+    check_observability,
+    check_use,
 )
 """Order of findings of one severity."""
 
@@ -61,6 +55,6 @@ def diagnose(drive: Drive) -> Diagnosis:
         ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
-    found = [finding for subject in CHECKS for finding in subject.check(evidence)]
+    found = [finding for check in CHECKS for finding in check(evidence)]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(drive.name, tuple(found), evidence.clock.visible)

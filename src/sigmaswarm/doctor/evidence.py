@@ -1,17 +1,18 @@
-"""The fits and masks that all checks look at, worked out once for a drive."""
+"""The fits and masks that all checks use, computed once for a drive."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration, heading_of
+from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.clock_search import LEAST_TURN, WIDEST, search_offset
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, turned
 from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_yaw
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
 
@@ -23,44 +24,22 @@ FEWEST = 20
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A drive and the quantities computed from it.
+    """A drive and the quantities computed from it."""
 
-    Attributes
-    ----------
-    drive : Drive
-        Its IMU turned by ``mounting``, where that is ``mounted``: what follows is about these axes.
-    mounting : Mounting or None
-        How the IMU sits in the vehicle, of a log with six axes.
-    stale, outlying : (n,) bool: fixes that repeat an earlier one; fixes far off the path
-    used : (m,) int: indices of the fixes in ``course``
-    course : Course or None
-    yaw_fit, yaw : the regression of the course on the gyro, and its reading
-    acceleration, mount : the regression of the path on the accelerometers, and its reading
-    clock : the fixes' delay
-    moved : s, taken off the fixes' times, where the clocks are far apart: what follows is about these times
-    noise, scatter : m per axis: of the fixes from one to the next, and about the path over ten seconds
-    """
-
-    drive: Drive
-    stale: Mask
-    outlying: Mask
-    used: np.ndarray[tuple[int], np.dtype[np.intp]]
+    drive: Drive  # its IMU turned by `mounting`, where that is needed: what follows is about these axes
+    stale: Mask  # (n,), fixes that repeat an earlier one
+    outlying: Mask  # (n,), fixes far off the path
+    used: NDArray[np.intp]  # (m,), indices of the fixes in `course`
     course: Course | None
-    yaw_fit: YawFit | None
-    yaw: Yaw
-    acceleration: AccelerationFit | None
-    mount: Mount | None
-    clock: ClockOffset
-    noise: float
-    scatter: float
-    mounting: Mounting | None = None
-    moved: float = 0.0
-
-    @property
-    def follows(self) -> bool:
-        """True where the course follows the gyro, or turns too little to show it."""
-        fit = self.yaw_fit
-        return fit is None or fit.course_change < LEAST_TURN or (self.yaw.known and abs(fit.late) < SEARCHED)
+    yaw_fit: YawFit | None  # the regression of the course on the gyro
+    yaw: Yaw  # its reading
+    acceleration: AccelerationFit | None  # the regression of the path on the accelerometers
+    mount: Mount | None  # its reading
+    clock: ClockOffset  # the fixes' delay
+    noise: float  # m per axis, of the fixes from one to the next
+    scatter: float  # m per axis, of the fixes about the path over ten seconds
+    mounting: Mounting | None  # how the IMU sits in the vehicle, of a log with six axes
+    moved: float = 0.0  # s, taken off the fixes' times, where the clocks are far apart
 
     @property
     def mounted(self) -> bool:
@@ -85,84 +64,66 @@ def gather(drive: Drive) -> Evidence:
     times are moved by it before axes are read.
     """
     evidence = _gather(drive)
-    if evidence.course is None or evidence.follows:
+    course, fit = evidence.course, evidence.yaw_fit
+    if course is None or fit is None or fit.course_change < LEAST_TURN:
         return evidence
-    late = search_offset(drive, evidence.course)
+    if evidence.yaw.known and abs(fit.late) < SEARCHED:
+        return evidence
+    late = search_offset(drive, course)
     if late is None:  # without the clock no axis can be read
-        unknown = yaw_of(None)
-        return replace(evidence, yaw=unknown, mount=None, clock=clock_of(None, unknown, None, None))
+        return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
     rest = 0.0
-    for _ in range(2):  # the fits say the rest
-        moved = replace(drive, gps=replace(drive.gps, time=drive.gps.time - late))
-        evidence = _gather(moved)
+    for _ in range(2):  # the fits give the rest
+        evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - late)))
         rest = evidence.clock.late if np.isfinite(evidence.clock.std) else 0.0
         late += rest
-    clock = ClockOffset(late, max(evidence.clock.std, 0.05), WIDEST)
-    return replace(evidence, clock=clock, moved=late - rest)
+    return replace(
+        evidence, clock=ClockOffset(late, max(evidence.clock.std, 0.05), WIDEST), moved=late - rest
+    )
 
 
 def _gather(drive: Drive) -> Evidence:
     gps, imu = drive.gps, drive.imu
-    old = frozen_fixes(gps)
-    inside = ~old & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
+    position, stale = gps.x + 1j * gps.y, frozen_fixes(gps)
+    inside = ~stale & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     off = np.zeros(len(gps), dtype=np.bool_)
-    off[inside] = jumps(gps.time[inside], (gps.x + 1j * gps.y)[inside])
+    off[inside] = jumps(gps.time[inside], position[inside])
     used = np.flatnonzero(inside & ~off)
-    if len(used) < FEWEST:
-        yaw = yaw_of(None)
-        blind = clock_of(None, yaw, None, None)
-        return Evidence(drive, old, off, used, None, None, yaw, None, None, blind, 0.0, 0.0)
-    course = course_of(gps.time[used], (gps.x + 1j * gps.y)[used])
-    mounting = mounting_of(drive, course)
+    course = course_of(gps.time[used], position[used]) if len(used) >= FEWEST else None
+    mounting = course and mounting_of(drive, course)
     if mounting and mounting.needed:
         imu = turned(imu, mounting.repair)
         drive = replace(drive, imu=imu)
-    yaw_fit = fit_yaw(drive, course)
-    yaw = yaw_of(yaw_fit)
-    acceleration = None
-    if course.moving.any():
-        rate: Array = yaw.factor * getattr(imu, yaw.column)
+    yaw_fit = course and fit_yaw(drive, course)
+    yaw, acceleration = yaw_of(yaw_fit), None
+    if course and course.moving.any():
         coarse = yaw_fit.late if yaw_fit and yaw.known and yaw_fit.share > 0.5 else 0.0
         acceleration = fit_acceleration(
-            drive, course, lambda late: heading_of(imu.time, course, rate, late), coarse + LATENESS
+            drive, course, yaw.factor * getattr(imu, yaw.column), coarse + LATENESS
         )
-    mount = mount_of(acceleration) if acceleration else None
-    noise, scatter = white_noise(course.position), 0.0
+    mount = acceleration and mount_of(acceleration)
+    clock = clock_of(yaw_fit, yaw, acceleration, mount)
+    noise, scatter = white_noise(course.position) if course else 0.0, 0.0
     if acceleration:
-        noise, scatter = _noise(acceleration)
+        n = acceleration.rows.shape[1]  # each window's own three unknowns take their share
+        noise = _spread(np.diff(acceleration.residual, n=2, axis=1)) / np.sqrt(6.0)
+        scatter = _spread(acceleration.residual) * np.sqrt(n / (n - 3))
         off[used[_far_off(acceleration)]] = True
     return Evidence(
-        drive,
-        old,
-        off,
-        used,
-        course,
-        yaw_fit,
-        yaw,
-        acceleration,
-        mount,
-        clock_of(yaw_fit, yaw, acceleration, mount),
-        noise,
-        scatter,
-        mounting,
+        drive, stale, off, used, course, yaw_fit, yaw, acceleration, mount, clock, noise, scatter, mounting
     )
 
 
-def _noise(acceleration: AccelerationFit) -> tuple[float, float]:
-    """m per axis: noise from one fix to the next, and scatter about the IMU's path; both robust."""
-    second = np.diff(acceleration.residual, n=2, axis=1)
-
-    def spread(v: Complex) -> float:
-        return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
-
-    n = acceleration.rows.shape[1]  # each window's own three unknowns take their share
-    return spread(second) / np.sqrt(6.0), spread(acceleration.residual) * np.sqrt(n / (n - 3))
+def _spread(v: Complex) -> float:
+    """The robust standard deviation per axis."""
+    return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
 
 
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
-    """Numbers, among the used fixes, of those that lie far off the IMU's path in every window."""
-    size = np.abs(acceleration.residual)
+    """Indices, among the used fixes, of those that lie far off the IMU's path in every window."""
+    size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
     off = size > 0.2 + 4 * float(np.quantile(size, 0.9))  # m; of Gaussian noise that is 8.6 deviations
-    rows, counts = np.unique(acceleration.rows, return_counts=True)
-    far, times = np.unique(acceleration.rows[off], return_counts=True)
-    return far[times == counts[np.searchsorted(rows, far)]]
+    times, far = (
+        np.bincount(rows.ravel(), minlength=count) for rows in (acceleration.rows, acceleration.rows[off])
+    )
+    return np.flatnonzero((far > 0) & (far == times))

@@ -10,38 +10,20 @@ Severity = Literal["note", "warning", "serious"]
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
 """serious: filters tuned on this log learn the fault; warning: they suffer from it; note: good to know."""
 
-Action = Literal[
-    "shift-clock",
-    "rotate",
-    "gyro",
-    "tilt-rates",
-    "accelerometer",
-    "turn",
-    "level",
-    "shift-fixes",
-    "drop-fixes",
-    "drop-samples",
-    "state-noise",
-    "velocity",
-    "odometer",
-    "shift-odometer",
-    "drop-readings",
-    "close-jump",
-]
-
 
 @dataclass(frozen=True)
 class Repair:
-    """The mending of a finding; `sigmaswarm.doctor.repairs` does it.
+    """The repair of a finding, which `sigmaswarm.doctor.repairs` applies.
 
     Attributes
     ----------
     action : str
+        A key of `sigmaswarm.doctor.repairs.ACTIONS`.
     values : tuple of float
-        Parameters of the action; see `repairs.py`.
+        Parameters of the action.
     """
 
-    action: Action
+    action: str
     values: tuple[float, ...]
 
 
@@ -90,7 +72,7 @@ def finding_of(
     confidence: float,
     repair: Repair | None = None,
 ) -> Finding:
-    """A finding in the words of a remark that reading makes as well."""
+    """Return a remark of the reader as a finding."""
     where = f"{remark.file}, {remark.columns}"
     return Finding(remark.code, severity, remark.what, where, span, confidence, remark.remedy, repair)
 

@@ -25,28 +25,16 @@ SLOWEST = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Velocity of the car from its fixes, at the fixes' times.
+    """Velocity of the car from its fixes, at the fixes' times."""
 
-    Attributes
-    ----------
-    time : (n,) s
-    position : (n,) m, east + i north
-    velocity : (n,) m/s, east + i north; the mean over about ``span``, weighted by a parabola
-    std : m/s per axis, its deviation from the fixes' white noise
-    angle : (n,) rad, the course, unwrapped
-    moving : (n,) bool: fast enough that noise does not make the course
-    slowest : m/s, that speed
-    span : s
-    """
-
-    time: Array
-    position: Complex
-    velocity: Complex
-    std: float
-    angle: Array
-    moving: Mask
-    slowest: float
-    span: float
+    time: Array  # (n,) s
+    position: Complex  # (n,) m, east + i north
+    velocity: Complex  # (n,) m/s, east + i north; the mean over about `span`, weighted by a parabola
+    std: float  # m/s per axis, of the velocity, from the fixes' white noise
+    angle: Array  # (n,) rad, the course, unwrapped
+    moving: Mask  # (n,): fast enough that noise does not make the course
+    slowest: float  # m/s, that speed
+    span: float  # s
 
 
 def jumps(time: Array, position: Complex) -> Mask:
@@ -54,17 +42,15 @@ def jumps(time: Array, position: Complex) -> Mask:
     kept = np.arange(len(time))
     for _ in range(20):  # the worst of each neighborhood at a time: it spoils its neighbors' lines too
         off = np.abs(_off_line(time[kept], position[kept]))
-        step = np.gradient(time[kept])
-        scale = 1.5 * float(np.median(off))
-        limit = 8 * scale + 0.5 * HARDEST * (NEIGHBORS * step) ** 2
-        worst = np.array([off[max(i - NEIGHBORS, 0) : i + NEIGHBORS + 1].max() for i in range(len(kept))])
+        limit = 12 * float(np.median(off)) + 0.5 * HARDEST * (NEIGHBORS * np.gradient(time[kept])) ** 2
+        worst = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(
+            axis=1
+        )
         bad = (off > limit) & (off == worst)
         if not bad.any() or len(kept) - bad.sum() < 10:
             break
         kept = kept[~bad]
-    mask = np.ones(len(time), dtype=np.bool_)
-    mask[kept] = False
-    return mask
+    return ~np.isin(np.arange(len(time)), kept)
 
 
 def _off_line(time: Array, position: Complex) -> Complex:
@@ -82,23 +68,21 @@ def _off_line(time: Array, position: Complex) -> Complex:
 
 def course_of(time: Array, position: Complex) -> Course:
     """Speed and course from straight lines through short stretches of fixes."""
-    interval = float(np.median(np.diff(time)))
-    noise = white_noise(position)
+    interval, noise = float(np.median(np.diff(time))), white_noise(position)
     # a line through n fixes over T: std = noise sqrt(12 / n) / T
     span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN))
     span = max(span, 4.5 * interval)
-    first = np.searchsorted(time, time - span / 2, side="left")
-    last = np.searchsorted(time, time + span / 2, side="right")
+    first, last = np.searchsorted(time, time - span / 2), np.searchsorted(time, time + span / 2, side="right")
     velocity = np.zeros(len(time), dtype=np.complex128)
-    for i, (a, b) in enumerate(zip(first, last, strict=True)):
-        t = time[a:b] - time[a:b].mean()
-        if b - a >= 3:
-            velocity[i] = t @ position[a:b] / (t @ t)
+    for i in np.flatnonzero(last - first >= 3):
+        stretch = slice(first[i], last[i])
+        t = time[stretch] - time[stretch].mean()
+        velocity[i] = t @ position[stretch] / (t @ t)
     whole = (last - first) >= 0.7 * span / interval  # no velocity across a gap or at the ends
     whole &= (time - span / 2 >= time[0] - interval) & (time + span / 2 <= time[-1] + interval)
-    std = noise * np.sqrt(12 * interval / span) / span
-    slowest = max(SLOWEST, 6 * float(std))
+    std = float(noise * np.sqrt(12 * interval / span) / span)
+    slowest = max(SLOWEST, 6 * std)
     moving = whole & (np.abs(velocity) > slowest)
     angle = np.zeros(len(time))
     angle[moving] = np.unwrap(np.angle(velocity[moving]))
-    return Course(time, position, velocity, float(std), angle, moving, slowest, span)
+    return Course(time, position, velocity, std, angle, moving, slowest, span)

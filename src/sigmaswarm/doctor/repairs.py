@@ -3,21 +3,21 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
-from sigmaswarm.doctor.findings import Action, Diagnosis
+from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.doctor.mounting import turned
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.geodesy import wrap_angle
-
-Values = tuple[float, ...]
 
 
 def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
-    """A copy of the drive with everything mended that can be.
+    """A copy of the drive with all faults repaired that can be.
 
     Parameters
     ----------
@@ -29,151 +29,132 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     Returns
     -------
     Drive
-        Under the same name; ``repaired`` in its metadata lists the findings that were mended.
+        Under the same name; ``repaired`` in its metadata lists the findings that were repaired.
     """
-    repairs = [f.repair for f in diagnosis.findings if f.repair is not None]
-    if not repairs:
+    found = [(f.code, f.repair) for f in diagnosis.findings if f.repair is not None]
+    if not found:
         return drive
-    for action, mend in ACTIONS.items():
+    for action, apply in ACTIONS.items():
         # The latest first, so that a moment that is named by its time still has it.
-        for fix in sorted((r for r in repairs if r.action == action), key=lambda r: r.values, reverse=True):
-            drive = mend(drive, fix.values)
-    mended = dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None)
-    before = list(drive.metadata.get("repaired", []))
-    return replace(drive, metadata={**drive.metadata, "repaired": [*before, *mended]})
+        for values in sorted((r.values for _, r in found if r.action == action), reverse=True):
+            drive = apply(drive, *values)
+    repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
+    return replace(drive, metadata={**drive.metadata, "repaired": repaired})
 
 
-def _rotate(drive: Drive, values: Values) -> Drive:
+def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
+    """The drive with other columns of a sensor, where it has that sensor."""
+    table = getattr(drive, sensor)
+    return replace(drive, **{sensor: table and replace(table, **columns)})
+
+
+def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
+    """Add s to a sensor's times."""
+    table = getattr(drive, sensor)
+    return _with(sensor, drive, time=table and table.time + seconds)
+
+
+def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
+    """Leave out the rows of these times, s."""
+    table = getattr(drive, sensor)
+    return replace(drive, **{sensor: table.select(~np.isin(table.time, times))})
+
+
+def _rotate(drive: Drive, *rotation: float) -> Drive:
     """The rotation (3, 3), row by row, of all six axes."""
-    return replace(drive, imu=turned(drive.imu, np.reshape(values, (3, 3))))
+    return replace(drive, imu=turned(drive.imu, np.reshape(rotation, (3, 3))))
 
 
-def _gyro(drive: Drive, values: Values) -> Drive:
+def _gyro(drive: Drive, column: float, factor: float) -> Drive:
     """Column (0, 1, 2 for gx, gy, gz) that is the yaw rate, and its factor; a unit's goes for all columns."""
-    imu, (column, factor) = drive.imu, values
     name = ("gx", "gy", "gz")[int(column)]
-    rates = {n: getattr(imu, n) for n in ("gx", "gy", "gz")}
+    rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
     changed = {n: v * (factor if n == "gz" else abs(factor)) for n, v in rates.items() if v is not None}
-    return replace(drive, imu=replace(imu, **changed))
+    return _with("imu", drive, **changed)
 
 
-def _tilt_rates(drive: Drive, values: Values) -> Drive:
+def _tilt_rates(drive: Drive, a: float, b: float, c: float, d: float) -> Drive:
     """The matrix (2, 2), row by row, for gx and gy."""
-    imu, (a, b, c, d) = drive.imu, values
-    if imu.gx is None or imu.gy is None:
+    gx, gy = drive.imu.gx, drive.imu.gy
+    if gx is None or gy is None:
         return drive
-    return replace(drive, imu=replace(imu, gx=a * imu.gx + b * imu.gy, gy=c * imu.gx + d * imu.gy))
+    return _with("imu", drive, gx=a * gx + b * gy, gy=c * gx + d * gy)
 
 
-def _accelerometer(drive: Drive, values: Values) -> Drive:
+def _accelerometer(drive: Drive, a: float, b: float, c: float, d: float, up: float) -> Drive:
     """The matrix (2, 2), row by row, for ax and ay, and a factor for az."""
-    imu, (a, b, c, d, up) = drive.imu, values
-    az = None if imu.az is None else up * imu.az
-    return replace(drive, imu=replace(imu, ax=a * imu.ax + b * imu.ay, ay=c * imu.ax + d * imu.ay, az=az))
+    ax, ay, az = drive.imu.ax, drive.imu.ay, drive.imu.az
+    return _with("imu", drive, ax=a * ax + b * ay, ay=c * ax + d * ay, az=None if az is None else up * az)
 
 
-def _turn(drive: Drive, values: Values) -> Drive:
+def _turn(drive: Drive, angle: float) -> Drive:
     """rad, by which the sensor's level axes are turned back about z, those of the gyro with them."""
-    c, s = math.cos(values[0]), math.sin(values[0])
-    return _tilt_rates(_accelerometer(drive, (c, -s, s, c, 1.0)), (c, -s, s, c))
+    c, s = math.cos(angle), math.sin(angle)
+    return _tilt_rates(_accelerometer(drive, c, -s, s, c, 1.0), c, -s, s, c)
 
 
-def _level(drive: Drive, values: Values) -> Drive:
+def _level(drive: Drive, x: float, y: float) -> Drive:
     """Constants to be taken off ax and ay, m/s2."""
-    imu = drive.imu
-    return replace(drive, imu=replace(imu, ax=imu.ax - values[0], ay=imu.ay - values[1]))
+    return _with("imu", drive, ax=drive.imu.ax - x, ay=drive.imu.ay - y)
 
 
-def _shift_fixes(drive: Drive, values: Values) -> Drive:
-    """s, to be added to the fixes' times."""
-    return replace(drive, gps=replace(drive.gps, time=drive.gps.time + values[0]))
-
-
-def _drop_fixes(drive: Drive, values: Values) -> Drive:
-    """The times, s, of fixes to leave out."""
-    return replace(drive, gps=drive.gps.select(~np.isin(drive.gps.time, values)))
-
-
-def _drop_samples(drive: Drive, values: Values) -> Drive:
-    """The times, s, of IMU samples to leave out."""
-    return replace(drive, imu=drive.imu.select(~np.isin(drive.imu.time, values)))
-
-
-def _state_noise(drive: Drive, values: Values) -> Drive:
+def _state_noise(drive: Drive, std: float) -> Drive:
     """m per axis, target of the median of the stated deviations."""
-    gps = drive.gps
-    if gps.std_x is not None and gps.std_y is not None:
-        factor = values[0] / float(np.median(np.concatenate([gps.std_x, gps.std_y])))
-        drive = replace(drive, gps=replace(gps, std_x=factor * gps.std_x, std_y=factor * gps.std_y))
+    x, y = drive.gps.std_x, drive.gps.std_y
+    if x is not None and y is not None:
+        factor = std / float(np.median(np.concatenate([x, y])))
+        drive = _with("gps", drive, std_x=factor * x, std_y=factor * y)
     if "gps_std_m" in drive.metadata:
-        drive = replace(drive, metadata={**drive.metadata, "gps_std_m": values[0]})
+        drive = replace(drive, metadata={**drive.metadata, "gps_std_m": std})
     return drive
 
 
-def _velocity(drive: Drive, values: Values) -> Drive:
+def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
     """A factor for speed, and which of `CONVENTIONS` (from 1) the course is in; 0 for the right one."""
-    gps, (factor, convention) = drive.gps, values
-    if gps.speed is None or gps.course is None:
+    speed, course = drive.gps.speed, drive.gps.course
+    if speed is None or course is None:
         return drive
-    course = gps.course
     if convention:
         course = wrap_angle(list(CONVENTIONS.values())[int(convention) - 1](course))
-    return replace(drive, gps=replace(gps, speed=factor * gps.speed, course=course))
+    return _with("gps", drive, speed=factor * speed, course=course)
 
 
-def _odometer(drive: Drive, values: Values) -> Drive:
+def _odometer(drive: Drive, factor: float) -> Drive:
     """A factor for the odometer's speed."""
-    wheels = drive.odometer
-    return replace(drive, odometer=wheels and replace(wheels, speed=values[0] * wheels.speed))
+    return _with("odometer", drive, speed=drive.odometer and factor * drive.odometer.speed)
 
 
-def _shift_odometer(drive: Drive, values: Values) -> Drive:
-    """s, to be added to the odometer's times."""
-    wheels = drive.odometer
-    return replace(drive, odometer=wheels and replace(wheels, time=wheels.time + values[0]))
-
-
-def _drop_readings(drive: Drive, values: Values) -> Drive:
+def _drop_readings(drive: Drive, *ends: float) -> Drive:
     """From when to when, s, and so on: the readings of the odometer to leave out."""
-    wheels = drive.odometer
-    spans = zip(values[::2], values[1::2], strict=True)
-    return replace(drive, odometer=(wheels and without(wheels, spans)) or None)
+    spans = zip(ends[::2], ends[1::2], strict=True)
+    return replace(drive, odometer=(drive.odometer and without(drive.odometer, spans)) or None)
 
 
-def _close_jump(drive: Drive, values: Values) -> Drive:
+def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
     """A moment, s, and by how much, s, all later times are too late."""
-    moment, jump = values
-
-    def closed(time: Array) -> Array:
-        return np.where(time > moment, time - jump, time)
-
-    truth, wheels = drive.truth, drive.odometer
-    return replace(
-        drive,
-        imu=replace(drive.imu, time=closed(drive.imu.time)),
-        gps=replace(drive.gps, time=closed(drive.gps.time)),
-        truth=truth and replace(truth, time=closed(truth.time)),
-        odometer=wheels and replace(wheels, time=closed(wheels.time)),
-    )
+    for sensor in ("imu", "gps", "truth", "odometer"):
+        if table := getattr(drive, sensor):
+            drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
+    return drive
 
 
-ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
-    "shift-clock": _shift_fixes,
-    "drop-samples": _drop_samples,
-    "drop-fixes": _drop_fixes,
+ACTIONS: dict[str, Callable[..., Drive]] = {
+    "shift-clock": partial(_shift, "gps"),
+    "drop-samples": partial(_drop, "imu"),
+    "drop-fixes": partial(_drop, "gps"),
     "rotate": _rotate,
     "gyro": _gyro,
     "tilt-rates": _tilt_rates,
     "accelerometer": _accelerometer,
     "turn": _turn,
     "level": _level,
-    "shift-fixes": _shift_fixes,
+    "shift-fixes": partial(_shift, "gps"),
     "state-noise": _state_noise,
     "velocity": _velocity,
     "drop-readings": _drop_readings,
     "odometer": _odometer,
-    "shift-odometer": _shift_odometer,
+    "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
 """In the order in which they are done: rows are named by the times they came with, fixes by those of a moved clock."""

@@ -33,50 +33,40 @@ CLEAR_OFFSET = (2.5, 3.3, 4.5)
 """Deviations: from the first on a note, from the second on a warning and a repair, from the third on serious."""
 MOUNTED = math.radians(40)
 """Beyond that, a rotation counts as axes exchanged."""
+ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
 @dataclass(frozen=True)
 class Yaw:
     """The yaw rate in rad/s as a column times a factor; ``known`` if the drive shows it."""
 
-    column: str
-    factor: float
-    known: bool
+    column: str = "gz"
+    factor: float = 1.0
+    known: bool = False
 
 
-def yaw_of(yaw_fit: YawFit | None) -> Yaw:
+def yaw_of(fit: YawFit | None) -> Yaw:
     """Column, sign and unit of the gyro that agree with the course; if unclear those of the format."""
-    size = 0.0 if yaw_fit is None else abs(yaw_fit.gain) / max(yaw_fit.std, 1e-12)
-    if yaw_fit is None or size < 6 or (yaw_fit.share < LEAST_SHARE and size < CERTAIN):
-        return Yaw("gz", 1.0, known=False)
-    for factor in (1.0, -1.0, DEGREE, -DEGREE):
-        ratio = yaw_fit.gain / factor
-        if 1 / FAMILIAR < ratio < FAMILIAR:
-            return Yaw(yaw_fit.column, factor, known=True)
-    return Yaw("gz", 1.0, known=False)
+    size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
+    if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
+        return Yaw()
+    fitting = [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FAMILIAR < fit.gain / f < FAMILIAR]
+    return Yaw(fit.column, fitting[0], known=True) if fitting else Yaw()
 
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The reading of the accelerometers' columns.
+    """The reading of the accelerometers' columns."""
 
-    Attributes
-    ----------
-    axes : (2, 2), signed permutation of (ax, ay)
-    unit : 1, or m/s2 per g
-    angle, angle_std : rad: the axes, so read, are turned about z by -angle against the car
-    margin : how much better (chi-square) this reading is than the log as it stands
-    known : (forward, left): True if the drive shows that axis
-    scale : (forward, left): remaining factor, and its deviation
-    """
-
-    axes: Array
-    unit: float
-    angle: float
-    angle_std: float
-    margin: float
-    known: tuple[bool, bool]
-    scale: tuple[tuple[float, float], tuple[float, float]]
+    axes: Array  # (2, 2), signed permutation of (ax, ay)
+    unit: float  # 1, or m/s2 per g
+    angle: float  # rad: the axes, so read, are turned about z by -angle against the car
+    angle_std: float  # rad
+    margin: float  # how much better (chi-square) this reading is than the log as it stands
+    known: tuple[bool, bool]  # (forward, left): True if the drive shows that axis
+    scale: tuple[
+        tuple[float, float], tuple[float, float]
+    ]  # (forward, left): remaining factor, and its deviation
 
     @property
     def matrix(self) -> Array:
@@ -84,73 +74,62 @@ class Mount:
         return self.unit * self.axes
 
 
-def mount_of(acceleration: AccelerationFit) -> Mount:
+def _expected(axes: Array, unit: float, angle: float) -> tuple[Array, Array]:
+    """The entries (4,) of M for a reading of the columns, and the variances of their tolerances as a matrix."""
+    c, s = math.cos(angle), math.sin(angle)
+    slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
+    return unit * (np.array([[c, -s], [s, c]]) @ axes).ravel(), np.diag(slack**2)
+
+
+def mount_of(fit: AccelerationFit) -> Mount:
     """The simplest reading of the columns that the fit agrees with."""
-    found = acceleration.matrix.ravel()
-    covariance = acceleration.covariance[:4, :4]
-    angles = np.radians(np.arange(-40.0, 40.5, 0.5))
+    covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
+    spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 
     def misfit(axes: Array, unit: float, angle: float) -> float:
-        c, s = math.cos(angle), math.sin(angle)
-        expected = unit * (np.array([[c, -s], [s, c]]) @ axes)
-        slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
-        off = found - expected.ravel()
-        return float(off @ np.linalg.solve(covariance + np.diag(slack**2), off))
+        expected, slack = _expected(axes, unit, angle)
+        off = fit.matrix.ravel() - expected
+        return float(off @ np.linalg.solve(covariance + slack, off))
 
-    as_it_is = misfit(np.eye(2), 1.0, 0.0)
-    best, reading = as_it_is, (np.eye(2), 1.0)
-    for axes, unit in product(_signed_permutations(), (1.0, GRAVITY)):
-        plain = np.array_equal(axes, np.eye(2))
-        price = 6.0 * (unit != 1) + 6.0 * (not plain) + 2.0 * (np.count_nonzero(np.diag(axes)) == 0)
-        turned = min(
-            misfit(axes, unit, angle) + (6.0 if abs(angle) > MOUNTED / 8 else 0.0) for angle in angles
-        )
-        if turned + price < best:
-            best, reading = turned + price, (axes, unit)
-    if as_it_is - best < CLEARLY and not (np.array_equal(reading[0], np.eye(2)) and reading[1] == 1):
-        reading = (np.eye(2), 1.0)
-    axes, unit = reading
-    known = _known(acceleration, axes, unit)
-    changed = [not np.array_equal(row, usual) for row, usual in zip(axes, np.eye(2), strict=True)]
-    if unit == 1 and not any(k and c for k, c in zip(known, changed, strict=True)):
-        axes = np.eye(2)  # an axis that the drive does not show stays as it is
-    misfits = np.array([misfit(axes, unit, angle) for angle in angles])
-    k = int(np.clip(np.argmin(misfits), 1, len(angles) - 2))
-    bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (angles[1] - angles[0]) ** 2
-    spread = np.sqrt(np.diag(covariance)).reshape(2, 2) / unit
-    turned_back = acceleration.matrix @ axes.T / unit
-    scale = tuple((float(turned_back[i, i]), float((spread @ np.abs(axes.T))[i, i])) for i in range(2))
+    def deviation(axes: Array, unit: float) -> Array:
+        return np.diag(spread / unit @ np.abs(axes.T))
+
+    plain = misfit(as_recorded, 1.0, 0.0)
+    readings = [(plain, as_recorded, 1.0)]
+    for order, signs, unit in product(
+        (np.eye(2), np.eye(2)[::-1]), product((1.0, -1.0), repeat=2), (1.0, GRAVITY)
+    ):
+        axes = np.diag(signs) @ order
+        price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
+        turned = min(misfit(axes, unit, angle) + 6.0 * (abs(angle) > MOUNTED / 8) for angle in ANGLES)
+        readings.append((turned + price, axes, unit))
+    best, axes, unit = min(readings, key=lambda reading: reading[0])
+    if plain - best < CLEARLY:
+        axes, unit = as_recorded, 1.0
+    if unit == 1 and not ((deviation(axes, unit) < SHOWN) & (axes != as_recorded).any(axis=1)).any():
+        axes = as_recorded  # an axis that the drive does not show stays as it is
+    misfits = np.array([misfit(axes, unit, angle) for angle in ANGLES])
+    k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
+    bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
+    (x, y), (dx, dy) = np.diag(fit.matrix @ axes.T / unit).tolist(), deviation(axes, unit).tolist()
     return Mount(
         axes,
         unit,
-        float(angles[np.argmin(misfits)]),
+        float(ANGLES[np.argmin(misfits)]),
         float(math.sqrt(2 / bend)) if bend > 0 else math.inf,
-        as_it_is - best,
-        _known(acceleration, axes, unit),
-        scale,  # pyright: ignore[reportArgumentType]
+        plain - best,
+        (dx < SHOWN, dy < SHOWN),
+        ((x, dx), (y, dy)),
     )
-
-
-def _known(acceleration: AccelerationFit, axes: Array, unit: float) -> tuple[bool, bool]:
-    """The axes, forward and left, that the drive shows well enough, were the columns read so."""
-    spread = np.sqrt(np.diag(acceleration.covariance)[:4]).reshape(2, 2) / unit
-    forward, left = np.diag(spread @ np.abs(axes.T)) < SHOWN
-    return bool(forward), bool(left)
-
-
-def _signed_permutations() -> list[Array]:
-    """All eight ways to read two columns as forward and left, the format's own first."""
-    orders = (np.eye(2), np.eye(2)[::-1])
-    return [np.diag([a, b]) @ order for order in orders for a, b in product((1.0, -1.0), repeat=2)]
 
 
 @dataclass(frozen=True)
 class ClockOffset:
     """Delay of the fixes, s, its standard deviation, and the largest one searched."""
 
-    late: float
-    std: float
-    searched: float
+    late: float = 0.0
+    std: float = math.inf
+    searched: float = 0.0
 
     @property
     def least(self) -> float:
@@ -168,27 +147,21 @@ def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
 ) -> ClockOffset:
     """The delay by accelerometers and gyro together; the less certain, the more they disagree."""
-    told: list[tuple[float, float]] = []
+    found: list[tuple[float, float]] = []
     searched = float(acceleration_fit.LATENESS[-1])
     if acceleration is not None and mount is not None:
-        told.append(_late_given(acceleration, mount))
+        # The delay and its deviation, now that M is about known: the fit's Gaussian, conditioned.
+        expected, slack = _expected(mount.axes, mount.unit, mount.angle)
+        covariance = acceleration.covariance
+        gain = np.linalg.solve(covariance[:4, :4] + slack, covariance[:4, 4])
+        late = acceleration.late + gain @ (expected - acceleration.matrix.ravel())
+        found.append((float(late), math.sqrt(max(covariance[4, 4] - gain @ covariance[:4, 4], 1e-6))))
     if yaw_fit is not None and yaw.known and yaw_fit.share > 0.5:
-        told.append((yaw_fit.late, yaw_fit.late_std))
+        found.append((yaw_fit.late, yaw_fit.late_std))
         searched = float(LATENESS[-1])
-    if not told:
-        return ClockOffset(0.0, math.inf, 0.0)
-    weight = np.array([1 / std**2 for _, std in told])
-    late = float(weight @ [late for late, _ in told] / weight.sum())
-    chi = float(weight @ [(value - late) ** 2 for value, _ in told]) / max(len(told) - 1, 1)
+    if not found:
+        return ClockOffset()
+    weight = np.array([1 / std**2 for _, std in found])
+    late = float(weight @ [late for late, _ in found] / weight.sum())
+    chi = float(weight @ [(value - late) ** 2 for value, _ in found]) / max(len(found) - 1, 1)
     return ClockOffset(late, math.sqrt(max(chi, 1.0) / weight.sum()), searched)
-
-
-def _late_given(acceleration: AccelerationFit, mount: Mount) -> tuple[float, float]:
-    """The lateness and its deviation, now that M is about known (the fit's Gaussian, conditioned)."""
-    c, s = math.cos(mount.angle), math.sin(mount.angle)
-    expected = (mount.unit * np.array([[c, -s], [s, c]]) @ mount.axes).ravel()
-    slack = mount.unit * np.where(mount.axes != 0, SCALE, ALIKE).ravel()
-    covariance = acceleration.covariance
-    gain = np.linalg.solve(covariance[:4, :4] + np.diag(slack**2), covariance[:4, 4])
-    late = acceleration.late + gain @ (expected - acceleration.matrix.ravel())
-    return float(late), float(math.sqrt(max(covariance[4, 4] - gain @ covariance[:4, 4], 1e-6)))

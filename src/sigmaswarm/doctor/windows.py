@@ -1,8 +1,8 @@
-"""Overlapping windows over the fixes, and least squares with unknowns that belong to one window alone."""
+"""Integrals, means, overlapping windows over the fixes, and least squares with unknowns of one window alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,39 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array
 
 Complex = NDArray[np.complexfloating[Any, Any]]
+Values = TypeVar("Values", Array, Complex)
 
 FAR = 4.0
 """Usual sizes of a residual, beyond which a value is downweighted (Cauchy weights)."""
+_NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
+_PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
+
+
+def integral(time: Array, values: Values) -> Values:
+    """The integral from the first sample on, by trapezoids, (n,)."""
+    total: Any = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
+    return total
+
+
+def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
+    """Means around times ``at`` over ``span`` s, weighted by the parabola that a fitted line's slope has."""
+    points = at[:, None] + _NODES * span / 2
+    return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
+
+
+def moving_mean(rows: Array, count: int) -> Array:
+    """The mean of so many samples around each, of rows (r, n), mirrored at their ends.
+
+    It is `scipy.ndimage.uniform_filter1d`, whose import takes longer than all checks.
+    """
+    left = count // 2
+    padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")
+    first = np.cumsum(padded[:, :count], axis=1)[:, -1:]
+    return np.cumsum(np.hstack([first, padded[:, count:] - padded[:, :-count]]), axis=1) / count
 
 
 def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray[np.intp]:
-    """Numbers (w, n) of the fixes of windows of about ``length`` s that overlap by half; none holds a gap."""
+    """Indices (w, n) of the fixes of windows of about ``length`` s that overlap by half; none has a gap."""
     index = np.flatnonzero(usable)
     interval = float(np.median(np.diff(time)))
     count = max(round(length / interval), 8)
@@ -27,22 +53,13 @@ def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A robust fit of y = sum over k of solution[k] columns[k], less what each window's own unknowns explain.
+    """A robust fit of y = sum over k of solution[k] columns[k], less what each window's own unknowns explain."""
 
-    Attributes
-    ----------
-    solution : (k,)
-    covariance : (k, k), which allows for windows that overlap and for correlated residuals
-    residual : (w, n) complex
-    weight : (w, n), the robust weight of each value, 0 to 1
-    cost : the mean size of the residual
-    """
-
-    solution: Array
-    covariance: Array
-    residual: Complex
-    weight: Array
-    cost: float
+    solution: Array  # (k,)
+    covariance: Array  # (k, k), which allows for windows that overlap and for correlated residuals
+    residual: Complex  # (w, n)
+    weight: Array  # (w, n), the robust weight of each value, 0 to 1
+    cost: float  # the mean size of the residual
 
 
 def regress(
@@ -62,8 +79,7 @@ def regress(
     for _ in range(rounds - 1):
         size = np.abs(fit.residual) * weight
         usual = max(float(np.median(size)), 1e-9)
-        robust = 1 / (1 + (size / (FAR * usual)) ** 2)
-        fit = _solve(y, columns, own, weight, robust)
+        fit = _solve(y, columns, own, weight, 1 / (1 + (size / (FAR * usual)) ** 2))
     return fit
 
 
@@ -96,20 +112,8 @@ def _covariance(a: Array, left: Array, own: int) -> Array:
     clusters); twice that, as each fix stands in two windows.
     """
     inverse = np.linalg.pinv(np.einsum("wnk,wnl->kl", a, a), rcond=1e-12, hermitian=True)
-    freedom = max(left.size - 2 * own * len(left), 1)
-    white = inverse * float(np.sum(left**2)) / freedom
+    white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)
     pull = np.einsum("wnk,wn->wk", a, left)
     sandwich = inverse @ (pull.T @ pull) @ inverse
     ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(white), 1e-300), 1.0))
     return 2 * white * np.outer(ratio, ratio)
-
-
-def moving_mean(rows: Array, count: int) -> Array:
-    """The mean of so many samples around each, of rows (r, n), mirrored at their ends.
-
-    It is `scipy.ndimage.uniform_filter1d`, which takes longer to import than all of a doctor's look.
-    """
-    left = count // 2
-    padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")
-    first = np.cumsum(padded[:, :count], axis=1)[:, -1:]
-    return np.cumsum(np.hstack([first, padded[:, count:] - padded[:, :-count]]), axis=1) / count

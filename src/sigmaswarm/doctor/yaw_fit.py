@@ -2,13 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.fixes import Complex, Course
-from sigmaswarm.doctor.windows import Regression, regress, windows_of
+from sigmaswarm.doctor.fixes import Course
+from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, windows_of
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0
@@ -26,49 +25,15 @@ LATENESS = np.arange(-2.5, 2.51, 0.1)
 
 @dataclass(frozen=True, eq=False)
 class YawFit:
-    """A fit of the course to one of the gyro's columns, integrated: course = gain x turned, later by ``late``.
-
-    Attributes
-    ----------
-    column : str
-    gain, std : 1 for a column that turns as the car does
-    share : of the course's changes that the column explains, 0 to 1
-    late, late_std : s, by which the fixes are late
-    course_change : rad, how much the course changes within windows, RMS
-    count : windows that were looked at
-    """
+    """A fit of the course to one of the gyro's columns, integrated: course = gain x turned, later by ``late``."""
 
     column: str
-    gain: float
-    std: float
-    share: float
-    late: float
-    late_std: float
-    course_change: float
-    count: int
-
-
-_NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
-_PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
-
-
-@overload
-def integral(time: Array, values: Array) -> Array: ...
-@overload
-def integral(time: Array, values: Complex) -> Complex: ...
-def integral(time: Array, values: Array | Complex) -> Array | Complex:
-    """The integral from the first sample on, by trapezoids, (n,)."""
-    return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
-
-
-@overload
-def smoothed(time: Array, values: Array, at: Array, span: float) -> Array: ...
-@overload
-def smoothed(time: Array, values: Complex, at: Array, span: float) -> Complex: ...
-def smoothed(time: Array, values: Array | Complex, at: Array, span: float) -> Array | Complex:
-    """Means around times ``at`` over ``span`` s, weighted by the parabola that a fitted line's slope has."""
-    points = at[:, None] + _NODES * span / 2
-    return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
+    gain: float  # 1 for a column that turns as the car does
+    std: float  # of the gain
+    share: float  # of the course's changes that the column explains, 0 to 1
+    late: float  # s, by which the fixes are late
+    late_std: float  # s
+    course_change: float  # rad, how much the course changes within windows, RMS
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
@@ -79,15 +44,13 @@ def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
     own = fit_column(drive, course, "gz", rows)
     if own.share > EXPLAINED:
         return own
-    others = [
-        fit_column(drive, course, name, rows) for name in ("gx", "gy") if getattr(drive.imu, name) is not None
-    ]
-    better = max([own, *others], key=lambda fit: fit.share)
+    names = [name for name in ("gx", "gy") if getattr(drive.imu, name) is not None]
+    better = max([own, *(fit_column(drive, course, name, rows) for name in names)], key=lambda fit: fit.share)
     return better if better.share > own.share + CLEARLY_BETTER else own
 
 
 def yaw_windows(course: Course) -> NDArray[np.intp]:
-    """Numbers (w, n) of the fixes of windows in which the car moves."""
+    """Indices (w, n) of the fixes of windows in which the car moves."""
     interval = float(np.median(np.diff(course.time)))
     length = min(WINDOW, np.count_nonzero(course.moving) * interval - interval)
     return windows_of(course.time, course.moving, length)
@@ -103,42 +66,37 @@ def fit_column(
     turned = integral(time, rate)
     angle = course.angle[rows] + 0j
     t = course.time[rows] - course.time[rows].mean(axis=1, keepdims=True)
-    own = [np.ones_like(angle), t + 0j]
-    weight = np.abs(course.velocity[rows]) / 10
+    own, speed = [np.ones_like(angle), t + 0j], np.abs(course.velocity[rows])
+    weight = speed / 10
+
+    def delayed(values: Array, late: float) -> Array:
+        return smoothed(time, values, course.time - late, course.span)[rows]
 
     def at(late: float, rounds: int = 4, gain: float | None = None) -> Regression:
-        turn = smoothed(time, turned, course.time - late, course.span)
-        columns = [turn]
+        columns = [delayed(turned, late) + 0j]
         if gain is not None:
-            columns += [-gain * smoothed(time, rate, course.time - late, course.span)]
-        return regress(angle, [c[rows] + 0j for c in columns], own, weight, rounds)
+            columns.append(-gain * delayed(rate, late) + 0j)
+        return regress(angle, columns, own, weight, rounds)
 
-    late = float(min(tried, key=lambda late: at(float(late), 1).cost)) if len(tried) > 1 else float(tried[0])
-    late_std = 0.0
+    late, late_std = float(tried[0]), 0.0
+    if len(tried) > 1:
+        late = float(min(tried, key=lambda late: at(float(late), 1).cost))
     for _ in range(4):
-        fit = at(late)
-        gain = float(fit.solution[0])
-        joint = at(late, gain=gain)
+        joint = at(late, gain=float(at(late).solution[0]))
         # A car that never turns shows nothing of the clock: the column is zero, and so is its covariance.
         late_std = math.sqrt(joint.covariance[1, 1]) or math.inf
         late += float(np.clip(joint.solution[1], -0.1, 0.1))
     fit = at(late)
-    turning = smoothed(time, rate, course.time - late, course.span)[rows] ** 2
-    slowness = float(
-        np.sum(turning / np.abs(course.velocity[rows])) / max(np.sum(turning), 1e-12)
-    )  # s/m, in turns
+    turning = delayed(rate, late) ** 2
+    slowness = float(np.sum(turning / speed) / max(np.sum(turning), 1e-12))  # s/m, in turns
     flat = regress(angle, [np.zeros_like(angle)], own, weight, 1)
-
-    def power(r: Regression) -> float:
-        return float(np.sum(np.abs(weight * r.residual) ** 2))
-
+    left, whole = (float(np.sum(np.abs(weight * r.residual) ** 2)) for r in (fit, flat))
     return YawFit(
         column,
         float(fit.solution[0]),
         float(np.sqrt(fit.covariance[0, 0])),
-        1 - power(fit) / max(power(flat), 1e-12),
+        1 - left / max(whole, 1e-12),
         late + AHEAD[0] * slowness,
         float(np.hypot(late_std, AHEAD[1] * slowness)),
         float(np.sqrt(np.mean(np.abs(flat.residual) ** 2))),
-        len(rows),
     )

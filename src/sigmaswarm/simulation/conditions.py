@@ -11,7 +11,7 @@ from sigmaswarm.datasets.cluster import Cluster
 from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.simulation.environments import ENVIRONMENTS, find_environment
+from sigmaswarm.simulation.environments import ENVIRONMENTS, named
 from sigmaswarm.simulation.maneuvers import MANEUVERS, find_maneuver
 from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
 
@@ -76,7 +76,14 @@ def simulate_many(
         As from `simulate`, before the first drive.
     """
     duration = options.pop("duration", None)
-    _check(maneuvers, environments, runs, duration)
+    # Names that only a later drive would use; the first drive checks everything else.
+    for maneuver in maneuvers:
+        find_maneuver(maneuver)
+    for environment in environments:
+        named(environment, ENVIRONMENTS, "environment")
+    if runs < 1:
+        raise InputError(f"runs is {runs}; choose 1 or more")
+    check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)
 
     def one(maneuver: str, environment: str, run: int) -> Any:
         seconds = duration if maneuver == "urban" else None
@@ -84,10 +91,16 @@ def simulate_many(
         return drive if use is None else use(drive)
 
     names = [(m, e, r) for m in maneuvers for e in environments for r in range(runs)]
-    names = [name for name in names if drive_name(*name) not in leave_out]
     pool = executor if executor is not None else ThreadPoolExecutor(workers or os.cpu_count())
+    waiting: deque[Future[Any]] = deque()  # at most `ahead` drives, which bounds memory
     try:
-        yield from _in_order(pool, one, names, ahead)
+        for name in names:
+            if drive_name(*name) not in leave_out:
+                waiting.append(pool.submit(one, *name))
+            if len(waiting) > ahead:
+                yield waiting.popleft().result()
+        for future in waiting:
+            yield future.result()
     finally:
         if executor is None:
             pool.shutdown(cancel_futures=True)
@@ -111,27 +124,3 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive
             yield from simulate_many(*what, executor=pool, ahead=2 * max(threads, 8), **options)
     except (OSError, CancelledError):
         raise cluster.lost_scheduler() from None
-
-
-def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None) -> None:
-    """Raise InputError for names that only a later drive would use; the first drive checks everything else."""
-    for maneuver in maneuvers:
-        find_maneuver(maneuver)
-    for environment in environments:
-        find_environment(environment)
-    if runs < 1:
-        raise InputError(f"runs is {runs}; choose 1 or more")
-    check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)
-
-
-def _in_order(
-    pool: Executor, work: Callable[..., Any], names: list[tuple[str, str, int]], ahead: int
-) -> Iterator[Any]:
-    """Yield results in the order of the names, with at most `ahead` drives waiting, which bounds memory."""
-    waiting: deque[Future[Any]] = deque()
-    for name in names:
-        waiting.append(pool.submit(work, *name))
-        if len(waiting) > ahead:
-            yield waiting.popleft().result()
-    for future in waiting:
-        yield future.result()

@@ -88,6 +88,16 @@ class Vehicle(NamedTuple):
     full_brake: Array  # m/s2
 
 
+class Drivetrain(NamedTuple):
+    """What the four wheels share at a moment."""
+
+    tangent: float  # of the steering angle
+    peak: float  # slip where the force of a tire peaks
+    drive: float  # N m, of all motors
+    brake: float  # N m, of all brakes
+    friction: float
+
+
 @cached(nogil=True, error_model="numpy")
 def _lookup(x: float, knots: Array, values: Array) -> float:
     """Linear interpolation, constant beyond both ends."""
@@ -185,27 +195,15 @@ def _spin_up(
 
 @cached(nogil=True, error_model="numpy")
 def _wheel(
-    i: int,
-    s: Array,
-    rate: Array,
-    tangent: float,
-    peak: float,
-    load: float,
-    drive: float,
-    brake: float,
-    friction: float,
-    car: Vehicle,
+    i: int, s: Array, rate: Array, load: float, shared: Drivetrain, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Force of wheel i along the body's axes, N, and its moment, N m; fills the rates of its own states.
-
-    `tangent` is the steering angle's, `peak` the slip where the tire's force peaks: the same for all wheels.
-    """
+    """Force of wheel i along the body's axes, N, and its moment, N m; fills the rates of its own states."""
     at_front = i < 2
     along = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
     wheelbase = car.front + car.rear
     # Ackermann: all wheels turn about one point on the rear axle's line.
-    turned = wheelbase * tangent / (wheelbase - across * tangent) if at_front else 0.0
+    turned = wheelbase * shared.tangent / (wheelbase - across * shared.tangent) if at_front else 0.0
     cos = 1.0 / math.sqrt(1.0 + turned * turned)
     sin = turned * cos
 
@@ -223,19 +221,19 @@ def _wheel(
         car.cornering_front if at_front else car.cornering_rear,
         load,
         0.5 * car.mass * GRAVITY * (car.rear if at_front else car.front) / wheelbase,
-        friction,
+        shared.friction,
         car,
     )
-    sliding = slip > 3.0 * peak
+    sliding = slip > 3.0 * shared.peak
     travel = abs(roll_speed)
     # A tire's slip follows that of its wheel over a way, the relaxation length [P].
     kappa_rate = (slide_speed - travel * kappa) / car.relaxation_longitudinal
     alpha_rate = (-side_speed - travel * alpha) / car.relaxation_lateral
     rate[KAPPA + i] = _relax(kappa_rate, kappa, sliding)
     rate[ALPHA + i] = _relax(alpha_rate, alpha, sliding)
-    drive *= 0.5 * (car.drive_front_share if at_front else 1.0 - car.drive_front_share)
-    brake *= 0.5 * (car.brake_front_share if at_front else 1.0 - car.brake_front_share)
-    rate[WHEEL + i] = _spin_up(s[WHEEL + i], abs(slip_x) / peak, load, fx, drive, brake, car)
+    drive = shared.drive * (0.5 * (car.drive_front_share if at_front else 1.0 - car.drive_front_share))
+    brake = shared.brake * (0.5 * (car.brake_front_share if at_front else 1.0 - car.brake_front_share))
+    rate[WHEEL + i] = _spin_up(s[WHEEL + i], abs(slip_x) / shared.peak, load, fx, drive, brake, car)
 
     force_x = cos * fx - sin * fy
     force_y = sin * fx + cos * fy
@@ -254,12 +252,8 @@ def _derivative(
 ) -> tuple[float, float, float]:
     """Fill `rate` with the state's rate of change, under wanted steering (rad) and pedal.
 
-    Returns
-    -------
-    ax, ay : float
-        m/s2, acceleration of the center of gravity along the body's axes.
-    use : float
-        Force of all tires together over friction times weight.
+    Returns the acceleration of the center of gravity along the body's axes, m/s2, and the force of all tires together
+    over friction times weight.
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
     # The springs and dampers transmit the load transfer.
@@ -269,11 +263,11 @@ def _derivative(
         s[ROLL] + 2.0 * car.roll_damping / car.roll_frequency * s[ROLL_RATE],
     )
     drive, brake = _torques(s, car)
-    tangent = math.tan(s[STEER])
     peak = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # of the magic formula
+    shared = Drivetrain(math.tan(s[STEER]), peak, drive, brake, friction)
     force_x = force_y = moment = 0.0
     for i in range(4):
-        fx, fy, m = _wheel(i, s, rate, tangent, peak, loads[i], drive, brake, friction, car)
+        fx, fy, m = _wheel(i, s, rate, loads[i], shared, car)
         force_x += fx
         force_y += fy
         moment += m
@@ -312,9 +306,13 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
 
 @cached(nogil=True, error_model="numpy")
 def _advance(
-    s: Array, k: Array, trial: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
+    s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
-    """One Runge-Kutta step of the state, in place; `row` records the state before it. k: (4, states)."""
+    """One Runge-Kutta step of the state, in place; `row` records the state before it.
+
+    k: (5, states), the four stages' rates, and the state at which the next one is taken.
+    """
+    trial = k[4]
     ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
     _record(row, s, k[0], ax, ay, use)
     for stage in range(1, 4):
@@ -340,32 +338,14 @@ def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> A
 
 @cached(nogil=True, error_model="numpy")
 def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
-    """Drive with given commands.
+    """Drive from a `start_state` with commands at each millisecond; return the recorded columns, (n, 21).
 
-    Parameters
-    ----------
-    car : Vehicle
-        Its parameters.
-    friction : float
-        Of tire on road.
-    start : ndarray, shape (24,)
-        See `start_state`.
-    steer : ndarray, shape (n,)
-        rad, wanted angle of the road wheels at each millisecond.
-    pedal : ndarray, shape (n,)
-        From -1, full brake, to 1, full throttle.
-
-    Returns
-    -------
-    ndarray, shape (n, 20)
-        The recorded columns (AX, ...) at each millisecond.
+    ``steer`` (n,) is the wanted angle of the road wheels, rad, ``pedal`` (n,) goes from -1, full brake, to 1.
     """
     record = np.empty((len(steer), RECORDED))
-    k = np.zeros((4, STATES))
-    trial = np.empty(STATES)
-    s = start.copy()
+    k, s = np.zeros((5, STATES)), start.copy()
     for i in range(len(steer)):
-        _advance(s, k, trial, record[i], steer[i], pedal[i], friction, car)
+        _advance(s, k, record[i], steer[i], pedal[i], friction, car)
     return record
 
 
@@ -420,37 +400,21 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan of speed.
+    """Let the driver follow a path and a plan of speed from a `start_state`; return the recorded columns, (10 m, 21).
 
     Parameters
     ----------
-    car : Vehicle
-        Its parameters.
-    friction : float
-        Of tire on road.
-    start : ndarray, shape (24,)
-        See `start_state`.
     path : ndarray, shape (p, 4)
         East m, north m, heading rad (not wrapped), curvature 1/m, every `spacing` m.
-    spacing : float
-        m.
     plan : ndarray, shape (m, 3)
-        Speed m/s, acceleration m/s2 and way along the path m at each look of the driver (10 ms).
-
-    Returns
-    -------
-    ndarray, shape (10 m, 20)
-        The recorded columns (AX, ...) at each millisecond.
+        Speed m/s, acceleration m/s2 and way along the path m at each control step of the driver (10 ms).
     """
     record = np.empty((len(plan) * STEPS_PER_LOOK, RECORDED))
-    k = np.zeros((4, STATES))
-    trial = np.empty(STATES)
-    s = start.copy()
-    nearest = 0
+    k, s, nearest = np.zeros((5, STATES)), start.copy(), 0
     lead = round(car.pedal_lag / (STEP * STEPS_PER_LOOK))
     for look in range(len(plan)):
         steer, nearest, gone = _steer(s, path, spacing, nearest, car)
         pedal = _press(s, plan[look], plan[min(look + lead, len(plan) - 1)], gone, car)
         for i in range(STEPS_PER_LOOK):
-            _advance(s, k, trial, record[look * STEPS_PER_LOOK + i], steer, pedal, friction, car)
+            _advance(s, k, record[look * STEPS_PER_LOOK + i], steer, pedal, friction, car)
     return record

@@ -55,20 +55,9 @@ ENVIRONMENTS = {
 
 
 def named(value: str | T, table: dict[str, T], what: str) -> T:
-    """Look up a name in a table of records; return a record itself unchanged.
-
-    Raises
-    ------
-    InputError
-        For an unknown name.
-    """
+    """Look up a name in a table of records; return a record itself unchanged. Raises `InputError` if unknown."""
     if not isinstance(value, str):
         return value
     if value not in table:
         raise InputError(f"no {what} is called {value!r}; there are {', '.join(table)}")
     return table[value]
-
-
-def find_environment(environment: str | Environment) -> Environment:
-    """Return an environment given by name or as a record."""
-    return named(environment, ENVIRONMENTS, "environment")

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
-from sigmaswarm.simulation.carla import METERS_PER_DEGREE, from_geolocation, to_geolocation
-from sigmaswarm.simulation.environments import named
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
 
 Array = NDArray[np.float64]
+
+EARTH_RADIUS = 6378137.0
+METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
+"""m, of CARLA's sphere, and 111 319.49 m in a degree of its latitude."""
 
 
 @dataclass(frozen=True)
@@ -86,17 +88,10 @@ GPS_GRADES = {
 """Grades by name."""
 
 
-def find_gps(grade: str | GpsGrade) -> GpsGrade:
-    """Return a grade given by name or as a record."""
-    return named(grade, GPS_GRADES, "GPS grade")
-
-
 def degrade(grade: GpsGrade, factor: float) -> GpsGrade:
     """Multiply a grade's position and velocity errors by a factor of the weather, which is an assumption."""
-    velocity = None if grade.velocity_std is None else factor * grade.velocity_std
-    return replace(
-        grade, white_std=factor * grade.white_std, markov_std=factor * grade.markov_std, velocity_std=velocity
-    )
+    errors = {name: getattr(grade, name) for name in ("white_std", "markov_std", "velocity_std")}
+    return replace(grade, **{name: std and factor * std for name, std in errors.items()})
 
 
 def measure_gps(
@@ -106,20 +101,9 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Measure the antenna's motion with a receiver of a grade.
+    """Measure the antenna's motion, given at the fixes' time stamps (n,), s, less the grade's latency.
 
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        s, the fixes' time stamps.
-    antenna : Motion
-        At `times` less the grade's latency.
-    grade : GpsGrade
-        The receiver.
-    rng : numpy.random.Generator
-        The grade scales the draws; their number does not depend on it.
-    outages : list of (start, end)
-        s, without fixes.
+    There are no fixes in the outages, (start, end) in s. The number of draws does not depend on the grade.
     """
     interval = float(np.median(np.diff(times)))
     white = grade.white_std * rng.standard_normal((len(times), 2))
@@ -147,11 +131,13 @@ def measure_gps(
 
 
 def _through_degrees(place: Array, noise: Array) -> Array:
-    """Add noise (n, 2), m, in degrees, as CARLA does on a map with origin 0, 0, and convert back to m."""
-    lat, lon = to_geolocation(place[:, 0], -place[:, 1], 0.0, 0.0)
-    lon, lat = lon + noise[:, 0] / METERS_PER_DEGREE, lat + noise[:, 1] / METERS_PER_DEGREE
-    x, south = from_geolocation(lat, lon, 0.0, 0.0)
-    return np.column_stack([x, -south])
+    """Add noise (n, 2), m, in degrees, as CARLA does on a map with origin 0, 0: on a Mercator plane."""
+    radius, equator = EARTH_RADIUS, math.log(math.tan(math.radians(90.0) / 2))
+    lat = 2 * np.degrees(np.arctan(np.exp((radius * equator + place[:, 1]) / radius))) - 90
+    lat += noise[:, 1] / METERS_PER_DEGREE
+    lon = np.degrees(place[:, 0] / radius) + noise[:, 0] / METERS_PER_DEGREE
+    north = np.log(np.tan(np.radians(90 + lat) / 2)) - equator
+    return radius * np.column_stack([np.radians(lon), north])
 
 
 def with_outliers(

@@ -15,7 +15,6 @@ from scipy.signal import lfilter
 
 from sigmaswarm.drives.drive import Imu
 from sigmaswarm.simulation.dynamics import GRAVITY
-from sigmaswarm.simulation.environments import named
 from sigmaswarm.simulation.motion import Motion
 
 Array = NDArray[np.float64]
@@ -129,23 +128,11 @@ IMU_GRADES = {
 """Grades by name, from the worst to the best real ones, then CARLA's."""
 
 
-def find_imu(grade: str | ImuGrade) -> ImuGrade:
-    """Return a grade given by name or as a record."""
-    return named(grade, IMU_GRADES, "IMU grade")
-
-
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
-    """Stationary first-order Gauss-Markov sequences of unit variance, shape (count, axes).
+    """Stationary first-order Gauss-Markov sequences (count, axes) of unit variance.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the shocks.
-    count, axes : int
-        Shape of the result.
-    ratio : float
-        Time between samples over the correlation time.
-    """
+    ``ratio`` is the time between samples over the correlation time.
+    ."""
     shocks = rng.standard_normal((count, axes))
     keep = math.exp(-ratio)
     shocks[1:] *= math.sqrt(1 - keep**2)  # the first one keeps the stationary variance
@@ -164,19 +151,9 @@ def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np
 
 
 def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
-    """Measure the motion of the IMU's position with an IMU of a grade.
+    """Measure the motion of the IMU's position at ``times`` (n,), s.
 
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        s.
-    motion : Motion
-        At these times.
-    grade : ImuGrade
-        With `carla` set, the acceleration is CARLA's second difference of positions (see `carla_force`), and the
-        first two samples are missing.
-    rng : numpy.random.Generator
-        The grade scales the draws; their number does not depend on it.
+    Of a `carla` grade the acceleration is CARLA's (see `carla_force`), and the first two samples are missing.
     """
     force, rate = motion.specific_force, motion.angular_rate
     if grade.carla:
@@ -184,10 +161,8 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
     interval = float(np.median(np.diff(times)))
     force = _spoil(force, grade.accel, interval, grade.bias_time, rng)
     rate = _spoil(rate, grade.gyro, interval, grade.bias_time, rng)
-    columns = dict(zip(("ax", "ay", "az"), force.T, strict=True)) | dict(
-        zip(("gx", "gy", "gz"), rate.T, strict=True)
-    )
-    return Imu(time=times, **columns)
+    (ax, ay, az), (gx, gy, gz) = force.T, rate.T
+    return Imu(times, ax, ay, gz, az=az, gx=gx, gy=gy)
 
 
 def carla_force(times: Array, motion: Motion) -> Array:

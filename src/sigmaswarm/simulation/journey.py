@@ -36,26 +36,13 @@ URBAN_DURATION = 180.0
 
 @dataclass(frozen=True)
 class Journey:
-    """A driven maneuver.
-
-    Attributes
-    ----------
-    maneuver : Maneuver
-    path : ndarray, shape (p, 4)
-        East m, north m, heading rad, curvature 1/m: the path that the driver follows.
-    record : ndarray, shape (n, 21)
-        The car's states at each millisecond, see `sigmaswarm.simulation.dynamics`.
-    start : float
-        s, beginning of the maneuver itself, after the warm-up.
-    outages : list of (start, end)
-        s, without fixes.
-    """
+    """A driven maneuver."""
 
     maneuver: Maneuver
-    path: Array
-    record: Array
-    start: float
-    outages: list[tuple[float, float]]
+    path: Array  # (p, 4): east m, north m, heading rad, curvature 1/m, which the driver follows
+    record: Array  # (n, 21), the car's states at each millisecond, see `dynamics`
+    start: float  # s, beginning of the maneuver itself, after the warm-up
+    outages: list[tuple[float, float]]  # (start, end), s, without fixes
 
 
 def take_journey(
@@ -84,50 +71,26 @@ def take_journey(
 
 
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
-    """Seconds from one speed to the other, m/s; NaN if the drive never gets there.
+    """Seconds from one speed to the other, m/s, in the steepest change; NaN if the drive never gets there.
 
     The clock starts with the last sample before the change and stops with the first one beyond it, as a
     stopwatch in the car would.
     """
-    if rising:
-        above = np.flatnonzero(speed >= fast)
-        if len(above) == 0:
-            return float("nan")
-        end = int(above[0])
-        below = np.flatnonzero(speed[:end] <= slow)
-        return (end - int(below[-1])) * STEP if len(below) else float("nan")
-    reached = np.flatnonzero(speed >= fast)
-    if len(reached) == 0:
-        return float("nan")
-    # Of all descents from `fast` the steepest is the one that was meant.
-    leaving = reached[np.append(np.diff(reached) > 1, True)]
-    best = float("nan")
-    for start in leaving:
-        below = np.flatnonzero(speed[start:] <= slow)
-        if len(below):
-            best = float(np.nanmin([best, int(below[0]) * STEP]))
-    return best
+    speed = speed if rising else speed[::-1]
+    begins, ends = np.flatnonzero(speed <= slow), np.flatnonzero(speed >= fast)
+    before = np.searchsorted(begins, ends)
+    steps = ends[before > 0] - begins[before[before > 0] - 1]
+    return int(steps.min()) * STEP if len(steps) else np.nan
 
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
-    """Return the achieved figures, under the target's names where there is one; units are in the names.
-
-    Parameters
-    ----------
-    name : str
-        Of the maneuver.
-    journey : Journey
-        The driven maneuver.
-    fixes : ndarray, shape (m,)
-        s, times of the fixes.
-    """
+    """Return the achieved figures, under the target's names where there is one; ``fixes`` (m,) are times, s."""
     record, start = journey.record, journey.start
     speed = np.hypot(record[:, VX], record[:, VY])
-    top = float(speed.max()) / KMH
-    own = record[int(start / STEP) :]
-    own_speed = speed[int(start / STEP) :]
+    top, first = float(speed.max()) / KMH, int(start / STEP)
+    own, moving = record[first:], record[speed > 2.0]
     if name == "cruise":
-        figures = {"distance_m": _length(own), "speed_kmh": float(own_speed.mean()) / KMH}
+        figures = {"distance_m": _length(own), "speed_kmh": float(speed[first:].mean()) / KMH}
     elif name == "turns":
         left, right = _turned(own)
         figures = {"left_deg": left, "right_deg": right, "peak_lateral_ms2": float(np.abs(own[:, AY]).max())}
@@ -145,8 +108,8 @@ def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, flo
         "peak_longitudinal_ms2": float(np.abs(record[:, AX]).max()),
         "peak_lateral_ms2": float(np.abs(record[:, AY]).max()),
         "peak_acceleration_g": float(np.hypot(record[:, AX], record[:, AY]).max()) / GRAVITY,
-        "peak_slip_percent": 100 * float(record[speed > 2.0, PEAK_KAPPA].max(initial=0.0)),
-        "peak_slip_angle_deg": float(np.degrees(np.arctan(record[speed > 2.0, PEAK_ALPHA].max(initial=0.0)))),
+        "peak_slip_percent": 100 * float(moving[:, PEAK_KAPPA].max(initial=0.0)),
+        "peak_slip_angle_deg": float(np.degrees(np.arctan(moving[:, PEAK_ALPHA].max(initial=0.0)))),
         "peak_friction_use": float(record[:, FRICTION_USE].max()),
     }
     return {key: round(float(value), 4) for key, value in figures.items() if np.isfinite(value)}

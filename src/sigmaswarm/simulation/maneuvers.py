@@ -40,23 +40,14 @@ class Road:
 
 @dataclass(frozen=True)
 class Maneuver:
-    """A route and its target figures.
-
-    Attributes
-    ----------
-    legs : list of Leg
-    target : dict of str to float
-        The paper's figures, units in the names.
-    outages : list of (start, end)
-        s after the maneuver's own start, when there are no fixes.
-    first : int
-        Index of the first leg of the maneuver itself; a filter aligns on the legs before it.
-    """
+    """A route and its target figures."""
 
     legs: list[Leg]
-    target: dict[str, float]
-    outages: list[tuple[float, float]]
-    first: int = 0
+    target: dict[str, float]  # the paper's figures, units in the names
+    outages: list[
+        tuple[float, float]
+    ]  # (start, end), s after the maneuver's own start, when there are no fixes
+    first: int = 0  # index of the first leg of the maneuver itself; a filter aligns on the legs before it
 
 
 def straight(road: Road, length: float, kmh: float, wait: float = 0.0) -> Leg:

@@ -34,24 +34,9 @@ from sigmaswarm.simulation.dynamics import (
     X,
     Y,
 )
-from sigmaswarm.simulation.terrain import (
-    CLIMB,
-    CLIMB_ACCEL,
-    HEIGHT,
-    ROAD_PITCH,
-    ROAD_PITCH_ACCEL,
-    ROAD_PITCH_RATE,
-    ROAD_ROLL,
-    ROAD_ROLL_ACCEL,
-    ROAD_ROLL_RATE,
-)
 
 Array = NDArray[np.float64]
 LeverArm = tuple[float, float, float]
-
-_ROAD_ROLL = (ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL)
-_ROAD_PITCH = (ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL)
-
 
 # Vibration: white-noise densities of two public recordings of real cars, from differences of neighboring samples at 5
 # to 16 m/s: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (a phone's chip). They are 3 to 8 times
@@ -70,26 +55,14 @@ SPRINGS = 1.0
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of a point of the body, without errors.
+    """Motion of a point of the body, without errors."""
 
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (n, 3)
-        m and m/s east, north, up.
-    rotation : ndarray, shape (n, 3, 3)
-        From body to local axes.
-    yaw : ndarray, shape (n,)
-        rad, not wrapped.
-    specific_force, angular_rate : ndarray, shape (n, 3)
-        m/s2 and rad/s, in the body frame: what an ideal IMU there measures.
-    """
-
-    position: Array
-    velocity: Array
-    rotation: Array
-    yaw: Array
-    specific_force: Array
-    angular_rate: Array
+    position: Array  # (n, 3) m east, north, up
+    velocity: Array  # (n, 3) m/s
+    rotation: Array  # (n, 3, 3), from body to local axes
+    yaw: Array  # (n,) rad, not wrapped
+    specific_force: Array  # (n, 3) m/s2, in the body frame: what an ideal IMU there measures
+    angular_rate: Array  # (n, 3) rad/s, as well
 
 
 def sample(record: Array, times: Array) -> Array:
@@ -112,29 +85,20 @@ def _rotation(yaw: Array, pitch: Array, roll: Array) -> Array:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
-    """Return the motion of a point of the body.
+def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Motion:
+    """Return the motion of a point of the body, ``lever_arm`` (m forward, left, up) off the center of gravity.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n, 21) or (n, 30)
-        Recorded states, see `sigmaswarm.simulation.dynamics`; with the road's, see `sigmaswarm.simulation.terrain`.
-    vehicle : Vehicle
-        Whose roll and pitch gains apply.
-    lever_arm : tuple of float
-        m forward, left, up of the center of gravity.
+    ``rows`` (n, 21) are recorded states of `sigmaswarm.simulation.dynamics`; (n, 30) with the road's of `terrain`.
     """
     arm = np.array(lever_arm)
     yaw = rows[:, YAW]
     r1, r2 = rows[:, YAW_RATE], rows[:, YAW_ACCEL]
-    roll, f1, f2 = (vehicle.roll_gain * rows[:, i] for i in (ROLL, ROLL_RATE, ROLL_ACCEL))
-    pitch, p1, p2 = (-vehicle.pitch_gain * rows[:, i] for i in (PITCH, PITCH_RATE, PITCH_ACCEL))
-    level = np.zeros(len(yaw))
-    height, climb, climb_rate = level, level, level
+    body = np.array([rows[:, i] for i in (ROLL, ROLL_RATE, ROLL_ACCEL, PITCH, PITCH_RATE, PITCH_ACCEL)])
+    body *= np.repeat([vehicle.roll_gain, -vehicle.pitch_gain], 3)[:, None]
+    height, climb, climb_rate = np.zeros((3, len(rows)))
     if rows.shape[1] > RECORDED:
-        roll, f1, f2 = (a + rows[:, i] for a, i in zip((roll, f1, f2), _ROAD_ROLL, strict=True))
-        pitch, p1, p2 = (a + rows[:, i] for a, i in zip((pitch, p1, p2), _ROAD_PITCH, strict=True))
-        height, climb, climb_rate = (rows[:, i] for i in (HEIGHT, CLIMB, CLIMB_ACCEL))
+        body, (height, climb, climb_rate) = body + rows.T[RECORDED:-3], rows.T[-3:]
+    roll, f1, f2, pitch, p1, p2 = body
     cp, sp, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
 
     # Angular rate of a yaw-pitch-roll sequence, and its derivative.
@@ -172,26 +136,13 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
-    """Add vibration to the specific force and angular rate.
-
-    Parameters
-    ----------
-    motion : Motion
-        At the samples' times.
-    rate : float
-        Hz, of the samples.
-    strength : float
-        1 is the level of the recordings.
-    rng : numpy.random.Generator
-        Source of the vibration.
-    """
+    """Add vibration to the specific force and angular rate, sampled at ``rate`` Hz; strength 1 is the recordings'."""
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level
     kept = math.exp(-2 * math.pi * SPRINGS / rate)
-    shaking[1, :, :2] = lfilter(
-        [kept, -kept], [1.0, -kept], shaking[1, :, :2], axis=0
-    )  # a first-order high pass
+    # a first-order high pass
+    shaking[1, :, :2] = lfilter([kept, -kept], [1.0, -kept], shaking[1, :, :2], axis=0)
     return replace(
         motion,
         specific_force=motion.specific_force + shaking[0] * FORCE_DENSITY,

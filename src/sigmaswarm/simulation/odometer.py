@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Odometer
 from sigmaswarm.simulation.dynamics import REAR_SPIN, STEP, Vehicle
-from sigmaswarm.simulation.environments import named
 
 Array = NDArray[np.float64]
 
@@ -62,11 +61,6 @@ ODOMETER_GRADES = {
     )
 }
 """By name. A scale of 1%: tires' wear and pressure, recalled; comma2k19's car is 0.8% low."""
-
-
-def find_odometer(odometer: str | OdometerGrade) -> OdometerGrade:
-    """Return a grade given by name or as a record."""
-    return named(odometer, ODOMETER_GRADES, "odometer")
 
 
 def measure_odometer(

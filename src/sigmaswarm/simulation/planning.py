@@ -26,58 +26,28 @@ RUN_OUT = 60.0
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a route.
+    """A part of a route."""
 
-    Attributes
-    ----------
-    length : float
-        m.
-    speed : float
-        m/s, the fastest allowed.
-    acceleration, braking : float
-        m/s2, both positive, the largest that the driver plans.
-    curvature, curvature_end : float
-        1/m, at both ends; positive to the left.
-    lateral : float
-        m/s2, the largest that the driver plans in a bend.
-    wait : float
-        s, standstill at the leg's end; 0 drives on.
-    ease : float
-        s, over which accelerations build up and fade.
-    fading : float
-        s/m, relative decrease of the acceleration per m/s of speed: drivers ease off near the wanted speed.
-    """
-
-    length: float
-    speed: float
-    acceleration: float = 2.5
-    braking: float = 2.5
-    curvature: float = 0.0
-    curvature_end: float = 0.0
-    lateral: float = 3.0
-    wait: float = 0.0
-    ease: float = 1.0
-    fading: float = 0.02
+    length: float  # m
+    speed: float  # m/s, the fastest allowed
+    acceleration: float = 2.5  # m/s2, the largest that the driver plans
+    braking: float = 2.5  # m/s2, positive
+    curvature: float = 0.0  # 1/m, at the beginning; positive to the left
+    curvature_end: float = 0.0  # 1/m
+    lateral: float = 3.0  # m/s2, the largest that the driver plans in a bend
+    wait: float = 0.0  # s, standstill at the leg's end; 0 drives on
+    ease: float = 1.0  # s, over which accelerations build up and fade
+    fading: float = 0.02  # s/m, decrease of the acceleration per m/s: drivers ease off near the wanted speed
 
 
 @dataclass(frozen=True)
 class Sway:
-    """Deviation of a human driver from the ideal line and speed: sums of three sine waves along the path.
+    """Deviation of a human driver from the ideal line and speed: sums of three sine waves along the path."""
 
-    Attributes
-    ----------
-    offset, speed : float
-        Amplitudes: m; share of the speed.
-    phases : ndarray, shape (2, 3)
-        rad.
-    wavelengths : ndarray, shape (3,)
-        m.
-    """
-
-    offset: float
-    speed: float
-    phases: Array
-    wavelengths: Array
+    offset: float  # m
+    speed: float  # share of the speed
+    phases: Array  # (2, 3) rad
+    wavelengths: Array  # (3,) m
 
     def waves(self, way: Array, row: int) -> Array:
         """Each wave, shape (3, n), at distances along the path (m)."""
@@ -126,14 +96,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     """Return the plan, shape (m, 3): speed m/s, acceleration m/s2, way m, every `LOOK` s.
 
-    Parameters
-    ----------
-    legs : sequence of Leg
-        The route.
-    sway : Sway
-        The driver's.
-    stand : float or None
-        s of standstill before the start; None starts in motion, at the first leg's speed.
+    The car stands for ``stand`` s before the start; None starts in motion, at the first leg's speed.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)

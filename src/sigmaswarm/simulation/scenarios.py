@@ -6,6 +6,7 @@ from them, so a drive depends on nothing else, and a change of one sensor leaves
 
 import math
 import zlib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,50 +15,55 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import STEP, Vehicle
-from sigmaswarm.simulation.environments import Environment, find_environment
-from sigmaswarm.simulation.gps import GpsGrade, degrade, find_gps, measure_gps
-from sigmaswarm.simulation.imu import ImuGrade, find_imu, measure_imu
+from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, named
+from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade, degrade, measure_gps
+from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, measure_imu
 from sigmaswarm.simulation.journey import achieved_figures, take_journey
 from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample, vibrate
-from sigmaswarm.simulation.odometer import OdometerGrade, find_odometer, measure_odometer
-from sigmaswarm.simulation.terrain import (
-    HEIGHT,
-    ROAD_PITCH,
-    ROAD_ROLL,
-    TERRAINS,
-    Terrain,
-    drive_on,
-    find_terrain,
-    lay_road,
-)
+from sigmaswarm.simulation.odometer import ODOMETER_GRADES, OdometerGrade, measure_odometer
+from sigmaswarm.simulation.terrain import HEIGHT, ROAD_PITCH, ROAD_ROLL, TERRAINS, Terrain, drive_on, lay_road
 from sigmaswarm.simulation.vehicle import find_vehicle
 
 Array = NDArray[np.float64]
 
-IMU_PLACE: LeverArm = (0.2, 0.0, 0.1)
-"""m forward, left, up of the center of gravity: in the center console."""
+
+@dataclass(frozen=True)
+class Scenario:
+    """The configuration of a simulated drive, checked; `simulate` describes the fields."""
+
+    maneuver: str = "urban"
+    environment: str | Environment = "clear"
+    seed: int = 0
+    run: int = 0
+    imu: str | ImuGrade = "icm-20602"
+    gps: str | GpsGrade = "ublox-m8"
+    vehicle: str | Vehicle = "model3"
+    imu_rate: float = 100.0
+    gps_rate: float = 5.0
+    jitter: float = 0.0
+    duration: float | None = None
+    warm_up: bool = True
+    imu_place: LeverArm = (0.2, 0.0, 0.1)  # in the center console
+    vibration: float = 0.0
+    gnss_degradation: bool = False
+    terrain: str | Terrain = "flat"
+    odometer: str | OdometerGrade | None = None
+
+    def __post_init__(self) -> None:
+        for what in ("imu_rate", "gps_rate"):
+            if not 0 < (rate := getattr(self, what)) <= 1 / STEP:
+                raise InputError(
+                    f"{what} is {rate:g} Hz; the simulator computes the car's motion at 1000 Hz: choose 0 to 1000"
+                )
+        for what in ("jitter", "vibration"):
+            if not 0 <= (value := getattr(self, what)) < math.inf:
+                raise InputError(f"{what} is {value:g}; choose 0 or more")
+        check_duration(self.maneuver, self.duration)
+        if self.seed < 0 or self.run < 0:
+            raise InputError(f"seed {self.seed} and run {self.run} must not be negative")
 
 
-def simulate(
-    maneuver: str = "urban",
-    environment: str | Environment = "clear",
-    *,
-    seed: int = 0,
-    run: int = 0,
-    imu: str | ImuGrade = "icm-20602",
-    gps: str | GpsGrade = "ublox-m8",
-    vehicle: str | Vehicle = "model3",
-    imu_rate: float = 100.0,
-    gps_rate: float = 5.0,
-    jitter: float = 0.0,
-    duration: float | None = None,
-    warm_up: bool = True,
-    imu_place: LeverArm = IMU_PLACE,
-    vibration: float = 0.0,
-    gnss_degradation: bool = False,
-    terrain: str | Terrain = "flat",
-    odometer: str | OdometerGrade | None = None,
-) -> Drive:
+def simulate(maneuver: str = "urban", environment: str | Environment = "clear", **options: Any) -> Drive:
     """Simulate one drive.
 
     Parameters
@@ -67,30 +73,30 @@ def simulate(
     environment : str or Environment
         "clear", "night", "rain", "fog" or "slippery".
     seed, run : int
-        Together with maneuver and environment they identify the drive; the same ones give the same drive.
+        Together with maneuver and environment they identify the drive; the same ones give the same drive. 0 by default.
     imu, gps : str or ImuGrade, GpsGrade
-        See `IMU_GRADES` and `GPS_GRADES`.
+        See `IMU_GRADES` and `GPS_GRADES`; "icm-20602" and "ublox-m8" by default.
     vehicle : str or Vehicle
-        "model3" (the real car's pedals) or "model3-carla".
+        "model3" (the real car's pedals, the default) or "model3-carla".
     imu_rate, gps_rate : float
-        Hz, at most 1000.
+        Hz, at most 1000; 100 and 5 by default.
     jitter : float
-        s, standard deviation of each sample's time, clipped to 0.4 of the interval.
+        s, standard deviation of each sample's time, clipped to 0.4 of the interval; 0 by default.
     duration : float, optional
         s, of "urban" only; 180 by default.
     warm_up : bool
-        Begin with at least 30 m at 5 m/s or more, so that a filter can align. Without it a drive begins in motion
-        with the maneuver itself.
+        Begin with at least 30 m at 5 m/s or more, so that a filter can align (the default). Without it a drive begins
+        in motion with the maneuver itself.
     imu_place : tuple of float
-        m forward, left, up of the center of gravity. The truth refers to this point.
+        m forward, left, up of the center of gravity, (0.2, 0, 0.1) by default. The truth refers to this point.
     vibration : float
         Level of the vibration by road and engine; 1 is that of two recordings of real cars, in which the data
-        sheet's noise is far too small. CARLA's IMU has none.
+        sheet's noise is far too small. CARLA's IMU has none; 0 by default.
     gnss_degradation : bool
         Multiply the receiver's errors by the environment's factor: **an assumption, not a measurement**.
     terrain : str or Terrain
-        "flat", "rolling" or "hilly": slopes of the road, which change the car's attitude and so the IMU's data. The
-        path in the plane, and so the truth, is the same (within millimeters, as the IMU is above the center).
+        "flat" (the default), "rolling" or "hilly": slopes of the road, which change the car's attitude and so the IMU's
+        data. The path in the plane, and so the truth, is the same (within millimeters, as the IMU is above the center).
     odometer : str or OdometerGrade, optional
         "pulses", "can" or "ideal": see `ODOMETER_GRADES`. No odometer by default.
 
@@ -104,121 +110,70 @@ def simulate(
     InputError
         For an unknown name or an impossible rate.
     """
-    where = find_environment(environment)
-    imu_grade, gps_grade = find_imu(imu), find_gps(gps)
-    vehicle_name, car = find_vehicle(vehicle)
-    ground = find_terrain(terrain)
-    _check(imu_rate, gps_rate, jitter, vibration, duration, maneuver)
-    if seed < 0 or run < 0:
-        raise InputError(f"seed {seed} and run {run} must not be negative")
-    if gnss_degradation:
-        gps_grade = degrade(gps_grade, where.gnss_noise_factor)
+    return _drive(Scenario(maneuver, environment, **options))
+
+
+def _drive(s: Scenario) -> Drive:
+    where, ground = named(s.environment, ENVIRONMENTS, "environment"), named(s.terrain, TERRAINS, "terrain")
+    imu, gps = named(s.imu, IMU_GRADES, "IMU grade"), named(s.gps, GPS_GRADES, "GPS grade")
+    wheels = s.odometer and named(s.odometer, ODOMETER_GRADES, "odometer")
+    vehicle, car = find_vehicle(s.vehicle)
+    if s.gnss_degradation:
+        gps = degrade(gps, where.gnss_noise_factor)
 
     def stream(sensor: str) -> np.random.Generator:
-        return _stream(seed, maneuver, where.name, run, sensor)
+        names = (zlib.crc32(name.encode()) for name in (s.maneuver, where.name, sensor))
+        return np.random.default_rng(np.random.SeedSequence([s.seed, s.run, *names]))
 
-    journey = take_journey(maneuver, where, car, stream("driver"), duration, warm_up)
-    record = journey.record
+    journey = take_journey(s.maneuver, where, car, stream("driver"), s.duration, s.warm_up)
+    record, slopes = journey.record, {}  # a flat road adds no keys, as in files of early versions
     if ground != TERRAINS["flat"]:
         record = drive_on(record, lay_road(journey.path[:, 3], ground, stream("road")), car)
-    end = (len(record) - 1) * STEP
-    nominal = _times(end, imu_rate, 0.0, stream("imu clock"))
+        slopes = {"terrain": ground.name} | _slope_figures(record)
+
+    def motion(times: Array, place: Array) -> Motion:
+        return motion_at(sample(record, times), car, place)
+
+    end, place = (len(record) - 1) * STEP, np.array(s.imu_place)
+    nominal = _times(end, s.imu_rate)
     # CARLA ticks without jitter.
-    ticks = nominal if imu_grade.carla else _times(end, imu_rate, jitter, stream("imu clock"))
-    stamps = _times(end, gps_rate, jitter, stream("gps clock"))
-    stamps = stamps[stamps >= gps_grade.latency]
-    (i, j, k), (a, b, c) = imu_place, gps_grade.lever_arm
-    antenna = (i + a, j + b, k + c)
-    seen = motion_at(sample(record, stamps - gps_grade.latency), car, antenna)
-    true = motion_at(sample(record, nominal), car, imu_place)
-    felt = true if ticks is nominal else motion_at(sample(record, ticks), car, imu_place)
-    if vibration > 0:
-        felt = vibrate(felt, imu_rate, vibration, stream("vibration"))
-    grade = None if odometer is None else find_odometer(odometer)
-    wheels, scale = (None, 1.0) if grade is None else measure_odometer(record, car, grade, stream("odometer"))
-    fixes = measure_gps(stamps, seen, gps_grade, stream("gps"), journey.outages)
-    scenario = {
-        "maneuver": maneuver,
-        "environment": where.name,
-        "physics": where.physics,
-        "friction": where.friction,
-        "seed": seed,
-        "run": run,
-        "warm_up": warm_up,
-        "imu_rate_hz": imu_rate,
-        "gps_rate_hz": gps_rate,
-        "jitter_s": jitter,
-        "vibration": vibration,
-        "gnss_degradation": gnss_degradation,
-        # A flat road adds no keys, as in files of early versions.
-        **({} if ground == TERRAINS["flat"] else {"terrain": ground.name} | _slope_figures(record)),
-        "outages": [list(window) for window in journey.outages],
-    }
+    ticks = nominal if imu.carla else _times(end, s.imu_rate, s.jitter, stream("imu clock"))
+    stamps = _times(end, s.gps_rate, s.jitter, stream("gps clock"))
+    stamps = stamps[stamps >= gps.latency]
+    true, seen = motion(nominal, place), motion(stamps - gps.latency, place + gps.lever_arm)
+    felt = true if ticks is nominal else motion(ticks, place)
+    if s.vibration > 0:
+        felt = vibrate(felt, s.imu_rate, s.vibration, stream("vibration"))
+    fixes = measure_gps(stamps, seen, gps, stream("gps"), journey.outages)
+    odometer, about = None, {}
+    if wheels:
+        odometer, scale = measure_odometer(record, car, wheels, stream("odometer"))
+        about = {"odometer": {"grade": wheels.name, "scale": round(scale, 6)}}
+    x, y, vx, vy = np.hstack([true.position[:, :2], true.velocity[:, :2]]).T
     return Drive(
-        name=drive_name(maneuver, where.name, run),
-        imu=measure_imu(ticks, felt, imu_grade, stream("imu")),
+        name=drive_name(s.maneuver, where.name, s.run),
+        imu=measure_imu(ticks, felt, imu, stream("imu")),
         gps=fixes,
-        truth=_truth(nominal, true),
+        truth=Truth(nominal, x, y, vx, vy, true.yaw),
         metadata={
             "source": "sigmaswarm simulator",
-            "vehicle": vehicle_name,
-            **_noise_figures(imu_grade, gps_grade),
-            **({} if grade is None else {"odometer": {"grade": grade.name, "scale": round(scale, 6)}}),
-            "scenario": scenario,
-            "imu_place": _place_figures(imu_place, car),
+            "vehicle": vehicle,
+            **_noise_figures(imu, gps),
+            **about,
+            "scenario": _scenario_figures(s, where)
+            | slopes
+            | {"outages": [list(w) for w in journey.outages]},
+            "imu_place": _place_figures(s.imu_place, car),
             "target": journey.maneuver.target,
-            "achieved": achieved_figures(maneuver, journey, fixes.time),
+            "achieved": achieved_figures(s.maneuver, journey, fixes.time),
         },
-        odometer=wheels,
+        odometer=odometer,
     )
 
 
 def drive_name(maneuver: str, environment: str, run: int) -> str:
     """Return the name of a simulated drive, which is also that of its folder."""
     return f"{maneuver}-{environment}-{run:02d}"
-
-
-def _slope_figures(record: Array) -> dict[str, float]:
-    """Return figures of the road's slopes and climb."""
-    grade, bank = (np.tan(record[:, i]) for i in (ROAD_PITCH, ROAD_ROLL))
-    return {
-        "grade_std_percent": round(100 * float(np.std(grade)), 2),
-        "peak_grade_percent": round(100 * float(np.abs(grade).max()), 2),
-        "peak_bank_percent": round(100 * float(np.abs(bank).max()), 2),
-        "climb_m": round(float(np.ptp(record[:, HEIGHT])), 2),
-    }
-
-
-def _truth(times: Array, true: Motion) -> Truth:
-    x, y, _ = true.position.T
-    vx, vy, _ = true.velocity.T
-    return Truth(time=times, x=x, y=y, vx=vx, vy=vy, theta=true.yaw)
-
-
-def _stream(seed: int, maneuver: str, environment: str, run: int, sensor: str) -> np.random.Generator:
-    names = (zlib.crc32(name.encode()) for name in (maneuver, environment, sensor))
-    return np.random.default_rng(np.random.SeedSequence([seed, run, *names]))
-
-
-def _times(end: float, rate: float, jitter: float, rng: np.random.Generator) -> Array:
-    """Sample times from 0 to `end`, s, strictly increasing."""
-    times = np.arange(int(end * rate + 1e-6) + 1) / rate
-    late = np.clip(jitter * rng.standard_normal(len(times)), -0.4 / rate, 0.4 / rate)
-    return np.clip(times + late, 0.0, end) if jitter > 0 else times
-
-
-def _check(
-    imu_rate: float, gps_rate: float, jitter: float, vibration: float, duration: float | None, maneuver: str
-) -> None:
-    for what, rate in (("imu_rate", imu_rate), ("gps_rate", gps_rate)):
-        if not 0 < rate <= 1 / STEP:
-            raise InputError(
-                f"{what} is {rate:g} Hz; the simulator computes the car's motion at 1000 Hz: choose 0 to 1000"
-            )
-    for what, value in (("jitter", jitter), ("vibration", vibration)):
-        if not 0 <= value < math.inf:
-            raise InputError(f"{what} is {value:g}; choose 0 or more")
-    check_duration(maneuver, duration)
 
 
 def check_duration(maneuver: str, duration: float | None) -> None:
@@ -233,6 +188,44 @@ def check_duration(maneuver: str, duration: float | None) -> None:
         raise InputError(f"duration is {duration:g} s; an urban drive takes 30 s or more")
 
 
+def _times(end: float, rate: float, jitter: float = 0.0, rng: np.random.Generator | None = None) -> Array:
+    """Sample times from 0 to `end`, s, strictly increasing."""
+    times = np.arange(int(end * rate + 1e-6) + 1) / rate
+    if rng is None or jitter == 0:
+        return times
+    late = np.clip(jitter * rng.standard_normal(len(times)), -0.4 / rate, 0.4 / rate)
+    return np.clip(times + late, 0.0, end)
+
+
+def _scenario_figures(s: Scenario, where: Environment) -> dict[str, Any]:
+    return {
+        "maneuver": s.maneuver,
+        "environment": where.name,
+        "physics": where.physics,
+        "friction": where.friction,
+        "seed": s.seed,
+        "run": s.run,
+        "warm_up": s.warm_up,
+        "imu_rate_hz": s.imu_rate,
+        "gps_rate_hz": s.gps_rate,
+        "jitter_s": s.jitter,
+        "vibration": s.vibration,
+        "gnss_degradation": s.gnss_degradation,
+    }
+
+
+def _slope_figures(record: Array) -> dict[str, float]:
+    """Return figures of the road's slopes and climb."""
+    grade, bank = (np.tan(record[:, i]) for i in (ROAD_PITCH, ROAD_ROLL))
+    figures = {
+        "grade_std_percent": 100 * np.std(grade),
+        "peak_grade_percent": 100 * np.abs(grade).max(),
+        "peak_bank_percent": 100 * np.abs(bank).max(),
+        "climb_m": np.ptp(record[:, HEIGHT]),
+    }
+    return {name: round(float(value), 2) for name, value in figures.items()}
+
+
 def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
     forward, left, up = place
     return {
@@ -245,36 +238,30 @@ def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
 
 def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
     """Return the data sheets' figures under the keys that filters read, and the others in tables."""
-    receiver: dict[str, Any] = {
-        "grade": gps.name,
-        "white_std_m": gps.white_std,
-        "correlated_std_m": gps.markov_std,
-        "correlation_time_s": gps.markov_time,
-        "loss": gps.loss,
-        "latency_s": gps.latency,
-        "lever_arm_m": list(gps.lever_arm),
-    }
-    if gps.velocity_std is not None:
-        receiver["velocity_std_ms"] = gps.velocity_std
-    figures = {
-        "accel_noise_density": imu.accel.noise_density,
-        "gyro_noise_density": imu.gyro.noise_density,
-        "gps_std_m": gps.std,
-    }
+    sensors = {"accel": imu.accel, "gyro": imu.gyro}
+    figures = {f"{name}_noise_density": triad.noise_density for name, triad in sensors.items()}
+    figures["gps_std_m"] = gps.std
+
+    def errors(*kinds: str) -> dict[str, float]:
+        return {f"{name}_{kind}": getattr(triad, kind) for kind in kinds for name, triad in sensors.items()}
+
     return {
         **{key: value for key, value in figures.items() if value > 0},  # ideal sensors state none
         **({"gps_lever_arm_m": list(gps.lever_arm)} if any(gps.lever_arm) else {}),
         "imu_noise": {
             "grade": imu.name,
-            "accel_bias_std": imu.accel.bias_std,
-            "gyro_bias_std": imu.gyro.bias_std,
+            **errors("bias_std"),
             "bias_time_s": imu.bias_time,
-            "accel_turn_on": imu.accel.turn_on,
-            "gyro_turn_on": imu.gyro.turn_on,
-            "accel_scale": imu.accel.scale,
-            "gyro_scale": imu.gyro.scale,
-            "accel_misalignment": imu.accel.misalignment,
-            "gyro_misalignment": imu.gyro.misalignment,
+            **errors("turn_on", "scale", "misalignment"),
         },
-        "gps_noise": receiver,
+        "gps_noise": {
+            "grade": gps.name,
+            "white_std_m": gps.white_std,
+            "correlated_std_m": gps.markov_std,
+            "correlation_time_s": gps.markov_time,
+            "loss": gps.loss,
+            "latency_s": gps.latency,
+            "lever_arm_m": list(gps.lever_arm),
+            **({} if gps.velocity_std is None else {"velocity_std_ms": gps.velocity_std}),
+        },
     }

@@ -20,7 +20,7 @@ Sources, cited behind the values:
 
 import math
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,6 @@ from sigmaswarm.simulation.dynamics import (
     YAW_RATE,
     Vehicle,
 )
-from sigmaswarm.simulation.environments import named
 from sigmaswarm.simulation.planning import SPACING
 
 Array = NDArray[np.float64]
@@ -122,11 +121,6 @@ TERRAINS = {
 """Terrains by name, from the easiest for a planar filter; the radius at which bends are banked most is [R]."""
 
 
-def find_terrain(terrain: str | Terrain) -> Terrain:
-    """Return a terrain given by name or as a record."""
-    return named(terrain, TERRAINS, "terrain")
-
-
 @dataclass(frozen=True)
 class Road:
     """A road's pitch (positive downhill) and roll (positive left side up), rad, over the way, m."""
@@ -167,27 +161,18 @@ def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Ro
 
 
 def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
-    """Return the record of a car on this road.
+    """Return the record (n, 30) of a car on this road, from that on a flat road, (n, 21).
 
-    Parameters
-    ----------
-    record : ndarray, shape (n, 21)
-        Of the same car on a flat road, see `sigmaswarm.simulation.dynamics`.
-    road : Road
-    car : Vehicle
-        Whose suspension carries gravity's share along the road.
-
-    Returns
-    -------
-    ndarray, shape (n, 30)
-        The record with the suspension's part in roll and pitch, and the columns ROAD_ROLL to CLIMB_ACCEL.
+    It has the suspension's part in roll and pitch, and the columns ROAD_ROLL to CLIMB_ACCEL.
     """
     vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]
     # Along the body's own axes, which turn.
     vx_rate, vy_rate = record[:, AX] + turn * vy, record[:, AY] - turn * vx
     way = _integral(vx)
-    p, p1, p2 = _in_time(road.pitch, way, vx, vx_rate)
-    f, f1, f2 = _in_time(road.roll, way, vx, vx_rate)
+    (p, p1, p2), (f, f1, f2) = (  # with two derivatives in time
+        (profile(way), profile(way, 1) * vx, profile(way, 2) * vx**2 + profile(way, 1) * vx_rate)
+        for profile in (road.pitch, road.roll)
+    )
     ahead, left = -np.tan(p), np.tan(f) / np.cos(p)
     ahead_rate = -p1 / np.cos(p) ** 2
     left_rate = f1 / (np.cos(f) ** 2 * np.cos(p)) + left * np.tan(p) * p1
@@ -200,11 +185,11 @@ def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
     along = np.cos(p) * record[:, AX] - np.sin(p) * up
     normal = np.sin(p) * record[:, AX] + np.cos(p) * up
     across = np.cos(f) * record[:, AY] + np.sin(f) * normal
-    for columns, more, frequency, damping in (
-        ((PITCH, PITCH_RATE, PITCH_ACCEL), along - record[:, AX], car.pitch_frequency, car.pitch_damping),
-        ((ROLL, ROLL_RATE, ROLL_ACCEL), across - record[:, AY], car.roll_frequency, car.roll_damping),
-    ):
-        tilted[:, columns] += _swing(more, frequency, damping)
+    more = _swing(along - record[:, AX], car.pitch_frequency, car.pitch_damping)
+    tilted[:, [PITCH, PITCH_RATE, PITCH_ACCEL]] += more
+    tilted[:, [ROLL, ROLL_RATE, ROLL_ACCEL]] += _swing(
+        across - record[:, AY], car.roll_frequency, car.roll_damping
+    )
     return tilted
 
 
@@ -213,27 +198,15 @@ def _integral(values: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2)]) * STEP
 
 
-def _in_time(
-    profile: CubicSpline, way: Array, speed: Array, acceleration: Array
-) -> tuple[Array, Array, Array]:
-    """A profile over the way, and its first two derivatives in time."""
-    slope, bend = profile(way, 1), profile(way, 2)
-    return profile(way), slope * speed, bend * speed**2 + slope * acceleration
-
-
 def _swing(target: Array, frequency: float, damping: float) -> Array:
     """Second-order response (n, 3), its rate and its acceleration, from rest at the first target.
 
     The response is linear, so what the road adds to the target adds to the response (exact for a target that is
     linear between milliseconds).
     """
-    system = (
-        np.array([[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]]),
-        np.array([[0.0], [frequency**2]]),
-    )
-    discrete = cont2discrete((*system, np.eye(2), np.zeros((2, 1))), STEP, method="foh")
-    a, b, c, d, _ = cast(tuple[Array, Array, Array, Array, float], discrete)
-    above, below = ss2tf(a, b, c, d)
+    a, b = [[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]], [[0.0], [frequency**2]]
+    system = np.array(a), np.array(b), np.eye(2), np.zeros((2, 1))
+    above, below = ss2tf(*cast(tuple[Any, ...], cont2discrete(system, STEP, method="foh"))[:4])
     value, rate = (np.asarray(lfilter(row, below, target - target[0])) for row in above)
     value += target[0]
     return np.column_stack([value, rate, frequency**2 * (target - value) - 2 * damping * frequency * rate])

@@ -1,1 +1,1 @@
-"""The checks: one file a subject, each with a function ``check`` from the evidence to findings."""
+"""The checks: functions ``check_...`` from the evidence to findings, each with a measure and its thresholds."""

@@ -1,4 +1,9 @@
-"""The gyro: column, sign, unit, scale and bias of the yaw rate."""
+"""The gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
+
+Within half a second the direction of the specific force turns against the body as the body turns (g' = -w x g). The
+car's own acceleration turns it too, but a body that rolls and pitches on its springs leans the same way: in a left
+turn the force points to the left and the left side comes up. So the signs show on flat roads as well; the sizes do not.
+"""
 
 from collections.abc import Iterator
 
@@ -8,7 +13,9 @@ from sigmaswarm.doctor.acceleration_fit import drift_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.verdicts import DEGREE
-from sigmaswarm.drives.checks import IMPOSSIBLE_RATE, impossible_rate
+from sigmaswarm.doctor.windows import integral, moving_mean
+from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
+from sigmaswarm.drives.drive import Array
 
 WRONG = 0.1
 """Deviation of a gain from 1 that is worth a warning."""
@@ -17,68 +24,167 @@ LEAST_TURN = np.radians(1.0)
 BIAS = (np.radians(0.1), np.radians(1.0))
 """rad/s: from the first on a bias is worth a note, from the second on a warning."""
 
+SMOOTHED, LAG = 0.3, 0.5
+"""s: over which the force is averaged, and over which its direction changes. Longer ones show more of the car's own
+acceleration, shorter ones more shaking. On seven recordings every right sign stands out by 9.5 deviations or more."""
+CLEAR = 7.0
+"""Deviations; neighboring changes share samples, so that these are optimistic."""
+CLEARER = 2.0
+"""Times the other column's deviations."""
+OUTLYING = 3.0
+"""Deviations, from which on a change does not count."""
 
-def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about the gyro."""
-    yaw, yaw_fit = evidence.yaw, evidence.yaw_fit
-    if yaw_fit is None or not yaw.known:
-        yield from _by_size(evidence)
+Follows = tuple[int, float, float]
+"""Rate that a direction follows (0: gx, 1: gy), its sign, and the significance in deviations."""
+
+
+def check_gyro(evidence: Evidence) -> Iterator[Finding]:
+    """Find faults of the yaw rate."""
+    yaw, fit, span = evidence.yaw, evidence.yaw_fit, evidence.span
+    imu, course = evidence.drive.imu, evidence.course
+    if fit is None or course is None or not yaw.known:
+        if impossible_rate(imu.gz - np.median(imu.gz)):
+            what = f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the course does not show it"
+            remedy = "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s"
+            yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return
-    where, span, confidence = (
-        f"imu.csv, {yaw.column}",
-        evidence.span,
-        confidence_of(yaw_fit.gain / yaw_fit.std / 6 * 3),
-    )
-    seen = f"course = {yaw_fit.gain:.3g} x integral of {yaw.column}, deviation {yaw_fit.std:.2g}"
-    if yaw.column != "gz":
-        remedy = f"exchange columns {yaw.column} and gz"
-        what = f"column {yaw.column}, not gz, turns as the car does ({seen})"
-        index = float("xyz".index(yaw.column[1]))
-        yield Finding(
-            "gyro-axis", "serious", what, where, span, confidence, remedy, Repair("gyro", (index, 1.0))
+    where, confidence = f"imu.csv, {yaw.column}", confidence_of(fit.gain / fit.std / 6 * 3)
+    seen = f"course = {fit.gain:.3g} x integral of {yaw.column}, deviation {fit.std:.2g}"
+    column = float("xyz".index(yaw.column[1]))
+    for wrong, code, what, remedy, repair in (
+        (
+            yaw.column != "gz",
+            "gyro-axis",
+            f"column {yaw.column}, not gz, turns as the car does",
+            f"exchange columns {yaw.column} and gz",
+            (column, 1.0),
+        ),
+        (
+            abs(yaw.factor) != 1,
+            "gyro-unit",
+            "the angular rates are in deg/s",
+            "multiply gx, gy, gz by pi/180",
+            (2.0, DEGREE),
+        ),
+        (
+            yaw.factor < 0,
+            "gyro-sign",
+            "the yaw rate has the wrong sign: it must be positive in a left turn",
+            "change the sign of gz",
+            (2.0, -1.0),
+        ),
+    ):
+        if wrong:
+            what = f"{what} ({seen})"
+            yield Finding(code, "serious", what, where, span, confidence, remedy, Repair("gyro", repair))
+    off = fit.gain / yaw.factor - 1
+    if fit.course_change > LEAST_TURN and abs(off) > max(WRONG, 4 * fit.std / abs(yaw.factor)):
+        what, remedy = (
+            f"the car turns {1 + off:.2f} times as far as the gyro says",
+            "check the gyro's range setting",
         )
-    if abs(yaw.factor) != 1:
-        what = f"the angular rates are in deg/s ({seen})"
-        remedy = "multiply gx, gy, gz by pi/180"
-        yield Finding(
-            "gyro-unit", "serious", what, where, span, confidence, remedy, Repair("gyro", (2.0, DEGREE))
-        )
-    if yaw.factor < 0:
-        what = f"the yaw rate has the wrong sign: it must be positive in a left turn ({seen})"
-        remedy = "change the sign of gz"
-        yield Finding(
-            "gyro-sign", "serious", what, where, span, confidence, remedy, Repair("gyro", (2.0, -1.0))
-        )
-    off = yaw_fit.gain / yaw.factor - 1
-    turns = yaw_fit.course_change > LEAST_TURN
-    if turns and abs(off) > WRONG and abs(off) > 4 * yaw_fit.std / abs(yaw.factor):
-        what = f"the car turns {1 + off:.2f} times as far as the gyro says"
-        yield Finding(
-            "gyro-scale", "warning", what, where, span, confidence_of(4), "check the gyro's range setting"
-        )
-    yield from _bias(evidence)
-
-
-def _by_size(evidence: Evidence) -> Iterator[Finding]:
-    """Without a usable course, find rates that no car can have."""
-    gz = evidence.drive.imu.gz
-    if impossible_rate(gz - np.median(gz)):
-        what = (
-            f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the course does not show it"
-        )
-        yield Finding(
-            "gyro-unit", "warning", what, "imu.csv, gz", evidence.span, 0.9,
-            "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s",
-        )  # fmt: skip
-
-
-def _bias(evidence: Evidence) -> Iterator[Finding]:
-    imu, yaw = evidence.drive.imu, evidence.yaw
-    assert evidence.course is not None
-    bias = -drift_of(imu.time, evidence.course, yaw.factor * getattr(imu, yaw.column), evidence.clock.late)
+        yield Finding("gyro-scale", "warning", what, where, span, confidence_of(4), remedy)
+    bias = -drift_of(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.clock.late)
     if abs(bias) > BIAS[0]:
+        severity = "warning" if abs(bias) > BIAS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
+        remedy = "use a filter that estimates it: --model planar8"
+        yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy)
+
+
+def check_tilt(evidence: Evidence) -> Iterator[Finding]:
+    """Find faults of gx and gy; none where a column of the three axes is missing, or gravity is not in az."""
+    read = _force_and_rates(evidence)
+    if read is None:
+        return
+    follows = _follows(evidence.drive.imu.time, *read)
+    seen, span = [axis for axis in follows if axis], evidence.span
+    if any(axis and axis[0] != right for right, axis in enumerate(follows)):
+        if [axis[0] for axis in seen] != [1, 0]:
+            return  # one of them alone, or both after one column: that is no exchange, and nothing to build on
+        roll, pitch = (f"{'-' if sign < 0 else ''}{('gx', 'gy')[column]}" for column, sign, _ in seen)
         yield Finding(
-            "gyro-bias", "warning" if abs(bias) > BIAS[1] else "note", what, f"imu.csv, {yaw.column}",
-            evidence.span, 0.95, "use a filter that estimates it: --model planar8",
+            "gyro-tilt", "warning",
+            f"the roll rate stands in {roll}, the pitch rate in {pitch}: so the direction of gravity turns",
+            "imu.csv, gx, gy", span, confidence_of(min(axis[2] for axis in seen) / 2),
+            f"read gx as {roll} and gy as {pitch}", Repair("tilt-rates", (0.0, seen[0][1], seen[1][1], 0.0)),
         )  # fmt: skip
+        return
+    if wrong := [axis for axis in seen if axis[1] < 0]:
+        columns = [("gx", "gy")[axis[0]] for axis in wrong]
+        names = " and ".join(columns)
+        signs = [axis[1] if axis else 1.0 for axis in follows]
+        yield Finding(
+            "gyro-tilt", "warning",
+            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign against how gravity turns: the roll rate "
+            "gx must be positive where the left side comes up, the pitch rate gy where the nose goes down",
+            f"imu.csv, {', '.join(columns)}", span, confidence_of(min(axis[2] for axis in wrong) / 2),
+            f"change the sign of {names}", Repair("tilt-rates", (signs[0], 0.0, 0.0, signs[1])),
+        )  # fmt: skip
+    if unseen := [k for k, axis in enumerate(follows) if axis is None]:
+        columns, motion = ([names[k] for k in unseen] for names in (("gx", "gy"), ("rolls", "pitches")))
+        what = (
+            f"the body hardly {' or '.join(motion)} as far as the forces show: "
+            f"the sign of {' and '.join(columns)} can't be checked"
+        )
+        remedy = "use a drive with turns, starts and stops to check it"
+        yield Finding("unseen-tilt", "note", what, f"imu.csv, {', '.join(columns)}", span, 0.95, remedy)
+
+
+def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
+    """Specific force and angular rates, (3, n), as they are once the other findings are repaired."""
+    imu, mount, yaw = evidence.drive.imu, evidence.mount, evidence.yaw
+    if imu.az is None or imu.gx is None or imu.gy is None:
+        return None
+    level = (mount.matrix if mount is not None else np.eye(2)) @ np.array([imu.ax, imu.ay])
+    up = float(np.median(np.abs(imu.az)))
+    unit = GRAVITY if 0.8 < up < 1.2 else 1.0
+    if not 0.7 * GRAVITY < unit * up < 1.3 * GRAVITY:
+        return None
+    force = np.array([*level, unit * np.sign(np.median(imu.az)) * imu.az])
+    rates = {"gx": imu.gx, "gy": imu.gy, "gz": imu.gz}
+    rates["gz"], rates[yaw.column] = rates[yaw.column], rates["gz"]
+    unit = abs(yaw.factor)
+    return force, np.array([unit * rates["gx"], unit * rates["gy"], yaw.factor * rates["gz"]])
+
+
+def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
+    """Find the rates that the roll and the pitch of the direction follow; None where unclear."""
+    interval = float(np.median(np.diff(time)))
+    count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
+    first = np.arange(0, len(time) - lag, max(lag // 2, 1))
+    first = first[time[first + lag] - time[first] < 2 * LAG]  # over a gap the rates are not known
+    if len(first) < 20:
+        return [None, None]
+    mean = moving_mean(force, count)
+    direction = mean / np.maximum(np.linalg.norm(mean, axis=0), 0.1 * GRAVITY)
+    turned = moving_mean(np.array([integral(time, rate) for rate in rates]), count)
+    change, angle = (values[:, first + lag] - values[:, first] for values in (direction, turned))
+    return [_clear(_deviations(angle, change[1])), _clear(-_deviations(angle, change[0]))]
+
+
+def _deviations(angle: Array, change: Array) -> Array:
+    """Factors of the turns about x and y in the change, over their deviations; a robust least squares.
+
+    The turn about z takes its part, which a tilted sensor and cornering give it.
+    """
+    columns = np.column_stack([*angle, np.ones(len(change))])
+    scale = np.linalg.norm(columns, axis=0)
+    columns = columns / np.where(scale > 0, scale, 1.0)
+    factors, left, kept = np.zeros(4), np.zeros(len(change)), np.ones(len(change), dtype=np.bool_)
+    for _ in range(3):
+        kept = (
+            np.abs(left) <= OUTLYING * float(np.median(np.abs(left))) / 0.6745 + 1e-9
+        )  # all in the first round
+        factors = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
+        left = change - columns @ factors
+    covariance = np.linalg.pinv(columns[kept].T @ columns[kept]) * (np.var(left[kept]) + 1e-18)
+    return factors[:2] / np.sqrt(np.maximum(np.diag(covariance)[:2], 1e-30))
+
+
+def _clear(deviations: Array) -> Follows | None:
+    column = int(np.argmax(np.abs(deviations)))
+    size, other = float(abs(deviations[column])), float(abs(deviations[1 - column]))
+    if size < max(CLEAR, CLEARER * other):
+        return None
+    return column, float(np.sign(deviations[column])), size

@@ -1,4 +1,4 @@
-"""The mounting of an IMU with six axes: one rotation, and one that changes within the log."""
+"""The mounting of an IMU with six axes, a change of it within the log, and a log that begins in reverse."""
 
 import math
 from collections.abc import Iterator
@@ -8,6 +8,7 @@ import numpy as np
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import SERIOUS, angle_of
+from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.drive import Array, Drive
 
 MOVED = math.radians(15.0)
@@ -15,30 +16,33 @@ STANDS_OUT = 6.0
 """rad, and deviations of the medians: how far gravity must jump where the IMU was moved within a log."""
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
+STANDS = 1.0
+"""m/s: a slower car may change its direction."""
+STEP = 2.0
+"""s: over which changes of speed are compared with ax."""
+CLEAR, LEAST = 3.0, 0.4
+"""Deviations and size by which the slope of the changes of speed on ax differs from 0."""
 
-def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about how the IMU sits in the vehicle."""
+
+def check_mounting(evidence: Evidence) -> Iterator[Finding]:
+    """Find how the IMU sits in the vehicle."""
+    mounting = evidence.mounting
     if change := moved(evidence.drive):
         time, angle = change
+        what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg elsewhere after it"
+        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f}; each part has its own mounting"
+        yield Finding("mounting-changed", "serious", what, WHERE, (time, evidence.span[1]), 0.99, remedy)
+    elif mounting is not None and mounting.needed:
+        roll, pitch, yaw = mounting.degrees
+        total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
         yield Finding(
-            "mounting-changed", "serious",
-            f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg elsewhere after it",
-            WHERE, (time, evidence.span[1]), 0.99,
-            f"cut the log there: sigmaswarm split DRIVE --at {time:.0f}; each part has its own mounting",
+            "mounting", "serious" if angle > SERIOUS else "warning",
+            f"the IMU is turned against the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg "
+            f"(standard deviation {math.degrees(total):.1f} deg in all, {mounting.confidence})",
+            WHERE, evidence.span, confidence_of(angle / total),
+            f"turn all six axes: import with --mount {roll:g},{pitch:g},{yaw:g}",
+            Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
-    mounting = evidence.mounting
-    if mounting is None or not mounting.needed or change:
-        return
-    roll, pitch, yaw = mounting.degrees
-    total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
-    yield Finding(
-        "mounting", "serious" if angle > SERIOUS else "warning",
-        f"the IMU is turned against the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg "
-        f"(standard deviation {math.degrees(total):.1f} deg in all, {mounting.confidence})",
-        WHERE, evidence.span, confidence_of(angle / total),
-        f"turn all six axes: import with --mount {roll:g},{pitch:g},{yaw:g}",
-        Repair("rotate", tuple(mounting.repair.ravel().tolist())),
-    )  # fmt: skip
 
 
 def moved(drive: Drive) -> tuple[float, float] | None:
@@ -60,16 +64,53 @@ def moved(drive: Drive) -> tuple[float, float] | None:
     if len(direction) < 2 * least:
         return None
 
-    def spread(part: Array) -> float:
-        return float(np.abs(part - np.median(part, axis=0)).sum())
+    def spread(cut: int) -> float:
+        return sum(float(np.abs(v - np.median(v, axis=0)).sum()) for v in (direction[:cut], direction[cut:]))
 
-    cuts = range(least, len(direction) - least + 1)
-    cut = min(cuts, key=lambda k: spread(direction[:k]) + spread(direction[k:]))
-    before, after = (np.median(part, axis=0) for part in (direction[:cut], direction[cut:]))
+    cut = min(range(least, len(direction) - least + 1), key=spread)
+    parts = direction[:cut], direction[cut:]
+    before, after = (np.median(part, axis=0) for part in parts)
     angle = float(np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1)))
-    spreads = [
+    noise = max(
         float(np.median(np.linalg.norm(part - middle, axis=1))) / math.sqrt(len(part))
-        for part, middle in ((direction[:cut], before), (direction[cut:], after))
-    ]
+        for part, middle in zip(parts, (before, after), strict=True)
+    )
     at = float(edges[:-1][counts > 0][cut])
-    return (at, angle) if angle > max(MOVED, STANDS_OUT * max(spreads)) else None
+    return (at, angle) if angle > max(MOVED, STANDS_OUT * noise) else None
+
+
+def check_reverse(evidence: Evidence) -> Iterator[Finding]:
+    """Find a first motion that alone is backwards: the start of a filter takes its course for the heading."""
+    course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
+    if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
+        return
+    gained = smoothed(imu.time, integral(imu.time, imu.ax), course.time - evidence.clock.late, course.span)
+    speed = np.abs(course.velocity)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed > STANDS).astype(int), [0]])))
+    runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 5]
+    slopes = [(run, _slope(course.time[run], speed[run], gained[run])) for run in runs]
+    shown = [(run, *slope) for run, slope in slopes if slope]
+    if len(shown) < 2:
+        return
+    (first, slope, limit), *rest = shown
+    if slope < -limit and any(slope > limit for _, slope, limit in rest):
+        until = float(course.time[first.stop - 1])
+        what = f"the log seems to begin in reverse, until t = {until:.0f} s: there ax is positive where the speed falls"
+        remedy = f"cut that part off: sigmaswarm split DRIVE --at {until + 2:.0f}, and use the second part"
+        span = evidence.span[0], until
+        yield Finding("reverse-start", "serious", what, "gps.csv, imu.csv, ax", span, 0.99, remedy)
+
+
+def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
+    """Slope of the changes of speed on those that ax gives, and its clear size; None where the speed hardly changes."""
+    step = max(round(STEP / float(np.median(np.diff(time)))), 1)
+    if len(time) < step + 4:
+        return None
+    y, x = speed[step:] - speed[:-step], gained[step:] - gained[:-step]
+    y, x = y - y.mean(), x - x.mean()
+    power = float(x @ x)
+    if power < 1.0:
+        return None
+    slope = float(x @ y) / power
+    std = float(np.sqrt(step * np.sum((x * (y - slope * x)) ** 2)) / power) + 1e-6
+    return slope, max(CLEAR * std, LEAST)

@@ -21,83 +21,58 @@ WHITE = 0.7
 """Noise from fix to fix over the scatter about a path of ten seconds: 1 for white noise."""
 
 
-def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about the fixes' noise."""
+def check_noise(evidence: Evidence) -> Iterator[Finding]:
+    """Find a stated deviation that the fixes contradict, and outliers."""
     yield from _stated(evidence)
-    yield from _outliers(evidence)
+    gps, off = evidence.drive.gps, evidence.outlying
+    time = gps.time[off]
+    if not len(time):
+        return
+    first = ", ".join(f"{t:.1f}" for t in time[:4]) + (" ..." if len(time) > 4 else "")
+    many, share, then = "es" if len(time) > 1 else "", 100 * len(time) / len(gps), int(evidence.used[0])
+    what = f"{len(time)} fix{many} ({share:.1f}%) far off the path, at t = {first} s"
+    severity, jump = "warning", float(np.hypot(gps.x[then] - gps.x[0], gps.y[then] - gps.y[0]))
+    if off[0] and jump > FAR_FIRST:
+        severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
+    span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
+    remedy = "leave them out, or let the filter do it: --use robust"
+    yield Finding("gps-outliers", severity, what, "gps.csv, positions", span, 0.99, remedy, repair)
 
 
 def _stated(evidence: Evidence) -> Iterator[Finding]:
-    gps, told = evidence.drive.gps, stated_std(evidence.drive)
-    if told is None:
+    gps, known = evidence.drive.gps, stated_std(evidence.drive)
+    noise, scatter, span = evidence.noise, max(evidence.scatter, evidence.noise), evidence.span
+    if known is None or not scatter:
         return
-    stated = float(np.mean(told))
+    stated = float(np.mean(known))
     where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
-    noise, scatter = evidence.noise, max(evidence.scatter, evidence.noise)
-    if not scatter:
-        return
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
     # A smoothing receiver's errors last: its stated accuracy may be right although the fixes scatter little.
     white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:
-        how = "smaller than"
-        confidence = confidence_of(3 + noise / stated / TOO_SMALL)
+        how, confidence = "smaller", confidence_of(3 + noise / stated / TOO_SMALL)
     elif white and stated > TOO_LARGE * scatter:
-        how = "larger than"
-        confidence = confidence_of(2 * stated / TOO_LARGE / scatter)
+        how, confidence = "larger", confidence_of(2 * stated / TOO_LARGE / scatter)
     else:
         if stated > LASTS * max(scatter, LEAST_NOISE):
-            yield _lasting(evidence, stated, scatter, where)
+            what = (
+                f"the fixes scatter by {scatter:.2g} m per axis about a path of ten seconds, and the receiver states "
+                f"{stated:.2g} m: their errors last, so that many fixes tell hardly more than one, and a filter "
+                "without truth can't know how far off it is"
+            )
+            remedy = "take what a filter says of its own position for the scatter alone"
+            yield Finding(
+                "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
+            )
         return
     factor = max(stated / scatter, scatter / stated)
+    what = (
+        f"the stated deviation, {stated:.2g} m, is {factor:.0f} times {how} than the fixes' scatter, "
+        f"{scatter:.2g} m per axis"
+    )
+    remedy = (
+        f"state {scatter:.2g} m, or more where slow errors are known, which a log without truth does not show"
+    )
     yield Finding(
-        "gps-noise",
-        "warning",
-        f"the stated deviation, {stated:.2g} m, is {factor:.0f} times {how} the fixes' scatter, "
-        f"{scatter:.2g} m per axis",
-        where,
-        evidence.span,
-        confidence,
-        f"state {scatter:.2g} m, or more where slow errors are known, which a log without truth does not show",
-        Repair("state-noise", (scatter,)),
+        "gps-noise", "warning", what, where, span, confidence, remedy, Repair("state-noise", (scatter,))
     )
-
-
-def _lasting(evidence: Evidence, stated: float, scatter: float, where: str) -> Finding:
-    return Finding(
-        "gps-correlated",
-        "note",
-        f"the fixes scatter by {scatter:.2g} m per axis about a path of ten seconds, and the receiver states "
-        f"{stated:.2g} m: their errors last, so that many fixes tell hardly more than one, and a filter without truth "
-        "can't know how far off it is",
-        where,
-        evidence.span,
-        confidence_of(stated / scatter),
-        "take what a filter says of its own position for the scatter alone",
-    )
-
-
-def _outliers(evidence: Evidence) -> Iterator[Finding]:
-    time = evidence.drive.gps.time[evidence.outlying]
-    if not len(time):
-        return
-    first = ", ".join(f"{t:.1f}" for t in time[:4]) + (" ..." if len(time) > 4 else "")
-    share = 100 * len(time) / len(evidence.drive.gps)
-    far = evidence.outlying[0] and _first_jump(evidence) > FAR_FIRST
-    yield Finding(
-        "gps-outliers",
-        "serious" if far else "warning",
-        f"{len(time)} fix{'es' if len(time) > 1 else ''} ({share:.1f}%) far off the path, at t = {first} s"
-        + (f"; the first fix lies {_first_jump(evidence) / 1e3:.3g} km from the others" if far else ""),
-        "gps.csv, positions",
-        (float(time[0]), float(time[-1])),
-        0.99,
-        "leave them out, or let the filter do it: --use robust",
-        Repair("drop-fixes", tuple(time.tolist())),
-    )
-
-
-def _first_jump(evidence: Evidence) -> float:
-    """Distance from the first fix to the next one that is used, m."""
-    gps, then = evidence.drive.gps, int(evidence.used[0])
-    return float(np.hypot(gps.x[then] - gps.x[0], gps.y[then] - gps.y[0]))

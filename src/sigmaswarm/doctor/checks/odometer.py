@@ -1,15 +1,15 @@
 """The wheels' speed against fixes and accelerometer: sign, unit, scale, clock, a counter that is stuck, and slip."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.doctor.checks.velocity import UNITS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Course
+from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
 SPAN = (6.0, 20.0)
@@ -44,40 +44,38 @@ WITHIN, LASTS_AT_MOST = 1.0, 10.0
 AGREE = 0.5
 """m/s: largest median difference at which the accelerometer can check the wheels."""
 
+Spans = list[tuple[float, float]]
+"""From when to when, s."""
+SPEED = "odometer.csv, speed"
 
-def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about odometer.csv."""
+
+def check_odometer(evidence: Evidence) -> Iterator[Finding]:
+    """Find faults of odometer.csv."""
     odometer, course = evidence.drive.odometer, evidence.course
     if odometer is None or course is None or not course.moving.any() or len(odometer) < FEWEST:
         return
-    stuck = _stuck(odometer, course)
-    if stuck:
-        yield Finding(
-            "odometer-stuck", "warning",
-            f"the same reading again and again while the fixes move at another speed: t = {_named(stuck)}",
-            "odometer.csv, speed", (stuck[0][0], stuck[-1][1]), 0.95, "leave these readings out",
-            Repair("drop-readings", tuple(t for span in stuck for t in span)),
-        )  # fmt: skip
-        odometer = without(odometer, stuck)
-        if len(odometer) < FEWEST:
-            return
-    if slips := _slips(odometer, evidence):
-        yield Finding(
-            "odometer-slip", "warning",
-            "the wheels' speed jumps where the accelerometer feels nothing, as of wheels that spin or lock: "
-            f"t = {_named(slips)}",
-            "odometer.csv, speed", (slips[0][0], slips[-1][1]), 0.9, "leave these readings out",
-            Repair("drop-readings", tuple(t for span in slips for t in span)),
-        )  # fmt: skip
-        odometer = without(odometer, slips)
-        if len(odometer) < FEWEST:
-            return
+    for code, confidence, fault, find in (
+        ("stuck", 0.95, "the same reading again and again while the fixes move at another speed", _stuck),
+        (
+            "slip",
+            0.9,
+            "the wheels' speed jumps where the accelerometer feels nothing, as of wheels that spin or lock",
+            _slips,
+        ),
+    ):
+        if spans := find(odometer, course, evidence):
+            named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + (
+                " ..." if len(spans) > 3 else ""
+            )
+            repair = Repair("drop-readings", tuple(t for span in spans for t in span))
+            span, remedy = (spans[0][0], spans[-1][1]), "leave these readings out"
+            what = f"{fault}: t = {named}"
+            yield Finding(f"odometer-{code}", "warning", what, SPEED, span, confidence, remedy, repair)
+            odometer = without(odometer, spans)
+            if len(odometer) < FEWEST:
+                return
     yield from _scale(odometer, course, evidence)
     yield from _clock(odometer, evidence)
-
-
-def _named(spans: Sequence[tuple[float, float]]) -> str:
-    return ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + (" ..." if len(spans) > 3 else "")
 
 
 def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
@@ -88,135 +86,123 @@ def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odomete
     return odometer.select(keep)
 
 
-def _stuck(odometer: Odometer, course: Course) -> list[tuple[float, float]]:
-    """From when to when one reading is repeated that the fixes contradict, s; signs, units and scale aside."""
-    time, speed = odometer.time, np.abs(odometer.speed)
+def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
+    """Where one reading is repeated that the fixes contradict; signs, units and scale aside."""
+    time, speed, seen = odometer.time, np.abs(odometer.speed), np.abs(course.velocity)
     begins = np.flatnonzero(np.append(True, np.diff(odometer.speed) != 0))
     ends = np.append(begins[1:], len(time)) - 1
-    seen = np.abs(course.velocity)
-    told = np.interp(course.time, time, speed)
-    usual = float(np.median(seen[course.moving])) / max(float(np.median(told[course.moving])), 1e-3)
+    wheels = np.interp(course.time, time, speed)[course.moving]
+    usual = float(np.median(seen[course.moving])) / max(float(np.median(wheels)), 1e-3)
     factor = usual if not 1 / FAMILIAR < usual < FAMILIAR else 1.0
-    found: list[tuple[float, float]] = []
-    for a, b in zip(begins, ends, strict=True):
-        if time[b] - time[a] < STUCK:
-            continue
-        inside = (course.time >= time[a]) & (course.time <= time[b])
-        if np.count_nonzero(inside) >= 3:
-            apart = np.abs(seen[inside] - (speed[a] * factor if speed[a] > 0 else 0.0))
-            if np.median(apart) > APART:
-                found.append((float(time[a]), float(time[b])))
+    long = time[ends] - time[begins] >= STUCK
+    found: Spans = []
+    for a, b in zip(begins[long], ends[long], strict=True):
+        inside = seen[(course.time >= time[a]) & (course.time <= time[b])]
+        if (
+            len(inside) >= 3
+            and np.median(np.abs(inside - (speed[a] * factor if speed[a] > 0 else 0.0))) > APART
+        ):
+            found.append((float(time[a]), float(time[b])))
     return found
 
 
-def _slips(odometer: Odometer, evidence: Evidence) -> list[tuple[float, float]]:
-    """From when to when the wheels do not turn as the car moves, s: from a jump to the one back, or about the jump."""
-    imu = evidence.drive.imu
-    a, b = max(imu.time[0], odometer.time[0]) + WITHIN, min(imu.time[-1], odometer.time[-1]) - WITHIN
+def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
+    """Where the wheels do not turn as the car moves: from a jump to the one back, or about the jump."""
+    imu, time = evidence.drive.imu, odometer.time
+    a, b = max(imu.time[0], time[0]) + WITHIN, min(imu.time[-1], time[-1]) - WITHIN
     at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
-    ends = np.searchsorted(odometer.time, [at - WITHIN / 2, at + WITHIN / 2])
-    at = at[
-        (ends[1] - ends[0] >= 3) & (np.interp(at, odometer.time[1:], np.diff(odometer.time)) < WITHIN / 2)
-    ]
+    ends = np.searchsorted(time, [at - WITHIN / 2, at + WITHIN / 2])
+    at = at[(ends[1] - ends[0] >= 3) & (np.interp(at, time[1:], np.diff(time)) < WITHIN / 2)]
     if len(at) < 100:
         return []
-    low, high = at - WITHIN / 2, at + WITHIN / 2
-    gained = _integral(imu.time, imu.ax)
-    told = np.interp(high, odometer.time, odometer.speed) - np.interp(low, odometer.time, odometer.speed)
-    apart = told - (np.interp(high, imu.time, gained) - np.interp(low, imu.time, gained))
+    apart = _gain(time, odometer.speed, at, WITHIN) - _gain(imu.time, integral(imu.time, imu.ax), at, WITHIN)
     apart -= np.median(apart)
     quiet = np.abs(apart) < JUMP
     if np.median(np.abs(apart)) > AGREE or np.count_nonzero(quiet) < 0.5 * len(at):
         return []
     jumps: list[tuple[float, float]] = []  # when, and by how much
-    for i in np.flatnonzero(~quiet):
-        if jumps and at[i] - jumps[-1][0] <= WITHIN and apart[i] * jumps[-1][1] > 0:
-            jumps[-1] = max(jumps[-1], (float(at[i]), float(apart[i])), key=lambda jump: abs(jump[1]))
+    for jump in zip(at[~quiet].tolist(), apart[~quiet].tolist(), strict=True):
+        if jumps and jump[0] - jumps[-1][0] <= WITHIN and jump[1] * jumps[-1][1] > 0:
+            jumps[-1] = max(jumps[-1], jump, key=lambda jump: abs(jump[1]))
         else:
-            jumps.append((float(at[i]), float(apart[i])))
-    found: list[tuple[float, float]] = []
-    begun: tuple[float, float] | None = None
+            jumps.append(jump)
+    found: Spans = []
+    begun = -math.inf, 0.0
     for t, by in jumps:
-        if begun and by * begun[1] < 0 and t - begun[0] < LASTS_AT_MOST:
+        if by * begun[1] < 0 and t - begun[0] < LASTS_AT_MOST:
             found[-1] = (found[-1][0], t + WITHIN)
-            begun = None
+            begun = -math.inf, 0.0
         else:
             found.append((t - WITHIN, t + WITHIN))
-            begun = (t, by)
+            begun = t, by
     return found
+
+
+def _gain(time: Array, values: Array, at: Array, span: float) -> Array:
+    """The change of values (n,) over a span, s, around moments."""
+    return np.interp(at + span / 2, time, values) - np.interp(at - span / 2, time, values)
 
 
 def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[Finding]:
     """The ratio of the wheels' way to the fixes', over ways that are about straight."""
-    ratio, chord = _ratios(odometer, course, evidence)
-    if len(ratio) < FEWEST:
+    found, span = _ratios(odometer, course, evidence), evidence.span
+    if len(found) < FEWEST:
         return
+    ratio, chord = np.array(found).T
     scale = float(np.median(ratio))
     each = max(
         1.4826 * float(np.median(np.abs(ratio - scale))),
         math.sqrt(2) * evidence.noise / float(np.median(chord)),
     )
     unsure = 1.2533 * each / math.sqrt(len(ratio))
-    size, span = abs(scale), evidence.span
+    size = abs(scale)
     if scale < 0 and unsure < 0.1 * size:
-        yield Finding(
-            "odometer-sign", "serious", "the wheels turn backwards while the car drives ahead", "odometer.csv, speed",
-            span, 0.99, "change the sign of speed: forward is positive", Repair("odometer", (-1.0,)),
-        )  # fmt: skip
+        what, repair = "the wheels turn backwards while the car drives ahead", Repair("odometer", (-1.0,))
+        remedy = "change the sign of speed: forward is positive"
+        yield Finding("odometer-sign", "serious", what, SPEED, span, 0.99, remedy, repair)
         scale = size
+    if scale <= 0:
+        return
     for unit, factor in UNITS.items():
-        if scale > 0 and not 1 / FAMILIAR < size < FAMILIAR and abs(math.log(size * factor)) < 0.1:
-            yield Finding(
-                "odometer-unit", "serious", f"speed is in {unit}: {size:.2f} times what the fixes move at",
-                "odometer.csv, speed", span, 0.99, f"multiply speed by {factor:.4g}", Repair("odometer", (factor,)),
-            )  # fmt: skip
+        if not 1 / FAMILIAR < size < FAMILIAR and abs(math.log(size * factor)) < 0.1:
+            what = f"speed is in {unit}: {size:.2f} times what the fixes move at"
+            remedy, repair = f"multiply speed by {factor:.4g}", Repair("odometer", (factor,))
+            yield Finding("odometer-unit", "serious", what, SPEED, span, 0.99, remedy, repair)
             return
-    if scale > 0 and size > 0.1 and abs(size - 1) > max(WRONG, 3 * unsure):
+    if size > 0.1 and abs(size - 1) > max(WRONG, 3 * unsure):
         way = "more" if size > 1 else "less"
+        what = f"the wheels tell {abs(size - 1):.1%} {way} than the fixes move (to {unsure:.1%})"
+        remedy = f"divide speed by {size:.4f}, or let `tune --use odometer` find its scale"
         yield Finding(
-            "odometer-scale", "warning",
-            f"the wheels tell {abs(size - 1):.1%} {way} than the fixes move (to {unsure:.1%})", "odometer.csv, speed",
-            span, 0.95, f"divide speed by {size:.4f}, or let `tune --use odometer` find its scale",
-            Repair("odometer", (1 / size,)),
-        )  # fmt: skip
+            "odometer-scale", "warning", what, SPEED, span, 0.95, remedy, Repair("odometer", (1 / size,))
+        )
 
 
-def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> tuple[Array, Array]:
+def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
     """The wheels' way, bent as the gyro says, over the fixes', and how far the latter went, m; as the crow flies."""
-    imu = evidence.drive.imu
-    rate = evidence.yaw.factor * getattr(imu, evidence.yaw.column)
-    heading = np.interp(odometer.time, imu.time, _integral(imu.time, rate))
+    imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
+    heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
-    place = _integral(odometer.time, east) + 1j * _integral(odometer.time, north)
-    along = _integral(odometer.time, odometer.speed)
+    place = integral(time, east) + 1j * integral(time, north)
+    along = integral(time, odometer.speed)
     span = float(np.clip((course.time[-1] - course.time[0]) / 10, *SPAN))
     found: list[tuple[float, float]] = []
     first = 0
     for i in range(1, len(course.time)):
-        a, b = float(course.time[first]), float(course.time[i])
-        if b - a < span:
+        ends = course.time[[first, i]]
+        length = float(ends[1] - ends[0])
+        if length < span:
             continue
-        there = slice(*np.searchsorted(odometer.time, [a, b]))
-        inside = odometer.time[there]
+        inside = time[slice(*np.searchsorted(time, ends))]
         chord = float(abs(course.position[i] - course.position[first]))
-        known = odometer.time[0] <= a and b <= odometer.time[-1] and len(inside) >= 3 and b - a < 2 * span
-        if known and chord > SHORTEST and _gap(inside) < 1.0:
-            way = float(abs(np.diff(np.interp([a, b], odometer.time, place))[0]))
-            ahead = float(np.diff(np.interp([a, b], odometer.time, along))[0])
+        known = time[0] <= ends[0] and ends[1] <= time[-1] and len(inside) >= 3 and length < 2 * span
+        if known and chord > SHORTEST and float(np.max(np.diff(inside))) < 1.0:
+            way = float(abs(np.diff(np.interp(ends, time, place))[0]))
+            ahead = float(np.diff(np.interp(ends, time, along))[0])
             if way > 0.5 * abs(ahead):  # and no turn round
                 found.append((math.copysign(way, ahead) / chord, chord))
         first = i
-    ratio, chord = np.array(found).T if found else np.zeros((2, 0))
-    return ratio, chord
-
-
-def _gap(time: Array) -> float:
-    return float(np.max(np.diff(time)))
-
-
-def _integral(time: Array, values: Array) -> Array:
-    steps = 0.5 * np.diff(time) * (values[1:] + values[:-1])
-    return np.concatenate([np.zeros(1), np.cumsum(steps)])
+    return found
 
 
 def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
@@ -228,40 +214,33 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     at = np.arange(a + LARGEST_LAG + SMOOTH, b - LARGEST_LAG - SMOOTH, max(STEP, (b - a) / 200_000))
     if len(at) < 500:
         return
-    gained = _integral(imu.time, imu.ax)
-    felt = _slope(imu.time, gained, at)
     lags = np.arange(-LARGEST_LAG, LARGEST_LAG + STEP / 2, STEP)
-    alike = np.array([_correlation(felt, _slope(odometer.time, odometer.speed, at + lag)) for lag in lags])
-    best = int(np.argmax(np.abs(alike)))
-    late, now = float(lags[best]), float(np.abs(alike[len(lags) // 2]))
-    if abs(late) >= LATE and abs(alike[best]) > ALIKE and abs(alike[best]) > now + 0.05:
+    felt = _quick(imu.time, integral(imu.time, imu.ax), at)
+    alike = np.abs([_correlation(felt, _quick(odometer.time, odometer.speed, at + lag)) for lag in lags])
+    best = int(np.argmax(alike))
+    late = float(lags[best])
+    if abs(late) >= LATE and alike[best] > max(ALIKE, float(alike[len(lags) // 2]) + 0.05):
         way = "late" if late > 0 else "early"
+        what = f"the wheels' speed changes {abs(late):.2f} s {way} for what the accelerometer feels"
+        remedy = f"add {-late:+.2f} s to its times, or let `tune --use odometer` find its latency"
+        repair = Repair("shift-odometer", (-late,))
         yield Finding(
-            "odometer-clock", "warning",
-            f"the wheels' speed changes {abs(late):.2f} s {way} for what the accelerometer feels",
-            "odometer.csv, t", evidence.span, 0.9,
-            f"add {-late:+.2f} s to its times, or let `tune --use odometer` find its latency",
-            Repair("shift-odometer", (-late,)),
-        )  # fmt: skip
+            "odometer-clock", "warning", what, "odometer.csv, t", evidence.span, 0.9, remedy, repair
+        )
 
 
-def _slope(time: Array, values: Array, at: Array) -> Array:
-    """Of values (n,) around moments, per s."""
-    return (np.interp(at + SMOOTH / 2, time, values) - np.interp(at - SMOOTH / 2, time, values)) / SMOOTH
+def _quick(time: Array, values: Array, at: Array) -> Array:
+    """Slopes around moments, less their mean over 10 s: a road's slope, which the accelerometer feels, lasts longer."""
+    slope = _gain(time, values, at, SMOOTH) / SMOOTH
+    n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
+    total = np.append(0.0, np.cumsum(slope))
+    edges = np.arange(len(slope))
+    low, high = np.maximum(edges - n // 2, 0), np.minimum(edges + n // 2 + 1, len(slope))
+    return slope - (total[high] - total[low]) / (high - low)
 
 
 def _correlation(a: Array, b: Array) -> float:
-    """Of what changes within seconds: a road's slope, which the accelerometer feels, lasts longer."""
-    a, b = _quick(a), _quick(b)
     # not a @ b: of so many numbers BLAS makes work for threads, which wait for each other ten times as long as they add
     ab, aa, bb = (float(np.sum(p * q)) for p, q in ((a, b), (a, a), (b, b)))
     size = math.sqrt(aa * bb)
     return ab / size if size > 0 else 0.0
-
-
-def _quick(values: NDArray[np.float64], seconds: float = 10.0) -> Array:
-    n = max(3, min(len(values) // 2, round(seconds / STEP)))
-    total = np.cumsum(np.concatenate([np.zeros(1), values]))
-    edges = np.arange(len(values))
-    low, high = np.maximum(edges - n // 2, 0), np.minimum(edges + n // 2 + 1, len(values))
-    return values - (total[high] - total[low]) / (high - low)

@@ -18,8 +18,6 @@ CarlaVersion = Literal["0.9.14", "0.9.16"]
 
 EARTH_RADIUS = 6378137.0
 """m, of CARLA's sphere."""
-METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
-"""111 319.49 m in a degree of latitude."""
 _SCALE_0916 = 0.9996
 
 

@@ -1,0 +1,85 @@
+"""The limits of a drive: quantities that its fixes do not show, and the measurements that a filter can use."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sigmaswarm.doctor.checks.velocity import agrees
+from sigmaswarm.doctor.clock_search import WIDEST
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.findings import Finding
+from sigmaswarm.drives.alignment import NoStart, find_start
+from sigmaswarm.drives.sensors import stated_spread, suggest_filter
+
+MORE = "use a drive with turns, starts and stops to check it"
+ABOVE_NOISE = 3.0
+"""Deviations of the course by which it changes, RMS within windows, where it turns for sure."""
+LEAST_TURN = np.radians(5.0)
+"""rad: less is the course of a car that sways."""
+
+
+def check_observability(evidence: Evidence) -> Iterator[Finding]:
+    """Find faults that cannot be detected, by the motion that the fixes show."""
+    span = evidence.span
+    start = find_start(evidence.drive)
+    if isinstance(start, NoStart):
+        yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
+    if not evidence.drives:
+        what = "the fixes don't show the car drive: neither heading nor axes, units or clocks can be checked"
+        remedy = "use a longer drive, or one that gets up to speed"
+        yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
+        return
+    if not evidence.yaw.known:
+        what, remedy = _unseen_yaw(evidence)
+        what += ": sign and unit of gz can't be checked, and the gyro's bias and heading errors hardly show"
+        yield Finding("unseen-yaw", "warning", what, "imu.csv, gz", span, 0.95, remedy)
+    known = evidence.mount.known if evidence.mount else (False, False)
+    for axis, seen, motion in zip(("ax", "ay"), known, ("changes of speed", "cornering"), strict=True):
+        if not seen:
+            what = f"the fixes hardly show {motion}: sign, unit and bias of {axis} can't be checked"
+            yield Finding(f"unseen-{axis}", "note", what, f"imu.csv, {axis}", span, 0.95, MORE)
+
+
+def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
+    """Why a gyro can't be checked: no turn shows, or one shows that no column of the gyro follows; and the remedy."""
+    course, fit = evidence.course, evidence.yaw_fit
+    assert course is not None
+    moving = course.moving
+    interval = float(np.median(np.diff(course.time)))
+    shown = (
+        f"the course shows for {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s, "
+        f"where the car is faster than {course.slowest:.1f} m/s"
+    )
+    if fit is None:
+        return f"{shown}, and nowhere for long enough", MORE
+    change = np.degrees(fit.course_change)
+    if fit.course_change > max(
+        LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
+    ):
+        return (
+            f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows it",
+            f"look up the gyro's unit, and the clocks, where offsets beyond {WIDEST:.0f} s are not searched",
+        )
+    return f"{shown}, and there it changes by {change:.1f} deg within 20 s; slower turns don't show", MORE
+
+
+def check_use(evidence: Evidence) -> Iterator[Finding]:
+    """Report the default filter of `tune` with its reasons, and possible additions."""
+    if not evidence.drives:
+        return
+    drive = evidence.drive
+    chosen = suggest_filter([drive])
+    reasons = dict.fromkeys(chosen.use, "")  # of every car, unless the log gives a reason
+    if drive.odometer is not None:
+        reasons["odometer"] = "odometer.csv has the wheels' speed"
+    if stated := stated_spread(drive):
+        reasons["accuracy"] = f"the stated deviations run from {stated[0]:.2g} to {stated[1]:.2g} m"
+    if count := int(np.count_nonzero(evidence.outlying)):
+        reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
+    if chosen.model == "tilted12":
+        reasons["model"] = "az, gx and gy are there, which tell hills from motion"
+    because = "; ".join(filter(None, reasons.values()))
+    may = "you may add velocity to --use: the receiver gives speed and course"
+    what = f"tune takes {chosen.options}{f': {because}' if because else ''}{f'; {may}' if agrees(evidence) else ''}"
+    remedy = "see the options of `sigmaswarm tune`"
+    yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

@@ -1,0 +1,187 @@
+"""Times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and values that only repeat."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
+from sigmaswarm.doctor.mounting import LEAST_SHARE, LEAST_TURN
+from sigmaswarm.doctor.verdicts import CLEAR_OFFSET
+from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in
+from sigmaswarm.drives.drive import Array, Gps
+from sigmaswarm.drives.sensors import motion_in_noise, white_noise
+
+GRAVE = 0.3
+"""s between the clocks: more is worth meters."""
+SLOW_IMU = 8.0
+"""Hz: slower, turns are lost between samples."""
+UNEVEN = 0.5
+"""Share of the usual interval that the middle 90% of the intervals spread over."""
+HELD = 0.2
+"""Share of IMU samples that repeat the one before: a slower sensor, logged too often."""
+LONG_GAP = 0.5
+"""s without IMU samples, after which a step is no longer harmless."""
+FEWEST_STALE = 3
+LEAST_MISSED = 0.3
+"""Usual intervals of fixes by which one is longer if fixes are missing where IMU samples are."""
+AROUND = 2.0
+"""s on each side of a gap in which the speed is measured."""
+SIGMAS = 3.0
+"""By which a pause has to lie off a jump to be told from it, each from the middle between them."""
+
+
+def check_clock(evidence: Evidence) -> Iterator[Finding]:
+    """Find an offset of the clocks, or state the smallest one that would be visible."""
+    late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
+    way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
+    move = f"take {size} off" if late > 0 else f"add {size} to"
+    if evidence.moved:
+        what = f"the fixes are {abs(late):.1f} s {way} against the IMU: only then do the gyro's turns match the course"
+        leap = "; GPS time is 18 s ahead of UTC" if abs(abs(late) - 18) < 1 else ""
+        repair = Repair("shift-clock", (-evidence.moved,))
+        yield Finding(
+            "clock-offset", "serious", what, where, span, 0.999, f"{move} the fixes' times{leap}", repair
+        )
+    elif abs(late) >= evidence.clock.least:
+        # Changes of speed alone, as on a motorway, are no evidence for a repair.
+        turns = fit is not None and fit.course_change > LEAST_TURN and fit.share > LEAST_SHARE
+        clear = turns and abs(late) > CLEAR_OFFSET[1] * std
+        grave = abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std)
+        yield Finding(
+            "clock-offset", ("serious" if grave else "warning") if clear else "note",
+            f"the fixes {'are' if clear else 'may be'} {size} {way} against the IMU (deviation {std:.2f} s)",
+            where, span, confidence_of(late / std),
+            f"{move} the fixes' times{'' if clear else ' if other drives say so too'}, or let the tuning find it anew "
+            "(--use latency): its figure makes the filter forecast best, this one fits turns and accelerations best; "
+            "they may differ by a few deviations",
+            Repair("shift-fixes", (-late,)) if clear else None,
+        )  # fmt: skip
+    elif evidence.drives:
+        visible = evidence.clock.visible
+        how = (
+            "of any size could hide here"
+            if visible is None
+            else f"below {visible:.2f} s would not have been seen"
+        )
+        what = f"an offset between the clocks of IMU and GPS {how}"
+        remedy = (
+            "use a drive with turns, starts and stops to see less, or let the tuning find it (--use latency)"
+        )
+        yield Finding("unseen-clock", "note", what, where, span, 0.95, remedy)
+
+
+def check_sampling(evidence: Evidence) -> Iterator[Finding]:
+    """Find slow or uneven rates, gaps, pauses and repeated values."""
+    imu, gps = evidence.drive.imu, evidence.drive.gps
+    yield _rate("imu", "samples", imu.time)
+    yield _rate("gps", "fixes", gps.time)
+    remedy = "a filter drives on by the mean of the samples around it, and grows unsure of what the car did meanwhile"
+    yield from _gaps("imu", imu.time, IMU_GAP, remedy)
+    remedy = "a filter runs on the IMU alone there; nothing to do if it was so meant"
+    yield from _gaps("gps", gps.time, GPS_GAP, remedy)
+    yield from clock_jumps(imu.time, gps)
+    same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
+    if same.mean() > HELD:
+        share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
+        what = (
+            f"{share:.0f}% of the samples repeat the one before: the sensor gives about {fresh:.0f} a second"
+        )
+        repair = Repair("drop-samples", tuple(imu.time[same].tolist()))
+        where, remedy = "imu.csv, ax, ay, gz", "log only fresh samples"
+        yield Finding("imu-repeats", "warning", what, where, _ends(imu.time), 0.99, remedy, repair)
+    stale = gps.time[evidence.stale]
+    if len(stale) >= FEWEST_STALE:
+        what = f"{len(stale)} fixes repeat the one before to the last digit while the car drives"
+        remedy = "filters leave them out, as other tools should: they are old positions under a new time"
+        repair = Repair("drop-fixes", tuple(stale.tolist()))
+        yield Finding(
+            "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
+        )
+
+
+def _rate(sensor: str, counted: str, time: Array) -> Finding:
+    interval = np.diff(time)
+    usual = float(np.median(interval))
+    low, high = np.quantile(interval, [0.05, 0.95])
+    what = f"{len(time)} {counted} at {1 / usual:.3g} Hz over {time[-1] - time[0]:.0f} s"
+    if high - low > UNEVEN * usual:
+        what += f", uneven: 9 of 10 intervals last {1e3 * low:.0f} to {1e3 * high:.0f} ms"
+    severity, remedy = "note", "filters step by the true intervals; nothing to do"
+    if sensor == "imu" and usual > 1 / SLOW_IMU:
+        severity, remedy = "warning", "record at 25 Hz or more"
+    return Finding(f"{sensor}-rate", severity, what, f"{sensor}.csv, t", _ends(time), 1.0, remedy)
+
+
+def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> Iterator[Finding]:
+    if gaps := gaps_in(time, limit):
+        many = f"{gaps.count} gaps, the longest" if gaps.count > 1 else "a gap of"
+        what = f"{many} {gaps.length:.2g} s (usual interval {gaps.usual:.3g} s)"
+        severity = "warning" if sensor == "imu" and gaps.length > LONG_GAP else "note"
+        span = gaps.start, gaps.start + gaps.length
+        yield Finding(f"{sensor}-gap", severity, what, f"{sensor}.csv, t", span, 1.0, remedy)
+
+
+def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
+    """Moments that both sensors miss alike: the logger paused, or its clock jumped while the car did not."""
+    interval, fix_interval = np.diff(imu), np.diff(gps.time)
+    usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
+    for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
+        j = int(np.searchsorted(gps.time, imu[i], side="right")) - 1
+        if not 1 <= j < len(fix_interval):
+            continue
+        missed, fix_missed = float(interval[i]) - usual, float(fix_interval[j]) - fix_usual
+        apart = abs(missed - fix_missed)
+        if apart > 1.1 * fix_usual or fix_missed < LEAST_MISSED * fix_usual:
+            continue
+        passed, std = _time_passed(gps, j)
+        code, severity, remedy, repair = (
+            "logger-pause",
+            "note",
+            "nothing to do, or split the drive there",
+            None,
+        )
+        if 0.5 * fix_missed < SIGMAS * std:
+            what = "the logger paused, or its clock jumped: the car's speed around it can't tell"
+        elif passed < fix_usual + 0.5 * fix_missed:
+            what = f"the logger's clock jumped: the car went as far between these fixes as in {passed:.1f} s"
+            code, severity, remedy = "clock-jump", "warning", "take the jump off all later times of all files"
+            # Only a jump that both clocks miss alike, and all of it, can be closed: lost samples can't be restored.
+            if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
+                repair = Repair("close-jump", (float(imu[i]), missed))
+        else:
+            what = "the logger paused: the car drove on"
+        what = f"IMU and fixes both miss {missed:.2g} s after t = {imu[i]:.2f} s: {what}"
+        span = float(imu[i]), float(imu[i + 1])
+        yield Finding(code, severity, what, "imu.csv, gps.csv, t", span, 0.9, remedy, repair)
+
+
+def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
+    """Time that the car needs from fix j to the next at the speed around them, s; and its standard deviation.
+
+    By a line through the fixes of `AROUND` seconds on each side: single fixes are too noisy. Where both speeds
+    differ, the car may have gone at either of them.
+    """
+    position, time = gps.x + 1j * gps.y, gps.time
+    noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))
+    lines, variance = [], 0.0
+    for at, side in (
+        (time[j], (time <= time[j]) & (time >= time[j] - AROUND)),
+        (time[j + 1], (time >= time[j + 1]) & (time <= time[j + 1] + AROUND)),
+    ):
+        if side.sum() < 2:
+            return 0.0, np.inf
+        columns = np.column_stack([np.ones(side.sum()), time[side] - at])
+        lines.append(np.linalg.lstsq(columns, position[side], rcond=None)[0])
+        variance += noise**2 * float(np.linalg.inv(columns.T @ columns)[0, 0])
+    (start, before), (end, after) = lines
+    speed = (before + after) / 2
+    if speed == 0.0:
+        return 0.0, np.inf
+    along = (end - start) * np.conj(speed) / abs(speed)
+    variance += (abs(after - before) / 4 * float(time[j + 1] - time[j])) ** 2
+    return float(along.real / abs(speed)), float(np.sqrt(variance) / abs(speed))
+
+
+def _ends(time: Array) -> tuple[float, float]:
+    return float(time[0]), float(time[-1])
