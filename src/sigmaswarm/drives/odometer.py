@@ -39,7 +39,7 @@ class Wheels:
     turn: NDArray[np.bool_]
 
 
-def put_together(odometer: Odometer, start: float, end: Array, sampled: NDArray[np.bool_]) -> Wheels:
+def measurements_of(odometer: Odometer, start: float, end: Array, sampled: NDArray[np.bool_]) -> Wheels:
     """Compute the measurements; steps end at ``end`` (k,) s, at an IMU sample where ``sampled`` (k,).
 
     The first sample of each interval with a new reading uses the readings since the last measurement.

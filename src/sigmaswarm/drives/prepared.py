@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN, judged
-from sigmaswarm.drives.timeline import Timeline, build_timeline, driving_of
+from sigmaswarm.drives.timeline import Timeline, build_timeline
 
 SMALL = 500_000
 """Steps of a time line that stays in memory: somewhat over an hour, 40 MB."""
 
 
 class PreparedDrive:
-    """A drive with the start and the time lines of filters, which all that runs filters over it shares.
+    """A drive with the start and the time lines of filters, shared by all filters that run over it.
 
     Parameters
     ----------
@@ -51,11 +51,6 @@ class PreparedDrive:
         """The kind of each fix, (number of fixes,): see `drives.frozen`. Without preprocessing all are new."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
-    @cached_property
-    def _driving(self) -> Array:
-        """The IMU as it drives the steps of all time lines."""
-        return driving_of(self.drive, as_recorded=self.as_recorded)
-
     @property
     def frozen(self) -> NDArray[np.bool_]:
         """Stale fixes, (number of fixes,): filters don't use them as positions."""
@@ -76,7 +71,14 @@ class PreparedDrive:
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
         key = hidden.tobytes(), removed
         if key not in self._timelines:
-            self._timelines[key] = self._built(hidden, removed)
+            if removed:
+                line = self.timeline().without(hidden)
+            elif hidden.any():
+                line = self.timeline().hiding(hidden)
+            else:
+                start, recorded = self.initial.time, self.as_recorded
+                line = build_timeline(self.drive, start, as_recorded=recorded, kinds=self.kinds)
+            self._timelines[key] = line
         return self._timelines[key]
 
     def forget(self) -> None:
@@ -89,19 +91,6 @@ class PreparedDrive:
             for (hidden, removed), line in self._timelines.items()
             if not removed and not any(hidden) and len(line.end) <= SMALL
         }
-
-    def _built(self, hidden: NDArray[np.bool_], removed: bool) -> Timeline:
-        if removed:
-            return self.timeline().without(hidden)
-        if hidden.any():
-            return self.timeline().hiding(hidden)
-        return build_timeline(
-            self.drive,
-            self.initial.time,
-            as_recorded=self.as_recorded,
-            kinds=self.kinds,
-            driving=self._driving,
-        )
 
 
 def prepared(

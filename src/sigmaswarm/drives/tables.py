@@ -1,7 +1,7 @@
 """The tables of a drive: frozen records of columns, each with the time of its rows."""
 
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,8 @@ class Table:
 
     def select(self, rows: NDArray[np.bool_] | slice) -> Self:
         """Return the table with some of its rows (a mask or a slice)."""
-        return type(self)(**{name: None if v is None else v[rows] for name, v in vars(self).items()})
+        chosen: dict[str, Any] = {name: v if v is None else v[rows] for name, v in vars(self).items()}
+        return type(self)(**chosen)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return the existing columns, in the order and units of the attributes; needs pandas.

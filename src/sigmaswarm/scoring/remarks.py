@@ -6,10 +6,10 @@ import numpy as np
 
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import said_of_restarts
-from sigmaswarm.scoring.consistency import CORRELATED
+from sigmaswarm.scoring.consistency import CORRELATED, Consistency
 from sigmaswarm.scoring.drifts import FIXES, UNTUNED
 from sigmaswarm.scoring.measures import METHODS, POSITION_MEASURES, Measure
-from sigmaswarm.scoring.records import ConsistencyRecord, ScoresRecord
+from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstLook
 from sigmaswarm.wording import counted
 
@@ -79,7 +79,7 @@ MOST_TOLD = 3
 def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
     """Estimate the tuned filter's position error on each of the first drives without truth, in a sentence."""
     blind = [one.name for one in data if one.has_truth is False]
-    told = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma_m]
+    told = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
     return tuple(_without_truth(name, c) for name, c in told[:MOST_TOLD])
 
 
@@ -93,21 +93,21 @@ def said_of_first_look(look: FirstLook) -> str:
         return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: expect more on others"
     if look.consistency is None or not look.consistency.own_sigma:
         return ""
-    return _without_truth(name, ConsistencyRecord.of(look.consistency))
+    return _without_truth(name, look.consistency)
 
 
-def _without_truth(drive: str, found: ConsistencyRecord) -> str:
+def _without_truth(drive: str, found: Consistency) -> str:
     return f"Position error on {drive} without truth: {said_of_position(found)}"
 
 
-def said_of_position(found: ConsistencyRecord) -> str:
+def said_of_position(found: Consistency) -> str:
     """Estimate the position error of a filter on a drive without truth, in a sentence.
 
     It is the RMS of its sigmas, checked against its predictions of the fixes. Where these deviate far less than
     expected, the receiver smooths its fixes or their errors last: then the filter may be off by as much as the fixes.
     """
-    own, missed, expected = found.own_sigma_m or 0.0, found.missed_m or 0.0, found.expected_m or 0.0
-    (low, high), nis = found.nis_band_95, f"mean NIS {found.mean_nis:.2g} where 2 is right"
+    own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
+    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} where 2 is right"
     alike = found.autocorrelation[0] > CORRELATED
     if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
         fixes = max(expected**2 - own**2, 0.0) ** 0.5

@@ -125,8 +125,8 @@ class EvaluationView:
                 drive,
                 c.n_fixes,
                 c.mean_nis,
-                c.nis_band_95,
-                100 * c.share_inside_95_gate,
+                c.nis_band,
+                100 * c.inside_gate,
             )
             cells += (c.mean_nees,) if nees else ()
             rows.append((*cells, c.autocorrelation[0], c.white_p))
@@ -197,7 +197,7 @@ class EvaluationView:
 
     def verdicts(self) -> dict[str, str]:
         """Sentences about the consistency of the tuned filter, by kind."""
-        found = verdicts([c and c.summary for c in self.scores.consistency.values()])
+        found = verdicts([*self.scores.consistency.values()])
         return {kind: _sentence(said) for kind, said in found.items()}
 
     def warnings(self) -> tuple[str, ...]:
