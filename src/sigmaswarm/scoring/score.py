@@ -15,7 +15,7 @@ from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.truth_noise import heading_weights, is_known, position_weights, root_mean, weights_at
+from sigmaswarm.scoring.truth_noise import heading_weights, is_known, root_mean, weights_at
 
 HEADING_COUNTS_ABOVE = 2.0
 """m/s: below this true speed the heading error is not scored."""
@@ -97,44 +97,34 @@ class PieceErrors:
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth
-        self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
+        self._first = self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
         self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
-        self._parts: list[Array] = []
+        self._off: list[Array] = []
         self._turned: list[Array] = []
-        self._weights: list[tuple[Array | None, Array | None]] = []
 
     def add(self, time: Array, mean: Array) -> None:
         """The next estimates: times (r,) in s, and means (r, n) of a model's states."""
-        stop = int(np.searchsorted(self._truth.time, time[-1], side="right"))
-        at = slice(self._next, stop)
-        truth, nodes = self._truth.select(at), np.concatenate([[self._time], time])
+        truth, first = self._truth, self._next
+        self._next = int(np.searchsorted(truth.time, time[-1], side="right"))
+        at, nodes = slice(first, self._next), np.concatenate([[self._time], time])
         pose = np.vstack([self._pose, mean[:, : THETA + 1]])
         pose[:, THETA] = np.unwrap(pose[:, THETA])
-        x, y, theta = (np.interp(truth.time, nodes, pose[:, i]) for i in (0, 1, THETA))
-        self._parts.append(np.hypot(x - truth.x, y - truth.y))
-        fast = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
-        self._turned.append(wrap_angle(theta - truth.theta)[fast])
-        turned = heading_weights(truth)
-        self._weights.append((position_weights(truth), None if turned is None else turned[fast]))
-        self._next, self._time, self._pose = stop, time[-1], pose[-1]
+        x, y, theta = (np.interp(truth.time[at], nodes, pose[:, i]) for i in (0, 1, THETA))
+        self._off.append(np.hypot(x - truth.x[at], y - truth.y[at]))
+        self._turned.append(wrap_angle(theta - truth.theta[at]))
+        self._time, self._pose = time[-1], pose[-1]
 
     @property
     def score(self) -> Score:
         """Score of position and heading so far."""
-        if not self._parts:
+        if not self._off:
             return Score()
-        off, wrong = np.concatenate(self._parts), np.concatenate(self._turned)
-        weights, turned = (
-            [one for one in each if one is not None] for each in zip(*self._weights, strict=True)
-        )
-        score = _position_score(off, np.concatenate(weights) if weights else None)
-        return replace(score, heading_rmse=root_mean(wrong**2, np.concatenate(turned) if turned else None))
-
-
-def scored_truth(truth: Truth, start: float, end: float) -> Truth:
-    """The rows of truth that are scored, start and end included."""
-    first, after = np.searchsorted(truth.time, start, "left"), np.searchsorted(truth.time, end, "right")
-    return truth.select(slice(int(first), int(after)))  # a view
+        truth, scored = self._truth, slice(self._first, self._next)
+        fast = np.hypot(truth.vx[scored], truth.vy[scored]) > HEADING_COUNTS_ABOVE
+        wrong, weights = np.concatenate(self._turned)[fast], heading_weights(truth)
+        score = _position_score(np.concatenate(self._off), weights_at(truth, truth.time[scored]))
+        weights = None if weights is None else weights[scored][fast]
+        return replace(score, heading_rmse=root_mean(wrong**2, weights))
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:

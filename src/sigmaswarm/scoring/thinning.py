@@ -1,6 +1,7 @@
 """Thinning of series that come in pieces, to a size that does not grow with the drive."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ class Thinned:
         ends = self._ends[self._ends > self._first] - self._first
         whole = ends[ends <= len(columns["time"])]
         if len(whole):
-            rows = _extremes(_key(columns), whole)
+            rows = _extremes(columns, whole)
             self._kept.append({name: values[rows] for name, values in columns.items()})
             columns = {name: values[whole[-1] :] for name, values in columns.items()}
             self._first += int(whole[-1])
@@ -57,17 +58,12 @@ class Thinned:
         return {name: np.concatenate([part[name] for part in self._kept]) for name in self._kept[0]}
 
 
-def _key(columns: Columns) -> NDArray[np.floating[Any]]:
-    order = np.arange(len(columns["time"]), dtype=np.float64)
-    return np.nan_to_num(columns.get("position_error", columns.get("nis", order)), nan=0.0)
-
-
-def _extremes(key: NDArray[np.floating[Any]], ends: NDArray[np.intp]) -> NDArray[np.intp]:
+def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the rows of the smallest and the largest value before each end, each once."""
-    rows: list[int] = []
-    for first, end in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
-        part = key[first:end]
-        rows += [first + int(part.argmin()), first + int(part.argmax())]
+    order = np.arange(len(columns["time"]), dtype=np.float64)
+    key = np.nan_to_num(columns.get("position_error", columns.get("nis", order)), nan=0.0)
+    parts = [(first, key[first:end]) for first, end in pairwise([0, *ends.tolist()])]
+    rows = [first + int(at) for first, part in parts for at in (part.argmin(), part.argmax())]
     return np.unique(rows)
 
 
