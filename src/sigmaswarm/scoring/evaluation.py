@@ -445,11 +445,6 @@ def _tracked(
 
 def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:
     """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
-    drift, long_drift = (
-        rms_drift(
-            ready, estimate, outage_windows(ready.drive, estimate.initial, length=each, seed=seed)[:, 1]
-        )
-        for each in (length, LONG_OUTAGE_LENGTH)
-    )
-    score = score_estimate(ready.drive, estimate)
-    return replace(score, outage_drift=drift, long_outage_drift=long_drift, failed=False)
+    windows = outage_windows(ready.drive, estimate.initial, length=length, seed=seed)
+    drift = rms_drift(ready, estimate, windows[:, 1])
+    return replace(score_estimate(ready.drive, estimate), outage_drift=drift, failed=False)

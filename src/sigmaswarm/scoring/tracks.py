@@ -17,7 +17,6 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.bank.spread import START
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
@@ -219,21 +218,6 @@ class Tracker:
         if truth is not None:
             columns["position_error"] = distance_from(truth, gps.time, gps.x, gps.y)
         self._keep("raw_gps", [columns], len(gps))
-
-
-def tracks_of(
-    drive: Drive | PreparedDrive,
-    filters: Mapping[str, FilterParameters],
-    name: str,
-    most_points: int = MOST_POINTS,
-) -> Tracks:
-    """Run filters, by the names of their series, and dead reckoning over a drive; return their tracks."""
-    ready = prepared(drive)
-    tracker = Tracker(ready, most_points)
-    tracker.keep_estimate("imu_only", run_imu_only(ready))
-    for series, parameters in filters.items():
-        tracker.record(series, replay_of(ready), parameters)
-    return tracker.tracks(name)
 
 
 def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:

@@ -13,7 +13,7 @@ from sigmaswarm.filters.custom.identity import fingerprint
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.custom.run import Runner, run_model
-from sigmaswarm.scoring.custom import state_targets
+from sigmaswarm.scoring.custom import truth_rmse
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import ModelTuneConfig
 from sigmaswarm.tuning.objectives import mean_cost, objective_named
@@ -45,7 +45,7 @@ class ModelProblem:
             )
         truth = config.objective == "truth-rmse"
         self._model, self._config, self._logs = model, config, logs
-        self._targets = [state_targets(log, model) if truth else None for log in logs]
+        self._targets = [truth_rmse(log, model) if truth else None for log in logs]
         self.space = model_box(model, config.scale)
         self.data = [_described(log) for log in logs]
         self._elements = logs[0].measurements.shape[1]
@@ -106,7 +106,7 @@ class ModelProblem:
         run, targets = self.runner.run(i, parameters), self._targets[i]
         if run.failed >= 0:
             return float("inf")
-        return targets.rmse(run.mean) if targets else float(run.nll.mean())
+        return targets(run.mean) if targets else float(run.nll.mean())
 
     def _named(self, values: Array) -> dict[str, float]:
         return dict(zip(self.space.names, values.tolist(), strict=True))
