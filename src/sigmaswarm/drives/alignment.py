@@ -138,18 +138,9 @@ def _stated_start(drive: Drive, heading: float, usable: NDArray[np.bool_]) -> In
 class Alignments:
     """The alignment that ends at each fix, from the log alone; computed on first use.
 
-    Parameters
-    ----------
-    drive : Drive
-    usable : ndarray of bool, shape (number of fixes,), optional
-        The fixes to use; of them those after the first IMU sample and up to the last one. All by default.
-    longest : float
-        s: the longest time between the first and the last fix of an alignment; a longer one is for slow vehicles.
-
-    Attributes
-    ----------
-    time : ndarray, shape (m,)
-        s, of those fixes.
+    ``usable`` (number of fixes,) are the fixes to use, by default all; of them those after the first IMU sample and up
+    to the last one, whose times are ``time`` (m,), s. ``longest`` is the longest time between the first and the last
+    fix of an alignment, s; a longer one is for slow vehicles.
     """
 
     def __init__(

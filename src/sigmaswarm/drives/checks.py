@@ -43,15 +43,7 @@ _WINDOW = 5.0
 
 @dataclass(frozen=True)
 class Remark:
-    """Something that looks wrong about a drive; as text it is one sentence.
-
-    Attributes
-    ----------
-    code : str
-        The doctor's, for the same fault (docs/doctor.md).
-    file, columns : str
-    what, remedy : str
-    """
+    """Something that looks wrong about a drive, as a sentence; ``code`` is the doctor's (docs/doctor.md)."""
 
     code: str
     file: str
@@ -229,16 +221,9 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Motion over consecutive windows from the fixes, and the integral of an IMU column.
 
-    Windows without fixes are left out: there are never more of them than fixes, however far the times go.
-
-    Returns
-    -------
-    velocity : ndarray of complex, shape (k,)
-        m/s east + i north, the mean over each window.
-    integral : ndarray, shape (k - 1,)
-        Of ``body_rate`` (n,) from each window's middle to the next one's.
-    turn : ndarray, shape (k - 1,)
-        rad, the change of course from each window to the next.
+    The mean velocity (k,), m/s east + i north; then, from each window's middle to the next one's (k - 1,), the
+    integral of ``body_rate`` and the change of course, rad. Windows without fixes are left out: there are never more of
+    them than fixes, however far the times go.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

@@ -35,14 +35,9 @@ MOST_BIAS = 0.5
 class GyroSeen:
     """Evidence of one alignment on the gyro bias, or of several: see `together`.
 
-    Attributes
-    ----------
-    bias, variance : ndarray, shape (3,)
-        rad/s about forward, left and up, and squared; infinite where nothing is known.
-    taken : float
-        rad/s: the bias about up for which the alignment's mean and covariance hold.
-    turns : ndarray, shape (5,)
-        How x, y, vx, vy, theta change with that bias, per rad/s.
+    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared, infinite where nothing is known.
+    The alignment's mean and covariance hold for the bias ``taken`` about up; ``turns`` (5,) is how x, y, vx, vy, theta
+    change with it, per rad/s.
     """
 
     bias: Array

@@ -54,22 +54,10 @@ SHARE = 0.5
 class Landmarks:
     """The landmarks of a drive, a thousandth of its size.
 
-    Attributes
-    ----------
-    name : str
-        The drive's.
-    sha256 : str
-        Its `fingerprint`, which identifies a whole drive without landmarks.
-    span : (float, float)
-        s, of its IMU.
-    geographic : bool
-        True if positions are in degrees, else in m in a local frame.
-    fixes : ndarray of int, shape (n, 3)
-        Time (us), and position: latitude and longitude (1e-7 deg), or y and x (cm).
-    rates : ndarray, shape (k, 2)
-        Time (s), and the yaw rate as ln|gz| modulo ``UNITS``: equal in rad/s and deg/s, with either sign.
-    width : float
-        Samples below this value are landmarks.
+    ``sha256`` is its `fingerprint`, which identifies a whole drive without landmarks; ``span`` that of its IMU, s.
+    ``fixes`` (n, 3) has time (us) and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm).
+    ``rates`` (k, 2) has time (s) and the yaw rate as ln|gz| modulo ``UNITS``, equal in rad/s and deg/s, with either
+    sign; samples below ``width`` are landmarks.
     """
 
     name: str

@@ -17,14 +17,8 @@ SMALL = 500_000
 class PreparedDrive:
     """A drive with the start and the time lines of filters, shared by all filters that run over it.
 
-    Parameters
-    ----------
-    drive : Drive
-    initial : InitialState, optional
-        The start; by default that of the alignment, computed when it is first needed.
-    as_recorded : bool
-        Run without preprocessing: update with stale fixes, and treat gaps in the IMU like other steps. For diagnosis,
-        and for the paper's protocol.
+    The start is ``initial``, by default that of the alignment, computed on first use. ``as_recorded`` means without
+    preprocessing, for diagnosis and the paper's protocol: stale fixes are used, and gaps in the IMU are ordinary steps.
     """
 
     def __init__(
@@ -37,13 +31,7 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """The start of filters.
-
-        Raises
-        ------
-        AlignmentError
-            If the drive never moves far enough.
-        """
+        """The start of filters; AlignmentError if the drive never moves far enough."""
         return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
 
     @cached_property
@@ -57,15 +45,10 @@ class PreparedDrive:
         return self.kinds >= FROZEN
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the steps of a filter that gets all fixes but the hidden ones, computed once.
+        """Return the steps of a filter that gets all fixes but the ``hidden`` ones (g,); computed once.
 
-        Parameters
-        ----------
-        hidden : ndarray of bool, shape (number of fixes,), optional
-            Fixes that the filter does not get; none by default.
-        removed : bool
-            Remove the hidden fixes, so that no step ends at one. Otherwise the steps are those of the drive; all
-            such time lines share its arrays, and the hidden fixes can be forecast.
+        With ``removed``, no step ends at a hidden fix. Otherwise the steps are those of the drive; all such time lines
+        share its arrays, and the hidden fixes can be forecast.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False

@@ -179,14 +179,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    Parameters
-    ----------
-    drive : Drive
-    start : float
-    as_recorded : bool
-        Without preprocessing: use stale fixes, treat IMU gaps as ordinary steps.
-    kinds : (g,), optional
-        Kinds of the fixes, if they were found on a drive with more fixes.
+    ``as_recorded``: use stale fixes, treat IMU gaps as ordinary steps. ``kinds`` (g,): of the fixes, if they were found
+    on a drive with more fixes.
     """
     imu = drive.imu
     if kinds is None:

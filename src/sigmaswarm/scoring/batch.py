@@ -78,17 +78,8 @@ class Passes:
 class Replayer:
     """Drives prepared once, to be replayed by any number of parameter sets.
 
-    Parameters
-    ----------
-    drives : sequence of Drive or PreparedDrive
-    outages : bool
-        Run the outages too (a pass of its own over each drive).
-    forecasts : bool
-        Run with fixes hidden all over the drive (another pass).
-    outage_length : float
-        s.
-    outage_seed : int
-        Places the windows.
+    ``outages`` (windows of ``outage_length`` s, placed by ``outage_seed``) and ``forecasts`` (fixes hidden all over the
+    drive) are further passes over each drive.
 
     Raises
     ------

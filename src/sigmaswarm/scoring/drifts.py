@@ -58,12 +58,7 @@ Runs = Mapping[str, Callable[[Replay], Run]]
 class Outages:
     """The outages of one length on a drive in several placements, and the drifts of methods over them.
 
-    Attributes
-    ----------
-    seeds : list
-        Seeds of the placements; empty where no outage fits.
-    failed : set of str
-        Methods that failed in one of them.
+    ``seeds`` are those of the placements, none where no outage fits; ``failed`` the methods that failed in one of them.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:

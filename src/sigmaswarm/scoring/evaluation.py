@@ -103,27 +103,9 @@ class Options:
 class Evaluated:
     """Results of all methods on a drive.
 
-    Attributes
-    ----------
-    scores : mapping of method to Score
-    consistency : Consistency or None
-        Of the tuned filter; None where it failed or had too few fixes.
-    innovations : Innovations or None
-        Of the tuned filter.
-    tracks : Tracks or None
-        As tracks.npz keeps them.
-    picture : Picture or None
-        The same in more points, for print.
-    data : mapping
-        Identification of the drive.
-    restarts : mapping of method to tuple of float
-        s: times of resets, see `filters.divergence`.
-    frozen : int
-        Stale fixes: they repeat an earlier one although the car may have moved; no filter used them.
-    drifts : mapping of measure to DriftRecord
-        Number of outages, and the drift of each of their placements.
-    seen : Overlap or None
-        The part that the filter was tuned on; None if unknown, see `evaluate`.
+    Scores, times of resets (s), and drifts with the number of outages are by method or measure. Consistency and
+    innovations are those of the tuned filter. ``tracks`` are those of tracks.npz, ``picture`` has more points, for
+    print. ``frozen`` counts stale fixes, which no filter used.
     """
 
     scores: Mapping[str, Score]
@@ -131,26 +113,25 @@ class Evaluated:
     innovations: Innovations | None = None
     tracks: Tracks | None = None
     picture: Picture | None = None
-    data: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    record: DriveRecord = field(default_factory=lambda: DriveRecord(name=""))
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     frozen: int = 0
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
-    seen: Overlap | None = None
 
     def called(self, name: str) -> "Evaluated":
         """The same under another name, where two drives have one."""
         tracks, picture = self.tracks, self.picture
         return replace(
             self,
+            record=self.record.model_copy(update={"name": name}),
             tracks=tracks and replace(tracks, name=name),
             picture=picture and replace(picture, whole=replace(picture.whole, name=name)),
         )
 
-    @property
-    def record(self) -> DriveRecord:
-        """The drive as files and sentences name it."""
-        of = {} if self.seen is None else {"seen_s": self.seen.seconds, "seen_in": list(self.seen.of)}
-        return DriveRecord.model_validate({**self.data, **of})
+    def seen_in(self, overlap: Overlap) -> "Evaluated":
+        """The same with the part of the drive that the filter was tuned on."""
+        part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
+        return replace(self, record=self.record.model_copy(update=part))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -258,7 +239,7 @@ class Evaluation:
             outage_length_s=self.outage_length,
             outage_seed=self.outage_seed,
             versions=versions(),
-            data=[found.record.model_copy(update={"name": name}) for name, found in self.drives.items()],
+            data=[found.record for found in self.drives.values()],
             against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
         )
 
@@ -356,8 +337,9 @@ def evaluate(
     for drive, each, marks in dataset.imap(one):
         numbered = (f"{drive} ({i})" for i in range(2, len(found) + 2))  # two drives may have one name
         name = next(n for n in (drive, *numbered) if n not in found)
-        known = None if seen is None or marks is None else known_overlap(marks, seen)
-        found[name] = replace(each if name == drive else each.called(name), seen=known)
+        found[name] = each if name == drive else each.called(name)
+        if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
+            found[name] = found[name].seen_in(overlap)
     other = chosen.against
     also = (*([OWN] if other else []), *chosen.further(parameters))
     against = None if other is None else (other.kind, other.model)
@@ -400,9 +382,11 @@ def _evaluated(
         innovations=innovations,
         tracks=tracker.tracks(drive.name),
         picture=tracker.picture(drive.name),
-        data=described(drive)
-        | {"scored_from_s": round(start - float(drive.imu.time[0]), 3)}
-        | {"truth_share": share_known(drive.truth, start, end)},
+        record=DriveRecord(
+            **described(drive),
+            scored_from_s=round(start - float(drive.imu.time[0]), 3),
+            truth_share=share_known(drive.truth, start, end),
+        ),
         restarts=passed.restarts,
         frozen=int(ready.frozen.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},

@@ -65,20 +65,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
     The negative logarithm of Student's t in two dimensions with v degrees of freedom, but for a constant, if c = v. A c
     of its own makes it least for Gaussian innovations where their mean NIS is 2: see `sigmaswarm.filters.student`.
-
-    Parameters
-    ----------
-    innovation : ndarray, shape (f, 2)
-        nu, m.
-    covariance : ndarray, shape (f, 2, 2)
-        S, m2.
-    dof, scale : float
-        v and c.
-
-    Returns
-    -------
-    ndarray, shape (f,)
-        nats.
+    ``innovation`` (f, 2) is nu, ``covariance`` (f, 2, 2) is S, ``dof`` and ``scale`` are v and c; the result is (f,).
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
     half_log_det = 0.5 * np.log(np.linalg.det(covariance))
@@ -86,14 +73,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that come in pieces, as of `score_estimate`.
-
-    Parameters
-    ----------
-    truth : Truth
-    initial : InitialState
-        Where the method started.
-    """
+    """Errors of estimates that come in pieces, as of `score_estimate`; ``initial`` is where the method started."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth

@@ -11,17 +11,10 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
 class Thinned:
-    """At most so many rows of a series, with all peaks of the error or of the NIS.
+    """At most so many rows of a series of n, with all peaks of the error or of the NIS.
 
     Kept are the first row, the last, and of each of equal parts in between the rows with the smallest and the largest
     error (the first and the last row where there is no error). The choice does not depend on the pieces.
-
-    Parameters
-    ----------
-    n : int
-        Rows of the whole series.
-    most : int
-        Rows to keep.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -68,14 +61,9 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 class CloseUp:
-    """All rows of a series near a place, with a gap where it leaves.
+    """All rows of a series near a place (2,), m, with a gap where it leaves.
 
-    Parameters
-    ----------
-    place : ndarray, shape (2,)
-        m east and north.
-    side : float
-        m; twice as much is kept, since axes of equal scale may show more.
+    Twice the ``side``, m, is kept, since axes of equal scale may show more.
     """
 
     def __init__(self, place: NDArray[np.float64], side: float) -> None:

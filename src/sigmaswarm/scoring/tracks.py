@@ -65,16 +65,9 @@ class Tracks:
 class Picture:
     """Data of a printed picture of a drive.
 
-    Attributes
-    ----------
-    whole : Tracks
-        In more points, float64.
-    close : mapping of str to mapping of str to ndarray
-        x and y of each series around the sharpest turn, every point; NaN outside of it.
-    start, turn : ndarray, shape (2,)
-        m east and north: where the filters start, and where the car turns most.
-    frame : ndarray, shape (2, 2)
-        Least and greatest x and y of the fixes, m.
+    ``whole`` has more points than a file; ``close`` every x and y of each series around the sharpest turn, NaN outside.
+    ``start`` and ``turn`` (2,) are where the filters start and where the car turns most, m east and north; ``frame``
+    (2, 2) the least and greatest x and y of the fixes.
     """
 
     whole: Tracks
@@ -92,20 +85,9 @@ def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameter
 class Tracker:
     """Keeps thinned tracks of methods while they run over a drive; complete estimates are not stored.
 
-    Parameters
-    ----------
-    ready : PreparedDrive
-    most_points : int
-        Of a series.
-    picture : bool
-        Also keep the data of a printed picture.
-
-    Attributes
-    ----------
-    scores : dict of str to Score
-        Of position and heading, of each method that ran; NaN without truth.
-    own_sigma : dict of str to float
-        m, RMS: standard deviation of the position according to each filter.
+    ``scores`` are those of position and heading of each method that ran, ``own_sigma`` the RMS of the position's
+    standard deviation according to each filter, m. Series have ``most_points``; with ``picture`` the data of a printed
+    picture is kept, too.
     """
 
     def __init__(
@@ -233,13 +215,8 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
 class FirstLook:
     """Result of a tuned filter on a training drive.
 
-    Attributes
-    ----------
-    picture : Picture
-    position_rmse : mapping of method to float
-        m, of the tuned filter, the baseline and the raw fixes; NaN without truth.
-    consistency : Consistency or None
-        Of the tuned filter; None where it failed or had too few fixes.
+    ``position_rmse`` is that of the tuned filter, the baseline and the raw fixes, m; NaN without truth. ``consistency``
+    is None where the tuned filter failed or had too few fixes.
     """
 
     picture: Picture
