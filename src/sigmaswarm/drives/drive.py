@@ -90,9 +90,7 @@ class Drive:
         Warns
         -----
         SigmaswarmWarning
-            Unknown columns (ignored).
-        DriveWarning
-            Gaps, and values that look like other units or axes.
+            Unknown columns, which are ignored; also gaps, and values that look like other units or axes.
 
         Examples
         --------
