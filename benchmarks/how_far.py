@@ -44,9 +44,9 @@ def words(training, test, seed: int):
     found = evaluate(test, tune(training, seed=seed).parameters)
     for name, consistency in found.record.consistency.items():
         true = found.value(name, "tuned", "position_rmse_m")
-        assert consistency and consistency.own_sigma_m and true
+        assert consistency and consistency.own_sigma and true
         unknown = said_of_position(consistency).startswith("this log can't tell")
-        yield consistency.own_sigma_m, true, consistency.own_sigma_m / true, unknown
+        yield consistency.own_sigma, true, consistency.own_sigma / true, unknown
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from sigmaswarm import Drive, SigmaswarmWarning, clip, initial_state, run_filter
 from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth, truth_at
+from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, truth_at
 from sigmaswarm.scoring.targets import outage_windows
 from switches import TITLES, WINDOWS, cases, measured, quantities
 
@@ -129,7 +129,7 @@ def _cost(drive: Drive, noise) -> float:
 
 def _errors(drive: Drive, run) -> tuple[np.ndarray, np.ndarray]:
     """Position errors, m, and heading errors where they count, rad, at the truth's times."""
-    truth = scored_truth(drive.truth, run.time[0], run.time[-1])
+    truth = drive.truth.select((drive.truth.time >= run.time[0]) & (drive.truth.time <= run.time[-1]))
     x, y, theta = (np.interp(truth.time, run.time, v) for v in (run.x, run.y, run.theta))
     counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
     return np.hypot(x - truth.x, y - truth.y), wrap_angle(theta - truth.theta)[counts]

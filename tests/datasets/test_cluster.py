@@ -90,7 +90,7 @@ def test_a_race_and_an_evaluation_are_those_of_threads(client, folders):
     same = [drives[0], drives[0], drives[2]]  # two of one name
     told = [evaluate(same, FILTER, seen=here.seen, cluster=c) for c in (None, client)]
     assert told[0].to_dict() == told[1].to_dict()
-    assert told[0].asked == told[1].asked
+    assert told[0].setup == told[1].setup
 
 
 def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_threads, tmp_path):

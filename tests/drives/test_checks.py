@@ -28,7 +28,7 @@ def without(drive: Drive, table: str, start: float, end: float) -> Drive:
 
 
 def warnings_of(drive: Drive) -> list[str]:
-    return [str(remark) for remark in remarks_of(drive)]
+    return [str(remark) for remark in remarks_of(drive.imu, drive.gps, drive.truth)]
 
 
 def only(drive: Drive) -> str:
@@ -161,11 +161,16 @@ def test_the_reader_passes_the_warnings_on_with_the_path(tmp_path):
 
 def test_shortage():
     drive = make_drive(duration=20.0)
-    assert shortage_of(drive) is None
-    assert "99 samples are too few" in str(shortage_of(clip(drive, end=0.985)))
-    assert "9 fixes" in str(shortage_of(clip(drive, end=1.8)))
+
+    def shortage(end: float) -> str | None:
+        part = clip(drive, end=end)
+        return shortage_of(part.imu, part.gps)
+
+    assert shortage(np.inf) is None
+    assert "99 samples are too few" in str(shortage(0.985))
+    assert "9 fixes" in str(shortage(1.8))
     assert len(clip(drive, end=2.0).gps) == 10
-    assert shortage_of(clip(drive, end=2.0)) is None
+    assert shortage(2.0) is None
 
 
 @needs_shared
@@ -220,7 +225,7 @@ def test_times_in_another_unit_in_both_files(unit: str, factor: float, rates: di
 @pytest.mark.parametrize("rates", [{"imu_rate": 2.0, "gps_rate": 1.0}, {"imu_rate": 10.0, "gps_rate": 0.05}])
 def test_slow_sensors_are_no_matter_of_units(rates: dict[str, float]):
     drive = make_drive(duration=400.0, **rates)
-    assert not any(r.code == "time-unit" for r in remarks_of(drive))
+    assert not any(r.code == "time-unit" for r in remarks_of(drive.imu, drive.gps, drive.truth))
 
 
 @pytest.mark.parametrize("last", [1e9, 4e9, 1.8e18])
@@ -241,7 +246,7 @@ def test_a_clock_that_is_set_during_the_log():
 def test_windows_without_fixes_are_left_out_and_the_others_stay():
     """Against the definition: a knot each 5 s from the first common time on."""
     drive = without(make_drive(jitter=0.4), "gps", 21.0, 38.0)
-    velocity, integral, turn = checks._seen_by_fixes(drive, drive.imu.gz)
+    velocity, integral, turn = checks._seen_by_fixes(drive.imu, drive.gps, drive.imu.gz)
     knots = np.arange(drive.gps.time[0], drive.imu.time[-1], 5.0)
     held = [np.any((drive.gps.time >= k) & (drive.gps.time < k + 5)) for k in knots[:-1]]
     assert 0 < np.count_nonzero(held) == len(velocity) < len(held)

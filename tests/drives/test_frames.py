@@ -112,7 +112,7 @@ FAULTS = {
     "two-clocks": (lambda t: {"imu": t["imu"] | {"t": dated(t["imu"]["t"])}}, ["gps", "dates"]),
     "degrees": (
         lambda t: {"gps": {"t": t["gps"]["t"], "lat": t["gps"]["x"] + 95, "lon": t["gps"]["y"]}},
-        ["gps", "column lat, row 0"],
+        ["gps, row 0, column lat"],
     ),
     "path": (lambda t: {"imu": "imu.csv"}, ["imu is a path", "read_drive"]),
     "nothing": (lambda t: {"gps": 3.0}, ["gps is a float"]),

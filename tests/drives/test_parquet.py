@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from sigmaswarm.cli.convert import convert
-from sigmaswarm.drives.reader import drive_folders, drive_locations, read_drive, read_with_warnings
+from sigmaswarm.drives.reader import all_drive_locations, drive_folders, read_drive, read_with_warnings
 from sigmaswarm.drives.urls import without_secrets
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import DriveError, InputError
@@ -100,8 +100,8 @@ def test_folders_of_drives_may_hold_either(tmp_path: Path, folder: Path):
 def test_a_url_is_read_as_a_folder_is(tmp_path: Path, folder: Path):
     pytest.importorskip("fsspec")
     url = f"file://{tmp_path}"
-    assert drive_locations(url) == [f"{url}/good"]
-    assert drive_locations(f"{url}/good") == [f"{url}/good"]
+    assert all_drive_locations([url]) == [f"{url}/good"]
+    assert all_drive_locations([f"{url}/good"]) == [f"{url}/good"]
     drive, warned = read_with_warnings(f"{url}/good")
     assert_same(drive, read_drive(folder))
     assert not warned

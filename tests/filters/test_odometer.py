@@ -12,7 +12,7 @@ from oracles.box import box_sets
 from oracles.box import wheeled as with_odometer
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Odometer
-from sigmaswarm.drives.odometer import INTERVAL, SLOW, put_together
+from sigmaswarm.drives.odometer import INTERVAL, SLOW, measurements_of
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.live import LiveFilter
@@ -133,7 +133,7 @@ def test_readings_are_put_together_as_said(interval: float, imu_rate: float):
     )
     odometer = Odometer(time, np.where(time > 7, 0.2, 5.0 + rng.standard_normal(len(time))))
     line = build_timeline(replace(drive, odometer=odometer), 3.0)
-    wheels, wanted = put_together(odometer, line.start, line.end, line.sampled), naive(odometer, line)
+    wheels, wanted = measurements_of(odometer, line.start, line.end, line.sampled), naive(odometer, line)
     assert len(wanted) >= 5
     np.testing.assert_array_equal(line.end[wheels.absorbs], [row[0] for row in wanted])
     np.testing.assert_array_equal(wheels.rows, [row[1:] for row in wanted])

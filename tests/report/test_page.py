@@ -19,7 +19,10 @@ from matplotlib.axes import Axes
 from browsing import Opened
 from sigmaswarm.cli.app import app
 from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.records import load_record
@@ -33,7 +36,16 @@ from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.reports.tuning import save_tuning_figures
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES, METHODS
-from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
+from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.tracks import (
+    MOST_POINTS,
+    Tracker,
+    Tracks,
+    compared,
+    load_tracks,
+    picture_of,
+    save_tracks,
+)
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
 from sigmaswarm.tuning.record import TuningRecord
@@ -85,6 +97,15 @@ def files(
 
 
 # ---- tracks.npz ----
+
+
+def tracks_of(drive: Drive, filters: dict[str, FilterParameters], name: str) -> Tracks:
+    ready = PreparedDrive(drive)
+    tracker = Tracker(ready)
+    tracker.keep_estimate("imu_only", run_imu_only(ready))
+    for series, parameters in filters.items():
+        tracker.record(series, tracking_replay(ready), parameters)
+    return tracker.tracks(name)
 
 
 def test_tracks_hold_what_the_filters_said(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.scoring.consistency import GATE_95, consistency, consistency_of, verdicts
+from sigmaswarm.scoring.consistency import GATE_95, Consistency, consistency, consistency_of, verdicts
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
 
@@ -74,51 +74,70 @@ def test_an_evaluation_tells_of_it():
     assert told["mean_nees"] == Replayer([drive], outages=False).scores([parameters])[0, 0].mean_nees
 
 
+def judged(found: list[tuple[float, tuple[float, float], float | None, float] | None]) -> dict[str, str]:
+    """Verdicts on mean NIS with its band, mean NEES, and correlation of neighbors."""
+    return verdicts(
+        [
+            one
+            and Consistency(
+                n_fixes=100,
+                mean_nis=one[0],
+                nis_band=one[1],
+                inside_gate=0.9,
+                autocorrelation=[one[3]],
+                white_p=0.5,
+                mean_nees=one[2],
+            )
+            for one in found
+        ]
+    )
+
+
 def test_the_verdicts_count_the_drives_of_each_kind():
     band = (1.8, 2.2)
     optimistic, pessimistic = (2.3, band, 2.5, 0.0), (1.0, band, 1.1, 0.9)
-    right = (2.0, band, float("nan"), 0.0)
-    said = verdicts([optimistic, pessimistic, pessimistic, right, None])
+    right = (2.0, band, 2.0, 0.0)
+    said = judged([optimistic, pessimistic, pessimistic, right, None])
     assert {kind: line.split(":")[0] for kind, line in said.items()} == {
         "optimistic": "on 1 of 5 drives the filter is overconfident",
         "pessimistic": "on 2 of 5 drives the filter is too cautious",
         "consistent": "on 1 of 5 drives the filter is consistent",
         "unknown": "on 1 of 5 drives the filter failed or had too few fixes to judge its consistency",
     }
-    alone = verdicts([pessimistic])["pessimistic"]
+    alone = judged([pessimistic])["pessimistic"]
     assert alone.endswith("are 41% too large (mean NIS 1, should be 2)")
     assert "without truth" not in alone  # there is truth
-    blind = verdicts([(1.0, band, None, 0.4)])["pessimistic"]
+    blind = judged([(1.0, band, None, 0.4)])["pessimistic"]
     assert "(this covers predictions of the fixes; position errors cannot be judged without truth)" in blind
-    assert verdicts([]) == {}
-    alike = verdicts([(1.0, band, None, 0.6), (1.0, band, None, 0.4), (2.0, band, None, 0.6)])
+    assert judged([]) == {}
+    alike = judged([(1.0, band, None, 0.6), (1.0, band, None, 0.4), (2.0, band, None, 0.6)])
     assert list(alike) == ["pessimistic", "alike", "correlated"]
     assert "cannot be estimated without truth" in alike["alike"]
 
 
 def test_a_truth_that_contradicts_the_fixes_is_told():
     """Errors that neighbouring fixes share hide from NIS."""
-    said = verdicts([(0.43, (1.8, 2.2), 15.4, 0.9)])
+    said = judged([(0.43, (1.8, 2.2), 15.4, 0.9)])
     assert list(said) == ["pessimistic", "optimistic_position"]
     assert "too large by a factor of 2.2" in said["pessimistic"]
     assert "too small by a factor of 2.8" in said["optimistic_position"]
-    assert list(verdicts([(3.0, (1.8, 2.2), 15.4, 0.9)])) == ["optimistic"]
+    assert list(judged([(3.0, (1.8, 2.2), 15.4, 0.9)])) == ["optimistic"]
 
 
 def test_a_right_size_is_not_all():
     """Errors that are each partly the one before average out less than a filter of the right NIS believes."""
     band = (1.8, 2.2)
-    said = verdicts([(2.0, band, None, 0.3), (2.0, band, None, 0.1)])
+    said = judged([(2.0, band, None, 0.3), (2.0, band, None, 0.1)])
     assert list(said) == ["correlated", "consistent"]
     assert "on 1 of 2 drives" in said["correlated"]
     assert "of the right size but correlated" in said["correlated"]
-    assert list(verdicts([(2.0, band, 2.1, 0.3)])) == ["consistent"]  # the truth bears it out
+    assert list(judged([(2.0, band, 2.1, 0.3)])) == ["consistent"]  # the truth bears it out
 
 
 def test_fixes_whose_errors_last_are_told():
     """They agree with each other, so NIS is low, and the filter is right about the truth all the same."""
     band = (1.8, 2.2)
-    said = verdicts([(0.2, band, 2.1, 0.9)])
+    said = judged([(0.2, band, 2.1, 0.9)])
     assert list(said) == ["lasting"]
     assert "low NIS with the right NEES: neighboring fixes share their errors" in said["lasting"]
     for nis, nees in (
@@ -126,7 +145,7 @@ def test_fixes_whose_errors_last_are_told():
         (0.9, 1.6),
         (0.2, None),
     ):  # careful of both, or nothing is known of the truth
-        assert list(verdicts([(nis, band, nees, 0.1)])) == ["pessimistic"]
-    assert list(verdicts([(0.2, band, 2.1, 0.0), (2.0, band, 2.0, 0.0), (1.0, band, 1.1, 0.0)])) == [
+        assert list(judged([(nis, band, nees, 0.1)])) == ["pessimistic"]
+    assert list(judged([(0.2, band, 2.1, 0.0), (2.0, band, 2.0, 0.0), (1.0, band, 1.1, 0.0)])) == [
         "pessimistic", "lasting", "consistent",
     ]  # fmt: skip

@@ -7,16 +7,16 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm.filters.run import run_filter
+from sigmaswarm.scoring.consistency import Consistency
 from sigmaswarm.scoring.evaluation import evaluate
-from sigmaswarm.scoring.records import ConsistencyRecord
 from sigmaswarm.scoring.remarks import how_far, said_of_first_look, said_of_position
 from sigmaswarm.scoring.tracks import first_look
 from sigmaswarm.tuning.tune import tune
 
 
-def recorded(nis: float, next_one: float) -> ConsistencyRecord:
+def recorded(nis: float, next_one: float) -> Consistency:
     """Of a filter that says 0.5 m of itself, and expects to miss the fixes by 1.5 m, on 500 fixes."""
-    return ConsistencyRecord(
+    return Consistency(
         n_fixes=500,
         mean_nis=nis,
         nis_band_95=(1.83, 2.18),
@@ -52,13 +52,13 @@ def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_o
     tuning = tune([replace(d, truth=None) for d in drives[:2]], particles=20, generations=15, seed=2)
     off = evaluate(drives[2], tuning.parameters).value(drives[2].name, "tuned", "position_rmse_m")
     blind = evaluate(replace(drives[2], truth=None), tuning.parameters)
-    own = blind.record.consistency[drives[2].name].own_sigma_m
+    own = blind.record.consistency[drives[2].name].own_sigma
     estimate = run_filter(drives[2], tuning.parameters)
     assert own == pytest.approx(
         np.sqrt(np.mean(estimate.covariance[:, [0, 1], [0, 1]].sum(axis=1))), rel=1e-9
     )
     assert own == pytest.approx(off, rel=0.34)
-    (said,) = how_far(blind.record, blind.asked.data)
+    (said,) = how_far(blind.record, blind.setup.data)
     assert f"{own:.2g} m (RMS)" in said
     look = first_look(drives[2], tuning.parameters, as_recorded=False)
     assert said_of_first_look(look).startswith(f"{off:.2g} m RMSE on {drives[2].name} (baseline ")

@@ -11,7 +11,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
-from sigmaswarm.scoring.score import PieceErrors, quantiles_of, score_estimate, score_raw_gps
+from sigmaswarm.scoring.score import PieceErrors, score_estimate, score_raw_gps
 from support import make_drive
 
 SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
@@ -83,12 +83,18 @@ def test_quantiles_are_those_of_a_loop(variant: str):
     for first in range(0, len(estimate.time), 777):
         part = slice(first, first + 777)
         pieces.add(estimate.time[part], estimate.mean[part])
-    assert pieces.quantiles == (score.position_median, score.position_95)
+    assert (pieces.score.position_median, pieces.score.position_95) == (
+        score.position_median,
+        score.position_95,
+    )
 
 
 def test_there_are_no_quantiles_of_nothing():
-    assert np.isnan(quantiles_of(np.empty(0))).all()
-    assert np.isnan(quantiles_of(np.array([1.0, np.nan]))).all()
+    truth = moving_east(10.0)
+    pieces = PieceErrors(truth, InitialState(np.zeros(5), np.eye(5), 0.0))
+    assert math.isnan(pieces.score.position_95)
+    pieces.add(truth.time[1:], np.full((10, 5), np.nan))
+    assert math.isnan(pieces.score.position_median)
 
 
 def moving_east(speed: float, *, n: int = 11) -> Truth:

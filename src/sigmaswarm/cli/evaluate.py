@@ -148,9 +148,10 @@ def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Warn of drives that the tuning has seen: scores on them are too good."""
 
     for name, found in evaluation.drives.items():
-        if found.seen:
+        drive = found.record
+        if drive.seen_s:
             message = (
-                f"{name}: the filter was tuned on {found.seen.seconds:.0f} of its {found.data['duration_s']:.0f} s "
-                f"({', '.join(found.seen.of)}): its scores are not held out"
+                f"{name}: the filter was tuned on {drive.seen_s:.0f} of its {drive.duration_s:.0f} s "
+                f"({', '.join(drive.seen_in)}): its scores are not held out"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

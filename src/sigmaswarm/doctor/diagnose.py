@@ -49,9 +49,9 @@ def diagnose(drive: Drive) -> Diagnosis:
     DriveError
         The drive is too short, or IMU and GPS do not overlap.
     """
-    if shortage := shortage_of(drive):
+    if shortage := shortage_of(drive.imu, drive.gps):
         raise DriveError(f"{drive.name}/{shortage}")
-    if spoiled := spoiled_times(drive):  # no other check works on such a log
+    if spoiled := spoiled_times(drive.imu, drive.gps):  # no other check works on such a log
         ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)

@@ -136,20 +136,11 @@ def _stated_start(drive: Drive, heading: float, usable: NDArray[np.bool_]) -> In
 
 
 class Alignments:
-    """The alignment that ends at each fix, by the log alone; found when it is first asked for, and kept.
+    """The alignment that ends at each fix, from the log alone; computed on first use.
 
-    Parameters
-    ----------
-    drive : Drive
-    usable : ndarray of bool, shape (number of fixes,), optional
-        The fixes that are looked at; of them those after the first IMU sample and up to the last one. All by default.
-    longest : float
-        s: the longest time between the first and the last fix of an alignment; a longer one is for slow vehicles.
-
-    Attributes
-    ----------
-    time : ndarray, shape (m,)
-        s, of those fixes.
+    ``usable`` (number of fixes,) are the fixes to use, by default all; of them those after the first IMU sample and up
+    to the last one, whose times are ``time`` (m,), s. ``longest`` is the longest time between the first and the last
+    fix of an alignment, s; a longer one is for slow vehicles.
     """
 
     def __init__(
@@ -174,7 +165,7 @@ class Alignments:
     def at(self, k: int) -> InitialState | None:
         """The alignment that ends at the k-th of the fixes; None where the car has not travelled enough, or they jump.
 
-        It takes some milliseconds: ask where it matters.
+        It takes some milliseconds.
         """
         if k not in self._found:
             with np.errstate(all="ignore"):  # what overflows is no alignment
@@ -190,9 +181,13 @@ class Alignments:
     def why_none(self) -> NoStart:
         """Return the reason why a drive has no alignment."""
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
-        if not self._many.any():
-            return self._too_few()
-        if not np.any(self._chord[self._many] >= MIN_TRAVEL):
+        if self._many.any():
+            if np.any(self._chord[self._many] >= MIN_TRAVEL):
+                return NoStart(
+                    f"its fixes move {travel} within {time}, but nowhere the way that the IMU felt, so the heading "
+                    "can't be found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
+                    "mend what `sigmaswarm doctor` finds",
+                )
             return NoStart(
                 f"never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
                 f"{SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
@@ -200,24 +195,15 @@ class Alignments:
                 f"{time}), or state the heading at the first IMU sample in drive.toml, as heading_deg = 90 "
                 "(degrees counter-clockwise from east)",
             )
-        return NoStart(
-            f"its fixes move {travel} within {time}, but nowhere the way that the IMU felt, so the heading can't be "
-            "found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
-            "mend what `sigmaswarm doctor` finds",
-        )
-
-    def _too_few(self) -> NoStart:
-        """Return the reason why no fix has enough others in the seconds before it."""
-        time = f"{MAX_DURATION:g} s"
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (FEWEST_FIXES - 1):
-            told = f"its fixes come every {every:.3g} s, and the heading takes {FEWEST_FIXES} of them within {time}"
-            return NoStart(f"no filter can start: {told}", "log the receiver at 1 Hz or faster")
+            what = f"its fixes come every {every:.3g} s, and the heading takes {FEWEST_FIXES} of them within {time}"
+            return NoStart(f"no filter can start: {what}", "log the receiver at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s"
-        told = f"the heading takes {FEWEST_FIXES} within {time}, {MIN_DURATION:g} s or more"
+        takes = f"the heading takes {FEWEST_FIXES} within {time}, {MIN_DURATION:g} s or more"
         return NoStart(
-            f"no filter can start: only {usable} from first to last, and {told} from first to last",
+            f"no filter can start: only {usable} from first to last, and {takes} from first to last",
             "use a longer drive, whose fixes come at 1 Hz or faster, without gaps, and don't repeat each other",
         )
 
@@ -233,17 +219,17 @@ class Alignments:
             return None
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
         usable = fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth
-        return fit.state(self._leaning(float(self.time[self._first[k]]), fit.time)) if usable else None
+        return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
         """Without the accelerometer, whose bias adds up in the longer time; the gyro's bias is fitted, too."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
-        turned, sped = self._integrals
-        seen = self._drive, turned, np.zeros_like(sped), self.time[rows], self._position[rows]
         if len(rows) < SLOW_FIXES:
             return None
+        turned, sped = self._integrals
+        seen = self._drive, turned, np.zeros_like(sped), self.time[rows], self._position[rows]
         try:
             fit, share = Fit.of(*seen), 0.0
             for _ in range(REFITS):
@@ -253,13 +239,12 @@ class Alignments:
             return None
         fit = fit.with_bias_variance(share * fit.bias_std**2)
         far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= MAX_MISFIT * fit.travel
-        if not (far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MOST_BIAS):
-            return None
-        return fit.state(self._leaning(float(self.time[first]), fit.time))
+        usable = far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MOST_BIAS
+        return fit.state(self._leaning(k, fit.time)) if usable else None
 
-    def _leaning(self, first: float, last: float) -> Array:
-        """The mean rates about forward and left (rad/s) between two moments, (2,); NaN where the IMU has none."""
-        imu = self._drive.imu
+    def _leaning(self, k: int, last: float) -> Array:
+        """The mean rates about forward and left (rad/s) up to a time, (2,); NaN where the IMU has none."""
+        imu, first = self._drive.imu, float(self.time[self._first[k]])
         if imu.gx is None or imu.gy is None:
             return np.full(2, np.nan)
         inside = slice(*np.searchsorted(imu.time, [first, last], side="right"))
@@ -270,16 +255,13 @@ class Alignments:
         return _integrated(self._drive)
 
     @cached_property
+    @np.errstate(all="ignore")
     def course(self) -> Array:
         """A rough heading at each fix, (m,) rad; NaN where there is no alignment. All of a drive's cost little.
 
         It is where the fit begins: the chord of the last seconds, with the turns in between taken out. Changes of speed
         in a turn make it wrong by some degrees.
         """
-        with np.errstate(all="ignore"):
-            return self._rough()
-
-    def _rough(self) -> Array:
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)
         direction[1:] = 0.5 * (direction[1:] + direction[:-1]) * np.diff(imu.time)

@@ -6,8 +6,8 @@ By least squares,
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
 with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and
-b what tilt and bias add to it. The unknowns are position p_i, heading theta_i, speed v_i and b. What the gyro's own
-bias would change is kept beside them.
+b what tilt and bias add to it. The unknowns are position p_i, heading theta_i, speed v_i and b. The effect of the
+gyro's own bias on them is kept, too.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +20,9 @@ from sigmaswarm.drives.gyro_seen import LEAN_STD, MOST_BIAS, TURN_SHARE, UP, YAW
 from sigmaswarm.geodesy import wrap_angle
 
 Complex = NDArray[np.complex128]
+Way = Complex
+"""Motion from each fix to the last one by the IMU, (3, f), in the body's frame at the last one: per 1 m/s of speed
+there (s), per 1 m/s2 that tilt and bias add (s2), and by the accelerometer (m)."""
 
 SLIP_STD = np.radians(1.0)
 """rad: at the IMU a car's course differs from its heading by about this much in ordinary driving."""
@@ -52,44 +55,11 @@ class InitialState:
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """Motion from each fix to the last one by the IMU, (f,) each, in the body's frame at the last one.
-
-    Attributes
-    ----------
-    per_speed : s, of a car that drives 1 m/s now
-    per_bias : s2, of 1 m/s2 that tilt and bias add
-    seen : m, by the accelerometer
-    """
-
-    per_speed: Complex
-    per_bias: Complex
-    seen: Complex
-
-    def at(self, v: float, b: float) -> Complex:
-        """m, at a speed now and what is added to the accelerometer."""
-        return v * self.per_speed + b * self.per_bias + self.seen
-
-    def turned(self, each: Complex) -> "Way":
-        """With the piece between two fixes turned, and stretched, by each of (f - 1,)."""
-
-        def anew(whole: Complex) -> Complex:
-            pieces = each * (whole[:-1] - whole[1:])
-            return np.asarray(np.append(np.cumsum(pieces[::-1])[::-1], 0.0), np.complex128)
-
-        return Way(anew(self.per_speed), anew(self.per_bias), anew(self.seen))
-
-    def carrying(self, arm: Complex) -> "Way":
-        """Offset of the antenna from the IMU, m at each fix."""
-        return Way(self.per_speed, self.per_bias, self.seen - arm)
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
-    ``taken`` is what was taken off the gyro (rad/s), ``yaw_bias`` what should have been, as unsure as ``yaw_std``;
-    ``turns`` is what that changes in the unknowns, per rad/s. ``bias_std`` is that of the fit alone, rad/s.
+    ``taken`` is the gyro bias (rad/s) that was subtracted, ``yaw_bias`` the one found, as unsure as ``yaw_std``;
+    ``turns`` is the change of the unknowns per rad/s of it. ``bias_std`` is that of the fit alone, rad/s.
     """
 
     time: float
@@ -135,47 +105,37 @@ class Fit:
             since_start = np.concatenate([[0.0], np.cumsum(pieces)])
             return since_start[-1] - np.interp(time, grid, since_start)
 
-        straight = Way(
-            until_end(direction),
-            until_end(direction * (grid - end)),
-            until_end(direction * (gained - gained[-1])),
-        )
+        integrands = direction, direction * (grid - end), direction * (gained - gained[-1])
+        straight = np.array([until_end(each) for each in integrands])
         # A bias turns the piece between two fixes, as seen from the last one, by what adds up from its middle on.
         since, middle = time - end, 0.5 * (time[1:] + time[:-1]) - end
         # The fixes are the antenna's, which the lever arm carries around the IMU.
         arm = np.interp(time, grid, direction) * complex(*drive.lever_arm) * np.exp(-1j * taken * since)
-        way = (straight.turned(np.exp(-1j * taken * middle)) if taken else straight).carrying(arm)
-        change = straight.turned(-1j * middle * np.exp(-1j * taken * middle)).carrying(-1j * since * arm)
+        way = _turned(straight, np.exp(-1j * taken * middle)) if taken else straight.copy()
+        way[2] -= arm
+        change = _turned(straight, -1j * middle * np.exp(-1j * taken * middle))
+        change[2] -= -1j * since * arm
         coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
         fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
-        return replace(fit, yaw_std=fit._doubted(psi, grid))
+        # No fit shows that a turn may be taken for bias in part.
+        turn = (
+            np.float64(np.ptp(psi - fit.yaw_bias * grid)) / fit.span
+        )  # squares to inf where float would raise
+        std = float(np.sqrt(fit.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
+        return replace(fit, yaw_std=std)
 
     def with_bias_variance(self, variance: float) -> "Fit":
-        """With what a variance of the gyro's bias, (rad/s)^2, adds to the unknowns' covariance."""
+        """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the unknowns' covariance."""
         covariance = self.covariance.copy()
         covariance[:4, :4] += variance * np.outer(self.turns, self.turns)
         return replace(self, covariance=covariance)
 
-    def _doubted(self, psi: Array, grid: Array) -> float:
-        """``yaw_std`` with what no fit sees: a turn may be taken for bias in part."""
-        turn = (
-            np.float64(np.ptp(psi - self.yaw_bias * grid)) / self.span
-        )  # squares to inf where float would raise
-        return float(np.sqrt(self.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
-
     @classmethod
     def _solve(
-        cls,
-        end: float,
-        position: Complex,
-        seen: Way,
-        change: Way,
-        span: float,
-        coasting: float,
-        taken: float,
+        cls, end: float, position: Complex, seen: Way, change: Way, span: float, coasting: float, taken: float
     ) -> "Fit":
         """Gauss-Newton on east, north, theta, v, b; ``change`` is that of the way with the gyro's bias."""
-        g, t = seen.per_speed, seen.per_bias
+        g, t = seen[0], seen[1]
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
         prior = 1.0 / ACCELERATION_BIAS_STD
@@ -183,10 +143,9 @@ class Fit:
         variance, worst = 1.0, 0.0
         for _ in range(12):
             turn = np.exp(1j * theta)
-            way = turn * seen.at(v, b)
-            columns = [np.ones_like(g), 1j * np.ones_like(g), -1j * way, -turn * g, -turn * t]
-            for k, column in enumerate(columns):
-                jacobian[:-1, k] = _real(column)
+            way = turn * (v * g + b * t + seen[2])
+            columns = np.ones_like(g), 1j * np.ones_like(g), -1j * way, -turn * g, -turn * t
+            jacobian[:-1] = np.column_stack([_real(column) for column in columns])
             misfit = position - (p - way)
             residual[:-1] = _real(misfit)
             worst = float(np.max(np.abs(misfit)))
@@ -201,12 +160,12 @@ class Fit:
         travel = v * span - b * span**2 / 2 + coasting  # the integral of v(s)
         forward = float(travel) if v > 0 else 0.0
         solution = np.array([p.real, p.imag, theta, v, b])
-        bends = np.append(_real(-np.exp(1j * theta) * change.at(v, b)), 0.0)
+        bends = np.append(_real(-np.exp(1j * theta) * (v * change[0] + b * change[1] + change[2])), 0.0)
         more, std, turns = _one_more(jacobian, residual, bends)
         return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
     def state(self, leaning: Array) -> InitialState:
-        """The start; ``leaning`` (2,) is what the gyro shows about forward and left, rad/s."""
+        """The start; ``leaning`` (2,) are the gyro's mean rates about forward and left, rad/s, or NaN."""
         east, north, theta, v, _ = self.solution
         c, s = np.cos(theta), np.sin(theta)
         # (east, north, theta, v) and a slip angle of its own -> (x, y, vx, vy, theta)
@@ -225,17 +184,20 @@ class Fit:
         inner[4, 4] = SLIP_STD**2
         covariance = jacobian @ inner @ jacobian.T
         mean = np.array([east, north, v * c, v * s, wrap_angle(float(theta))])
-        gyro = self._gyro(leaning, jacobian[:, :4] @ self.turns)
-        return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro)
-
-    def _gyro(self, leaning: Array, turns: Array) -> GyroSeen | None:
         bias = np.nan_to_num(np.append(leaning, self.yaw_bias))
-        variance = np.append(
-            np.where(np.isfinite(leaning), (LEAN_STD / self.span) ** 2, np.inf), self.yaw_std**2
-        )
+        lean = np.where(np.isfinite(leaning), (LEAN_STD / self.span) ** 2, np.inf)
+        variance = np.append(lean, self.yaw_std**2)
         if abs(self.yaw_bias) > MOST_BIAS:  # then nothing is known of it
             bias[UP], variance[UP] = self.taken, np.inf
-        return GyroSeen(bias, variance, self.taken, turns)
+        gyro = GyroSeen(bias, variance, self.taken, jacobian[:, :4] @ self.turns)
+        return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro)
+
+
+def _turned(way: Way, each: Complex) -> Way:
+    """The way with the piece between two fixes turned, and stretched, by each of (f - 1,)."""
+    pieces = each * (way[:, :-1] - way[:, 1:])
+    sums = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
+    return np.column_stack([sums, np.zeros(3, np.complex128)])
 
 
 def _real(column: Complex) -> Array:
@@ -243,9 +205,9 @@ def _real(column: Complex) -> Array:
 
 
 def _one_more(jacobian: Array, residual: Array, column: Array) -> tuple[float, float, Array]:
-    """Of a solved problem (m, n): the value of one more unknown, its standard deviation, and how the others follow it.
+    """Add an unknown to a solved problem (m, n): its value, its standard deviation, and how the others follow it.
 
-    What of its ``column`` (m,) the others can't do tells it.
+    Only the part of its ``column`` (m,) that the others can't replace determines it.
     """
     others = np.linalg.lstsq(jacobian, column, rcond=None)[0]
     alone = column - jacobian @ others

@@ -3,13 +3,14 @@
 The doctor checks most of this in more detail; common messages are here.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array, Drive, Imu
+from sigmaswarm.drives.tables import Array, Gps, Imu, Truth
+from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
 
 FEWEST_SAMPLES = 100
@@ -42,15 +43,7 @@ _WINDOW = 5.0
 
 @dataclass(frozen=True)
 class Remark:
-    """Something that looks wrong about a drive; as text it is one sentence.
-
-    Attributes
-    ----------
-    code : str
-        The doctor's, for the same fault (docs/doctor.md).
-    file, columns : str
-    what, remedy : str
-    """
+    """Something that looks wrong about a drive, as a sentence; ``code`` is the doctor's (docs/doctor.md)."""
 
     code: str
     file: str
@@ -72,85 +65,93 @@ class Gaps:
     usual: float
 
 
-def shortage_of(drive: Drive) -> str | None:
+def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]) -> list[SigmaswarmWarning]:
+    """Raise `DriveError` for a shortage, and return warnings of what looks wrong.
+
+    ``placed`` adds to a sentence, which names imu.csv and gps.csv, where they are.
+    """
+    if shortage := shortage_of(imu, gps):
+        raise DriveError(placed(shortage))
+    return [DriveWarning(placed(str(remark)), remark.code) for remark in remarks_of(imu, gps, truth)]
+
+
+def shortage_of(imu: Imu, gps: Gps) -> str | None:
     """The lack that makes a drive useless, as a sentence: of time that IMU and GPS share, or of samples of either."""
-    imu, gps = drive.imu.time, drive.gps.time
-    shared = int(np.count_nonzero((gps >= imu[0]) & (gps <= imu[-1])))
-    if imu[0] > gps[-1] or gps[0] > imu[-1]:
+    first, last = imu.time[[0, -1]]
+    if first > gps.time[-1] or gps.time[0] > last:
         return (
-            f"imu.csv: column t covers {imu[0]:g} to {imu[-1]:g} s, gps.csv {gps[0]:g} to {gps[-1]:g} s: "
+            f"imu.csv: column t covers {first:g} to {last:g} s, gps.csv {gps.time[0]:g} to {gps.time[-1]:g} s: "
             "they do not overlap; put both on one clock"
         )
     if len(imu) < FEWEST_SAMPLES:
         return f"imu.csv: {len(imu)} samples are too few; record at least {FEWEST_SAMPLES}"
+    shared = int(np.count_nonzero((gps.time >= first) & (gps.time <= last)))
     if shared < FEWEST_FIXES:
         return (
-            f"gps.csv: {shared} fixes within the IMU's time, t = {imu[0]:g} to {imu[-1]:g} s, are too few; "
+            f"gps.csv: {shared} fixes within the IMU's time, t = {first:g} to {last:g} s, are too few; "
             f"record at least {FEWEST_FIXES}"
         )
     return None
 
 
 @np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
-def remarks_of(drive: Drive) -> list[Remark]:
+def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
     """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
 
     Nothing here stops work, so each check stays silent in doubt.
     """
-    if spoiled := spoiled_times(drive):
+    if spoiled := spoiled_times(imu, gps):
         return spoiled
-    single = gravity_on(drive.imu) or gravity_up(drive.imu)
-    return [*_gaps(drive), *_angular_rate(drive), *([single] if single else []), *_acceleration(drive)]
+    gravity = gravity_on(imu) or gravity_up(imu)
+    single = [gravity] if gravity else []
+    return [*_gaps(imu, gps, truth), *_angular_rate(imu, gps), *single, *_acceleration(imu, gps)]
 
 
-def spoiled_times(drive: Drive) -> list[Remark]:
+def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
     """Faults of the times that leave no other figure of the log a meaning: another unit, or a clock that jumps."""
-    if wrong := _time_unit(drive):
+    if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
     remedy = "delete the rows whose times are wrong; of a log with a true pause, make a drive of each part"
+    sensors = ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP))
     return [
         Remark(
-            "time-jump", f"{name}.csv", "t",
-            f"column t jumps by {gaps.length:.4g} s after t = {gaps.start:.2f} s", remedy,
+            "time-jump", file, "t", f"column t jumps by {g.length:.4g} s after t = {g.start:.2f} s", remedy
         )
-        for name, time, limit in (("imu", drive.imu.time, IMU_GAP), ("gps", drive.gps.time, GPS_GAP))
-        if (gaps := gaps_in(time, limit)) and gaps.length > _JUMP
-    ]  # fmt: skip
+        for file, g in sensors
+        if g and g.length > _JUMP
+    ]
 
 
-def _time_unit(drive: Drive) -> Remark | None:
+def _time_unit(imu: Array, gps: Array) -> Remark | None:
     """Times in ms, us or ns: of one sensor, which lasts far longer than the other, or of both, by their rates."""
-    imu, gps = drive.imu.time, drive.gps.time
-    lengths = float(np.ptp(imu)), float(np.ptp(gps))
-    if min(lengths) <= 0:
+    lasts = float(np.ptp(imu)), float(np.ptp(gps))
+    if min(lasts) <= 0:
         return None
-    powers = float(np.log10(lengths[0] / lengths[1]))
-    for unit, factor in TIME_UNITS.items():
-        if abs(abs(powers) - np.log10(factor)) <= 0.2:
-            what = f"the IMU's samples last {lengths[0]:.4g} s and the fixes {lengths[1]:.4g} s, as if t were in {unit}"
-            return _time_remark("imu.csv" if powers > 0 else "gps.csv", what, factor)
-    intervals = float(np.median(np.diff(imu))), float(np.median(np.diff(gps)))
-    if intervals[0] <= _SLOWEST[0] and intervals[1] <= _SLOWEST[1]:
+    come = np.median(np.diff(imu)), np.median(np.diff(gps))
+    powers = float(np.log10(lasts[0] / lasts[1]))
+    unit = next((u for u, f in TIME_UNITS.items() if abs(abs(powers) - np.log10(f)) <= 0.2), None)
+    if unit:
+        file = "imu.csv" if powers > 0 else "gps.csv"
+        what = (
+            f"the IMU's samples last {lasts[0]:.4g} s and the fixes {lasts[1]:.4g} s, as if t were in {unit}"
+        )
+    elif come[0] > _SLOWEST[0] or come[1] > _SLOWEST[1]:
+        fits = (u for u, f in TIME_UNITS.items() if come[0] <= _USUAL[0] * f and come[1] <= _USUAL[1] * f)
+        unit, file = next(fits, None), "imu.csv, gps.csv"
+        every = f"the IMU's samples come every {come[0]:.4g} s and the fixes every {come[1]:.4g} s"
+        what = f"{every}, as if t were in {unit} in both files"
+    else:
         return None
-    for unit, factor in TIME_UNITS.items():
-        if intervals[0] <= _USUAL[0] * factor and intervals[1] <= _USUAL[1] * factor:
-            what = (
-                f"the IMU's samples come every {intervals[0]:.4g} s and the fixes every {intervals[1]:.4g} s, "
-                f"as if t were in {unit} in both files"
-            )
-            return _time_remark("imu.csv, gps.csv", what, factor)
-    return None
-
-
-def _time_remark(file: str, what: str, factor: float) -> Remark:
-    power = f"{factor:.0e}".replace("+0", "")
+    if not unit:
+        return None
+    power = f"{TIME_UNITS[unit]:.0e}".replace("+0", "")
     remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import say so with --time or --map, as in "
     return Remark("time-unit", file, "t", what, f"{remedy}t=stamp*1e-{power[2:]}")
 
 
 def gravity_on(imu: Imu) -> Remark | None:
     """Gravity on a horizontal axis."""
-    median = {name: float(np.median(getattr(imu, name))) for name in ("ax", "ay")}
+    median = {"ax": float(np.median(imu.ax)), "ay": float(np.median(imu.ay))}
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
@@ -191,7 +192,7 @@ def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
     return Gaps(count, float(time[i]), float(interval[i]), usual)
 
 
-def _gaps(drive: Drive) -> Iterator[Remark]:
+def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     """One sentence on the gaps of all files; the remedy is for the sensor whose gaps matter most."""
     crossed = (
         "a filter crosses a gap with the mean of the samples around it, and its covariance grows by what the car may "
@@ -199,36 +200,31 @@ def _gaps(drive: Drive) -> Iterator[Remark]:
     )
     alone = "a filter runs on the IMU alone there; nothing to do if so meant"
     unscored = "nothing is scored there; nothing to do if so meant"
-    sensors = [("imu", drive.imu.time, IMU_GAP, crossed), ("gps", drive.gps.time, GPS_GAP, alone)]
-    if drive.truth is not None:
-        sensors.append(("truth", drive.truth.time, GPS_GAP, unscored))
-    found = [(name, gaps_in(time, limit), remedy) for name, time, limit, remedy in sensors]
-    told = [
-        (name, f"{g.count} gap{'s' if g.count > 1 else ''}, the longest {g.length:.2f} s after t = {g.start:.2f} s "
-         f"(usual interval {g.usual:.3f} s)", remedy)
-        for name, g, remedy in found if g
-    ]  # fmt: skip
-    if told:
-        first, *rest = told
-        more = "".join(f"; {name}.csv: {gaps}" for name, gaps, _ in rest)
-        yield Remark(f"{first[0]}-gap", f"{first[0]}.csv", "t", first[1] + more, first[2])
+    sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
+    sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
+    found = [
+        (
+            name,
+            f"{g.count} gap{'s' if g.count > 1 else ''}, the longest {g.length:.2f} s after t = {g.start:.2f} s "
+            f"(usual interval {g.usual:.3f} s)",
+            remedy,
+        )
+        for name, table, limit, remedy in sensors
+        if (g := gaps_in(table.time, limit))
+    ]
+    if found:
+        name, what, remedy = found[0]
+        more = "".join(f"; {other}.csv: {gaps}" for other, gaps, _ in found[1:])
+        yield Remark(f"{name}-gap", f"{name}.csv", "t", what + more, remedy)
 
 
-def _seen_by_fixes(drive: Drive, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
+def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Motion over consecutive windows from the fixes, and the integral of an IMU column.
 
-    Windows without fixes are left out: there are never more of them than fixes, however far the times go.
-
-    Returns
-    -------
-    velocity : ndarray of complex, shape (k,)
-        m/s east + i north, the mean over each window.
-    integral : ndarray, shape (k - 1,)
-        Of ``body_rate`` (n,) from each window's middle to the next one's.
-    turn : ndarray, shape (k - 1,)
-        rad, the change of course from each window to the next.
+    The mean velocity (k,), m/s east + i north; then, from each window's middle to the next one's (k - 1,), the
+    integral of ``body_rate`` and the change of course, rad. Windows without fixes are left out: there are never more of
+    them than fixes, however far the times go.
     """
-    imu, gps = drive.imu, drive.gps
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))
     first = start + _WINDOW * window
@@ -246,26 +242,26 @@ def impossible_rate(gz: Array) -> bool:
     return bool(np.quantile(np.abs(gz), 0.99) > IMPOSSIBLE_RATE)
 
 
-def _angular_rate(drive: Drive) -> Iterator[Remark]:
+def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
     """A column gz in deg/s: it turns 57 times as far as the course does."""
-    velocity, turned, turn = _seen_by_fixes(drive, drive.imu.gz)
+    velocity, turned, turn = _seen_by_fixes(imu, gps, imu.gz)
     moving = np.abs(velocity) > 4.0  # m/s; slower, the noise of the fixes makes the course
     both = moving[1:] & moving[:-1]
     if np.count_nonzero(both) >= 4:
         # deviations, so that a gyro's bias does not count; at least 0.02 rad, as a straight road has no turns
         degrees = np.std(turned[both]) > 5 * max(float(np.std(turn[both])), 0.02)
     else:
-        degrees = impossible_rate(drive.imu.gz)
+        degrees = impossible_rate(imu.gz)
     if degrees:
         what = "column gz turns more than the course, as if in deg/s"
         yield Remark("gyro-unit", "imu.csv", "gz", what, "multiply gx, gy, gz by pi/180")
 
 
-def _acceleration(drive: Drive) -> Iterator[Remark]:
+def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
     """Check for ax in g without az: it explains a tenth of the changes of speed."""
-    if drive.imu.az is not None:
+    if imu.az is not None:
         return
-    velocity, gained, _ = _seen_by_fixes(drive, drive.imu.ax)
+    velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)
     change = np.abs(np.diff(np.abs(velocity)))
     strong = change > 2.0  # m/s, above the fixes' noise
     if np.count_nonzero(strong) >= 3 and np.abs(gained[strong]).sum() < 0.3 * change[strong].sum():

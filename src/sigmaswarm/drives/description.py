@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from sigmaswarm.drives.table_files import CSV, LARGEST
+from sigmaswarm.drives.tables import Array
 from sigmaswarm.errors import DriveError
+from sigmaswarm.geodesy import geodetic_to_enu
 from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import names_shown, quoted, shown
 
@@ -31,30 +33,22 @@ def read_description(path: Path) -> dict[str, Any]:
         raise DriveError(
             f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
         )
-    text = _toml_text(path)
     try:
-        about = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
-        raise DriveError(
-            f"{path} is not valid TOML: {shown(error, 160)}; mend that line (text needs quotes)"
-        ) from None
-    name = about.get("name", "unnamed")
-    require_name(name, path)
-    if "origin" in about:
-        about["origin"] = _origin(about["origin"], path)
-    for key, (lengths, example) in _NUMBERS.items():
-        if key in about:
-            _require_numbers(about[key], key, lengths, example, path)
-    return about
-
-
-def _toml_text(path: Path) -> str:
-    try:
-        return read_toml_text(path)
-    except UnicodeDecodeError as error:
-        raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; write it as UTF-8") from None
+        about = tomllib.loads(read_toml_text(path))
     except OSError as error:
         raise DriveError(f"{path} can't be read ({error.strerror}); name another file") from None
+    except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
+        remedy = (
+            "write it as UTF-8" if isinstance(error, UnicodeError) else "mend that line (text needs quotes)"
+        )
+        raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; {remedy}") from None
+    require_name(about.get("name", "unnamed"), path)
+    if "origin" in about:
+        about["origin"] = _origin(about["origin"], path)
+    for key in _NUMBERS:
+        if key in about:
+            _require_numbers(key, about[key], path)
+    return about
 
 
 def require_name(name: object, where: object) -> None:
@@ -68,19 +62,20 @@ def require_name(name: object, where: object) -> None:
         raise DriveError(f"{where}: name = {quoted(name)} can't name a folder; leave slashes out")
 
 
-def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: str, path: Path) -> None:
+def _require_numbers(key: str, value: Any, path: Path) -> None:
     """Raise `DriveError` if a key of drive.toml that filters use has an unusable value."""
+    lengths, example = _NUMBERS[key]
     numbers = cast("list[Any]", value if isinstance(value, list) else [value])
-    plain = all(type(v) in (int, float) and abs(v) <= LARGEST for v in numbers)
     length = len(numbers) if isinstance(value, list) else 0
-    said = f"{path}: {key} = {value_shown(value)}"
-    if not plain or length not in lengths or not numbers:
-        raise DriveError(f"{said} can't be used; write for example {key} = {example}")
-    if key == "heading_deg":
-        if abs(numbers[0]) > 360:
-            raise DriveError(f"{said} is no angle; give degrees counter-clockwise from east, -360 to 360")
-    elif lengths == (0,) and not numbers[0] > 0:
-        raise DriveError(f"{said} must be positive; leave it out where it is not known")
+    plain = all(type(v) in (int, float) and abs(v) <= LARGEST for v in numbers)
+    if not plain or length not in lengths:
+        what = f"can't be used; write for example {key} = {example}"
+    elif key == "heading_deg":
+        what = "is no angle; give degrees counter-clockwise from east, -360 to 360" * (abs(numbers[0]) > 360)
+    else:
+        what = "must be positive; leave it out where it is not known" * (length == 0 and not numbers[0] > 0)
+    if what:
+        raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")
 
 
 def value_shown(value: object) -> str:
@@ -122,3 +117,13 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
             f'write frame = "{present[0]}", as its columns say'
         )
     return frame
+
+
+def place_on_plane(gps: dict[str, Array], origin: Origin | None) -> Origin:
+    """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) they refer to."""
+    if origin is None:
+        altitude = float(gps["alt"][0]) if "alt" in gps else 0.0
+        origin = float(gps["lat"][0]), float(gps["lon"][0]), altitude
+    enu = geodetic_to_enu(gps["lat"], gps["lon"], gps.get("alt", origin[2]), origin)
+    gps["x"], gps["y"] = enu[:, 0], enu[:, 1]
+    return origin

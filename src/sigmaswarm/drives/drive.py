@@ -1,158 +1,23 @@
 """The Drive: one recorded or simulated journey, as frozen arrays."""
 
+import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, cast
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm import notebook
-from sigmaswarm.errors import DriveError
+from sigmaswarm.drives.checks import checked
+from sigmaswarm.drives.frames import tables_from_frames
+from sigmaswarm.drives.tables import Array, Gps, Imu, Odometer, Table, Truth
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 
 def listed(given: Iterable[T] | T) -> list[T]:
     """Return one or many as a list."""
     return list(cast("Iterable[T]", given)) if isinstance(given, Iterable) else [given]
-
-
-class _Table:
-    """Columns of equal length, made read-only float64 when the record is built."""
-
-    time: Array
-
-    def __post_init__(self) -> None:
-        length = np.size(self.time)
-        for f in fields(self):  # pyright: ignore[reportArgumentType]
-            values = getattr(self, f.name)
-            if values is None:
-                continue
-            column = np.array(values, dtype=np.float64)
-            if column.shape != (length,):
-                name = type(self).__name__
-                raise DriveError(
-                    f"{name}.{f.name} has shape {column.shape}, but {name}.time has {length} values"
-                )
-            column.setflags(write=False)
-            object.__setattr__(self, f.name, column)
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    def select(self, rows: NDArray[np.bool_] | slice) -> Self:
-        """Return the table with some of its rows (a mask or a slice)."""
-        columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
-        return type(self)(**{k: None if v is None else v[rows] for k, v in columns.items()})
-
-    def to_pandas(self) -> "pd.DataFrame":
-        """Return the existing columns, in the order and units of the attributes; needs pandas.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
-        return notebook.to_pandas({name: column for name, column in columns.items() if column is not None})
-
-
-@dataclass(frozen=True, eq=False)
-class Imu(_Table):
-    """Inertial samples, each column of shape (n,), in the body frame (x forward, y left, z up).
-
-    Attributes
-    ----------
-    time : s, strictly increasing
-    ax, ay, az : specific force, m/s2 (az is about +9.8 at rest)
-    gx, gy, gz : angular rate, rad/s
-    """
-
-    time: Array
-    ax: Array
-    ay: Array
-    gz: Array
-    az: Array | None = None
-    gx: Array | None = None
-    gy: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Gps(_Table):
-    """Position fixes, each column of shape (n,).
-
-    Attributes
-    ----------
-    time : s, increasing; strictly so in files. Two receivers may give fixes of one time, used in order
-    x, y : m east and north of the drive's origin
-    lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
-    std_x, std_y : m, the receiver's stated standard deviation
-    speed, course : m/s; rad, counter-clockwise from east
-    """
-
-    time: Array
-    x: Array
-    y: Array
-    lat: Array | None = None
-    lon: Array | None = None
-    alt: Array | None = None
-    std_x: Array | None = None
-    std_y: Array | None = None
-    speed: Array | None = None
-    course: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Odometer(_Table):
-    """The speed of the wheels, each column of shape (n,).
-
-    Attributes
-    ----------
-    time : s, strictly increasing
-    speed : m/s, forward positive, at the rear axle; with scale error, quantization and slip
-    """
-
-    time: Array
-    speed: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Truth(_Table):
-    """The vehicle's true motion at the IMU's place, each column of shape (n,). A filter never sees it.
-
-    Attributes
-    ----------
-    time : s, strictly increasing
-    x, y : m east and north of the drive's origin
-    vx, vy : m/s east and north
-    theta : rad, heading counter-clockwise from east; may be unwrapped
-    std_x, std_y : m, standard deviation of the truth, if known: both or none
-    std_theta : rad, that of its heading
-    """
-
-    time: Array
-    x: Array
-    y: Array
-    vx: Array
-    vy: Array
-    theta: Array
-    std_x: Array | None = None
-    std_y: Array | None = None
-    std_theta: Array | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if (self.std_x is None) != (self.std_y is None) or (
-            self.std_x is None and self.std_theta is not None
-        ):
-            raise DriveError(
-                "Truth states std_x and std_y both, and with them std_theta, or none; add what lacks"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +90,7 @@ class Drive:
         Warns
         -----
         SigmaswarmWarning
-            Unknown columns (ignored).
-        DriveWarning
-            Gaps, and values that look like other units or axes.
+            Unknown columns, which are ignored; also gaps, and values that look like other units or axes.
 
         Examples
         --------
@@ -238,9 +101,14 @@ class Drive:
         >>> sigmaswarm.Drive.from_frames(imu, gps).duration
         59.99
         """
-        from sigmaswarm.drives.frames import drive_from_tables  # it imports this file
-
-        return drive_from_tables(imu, gps, truth, odometer, name=name, origin=origin, columns=columns)
+        given = {"imu": imu, "gps": gps, "truth": truth, "odometer": odometer}
+        given = {key: frame for key, frame in given.items() if frame is not None}
+        tables, about, warned = tables_from_frames(given, columns or {}, origin)
+        drive = cls(name, **tables, **about)
+        warned += checked(drive.imu, drive.gps, drive.truth, lambda m: f"{name}: {m.replace('.csv', '')}")
+        for warning in warned:
+            warnings.warn(warning, stacklevel=2)
+        return drive
 
     from_arrays = from_frames
 
@@ -273,22 +141,15 @@ class Drive:
 
     def _repr_html_(self) -> str:
         """Return HTML for a notebook: the recorded data, and a map of fixes and truth."""
-        tables: dict[str, _Table | None] = {"IMU": self.imu, "fixes": self.gps, "truth": self.truth}
-        rows = [
-            (name, len(each), _rate(each.time), _span(each.time)) for name, each in tables.items() if each
-        ]
+        tables: dict[str, Table | None] = {"IMU": self.imu, "fixes": self.gps, "truth": self.truth}
+        rows: list[tuple[object, ...]] = []
+        for name, table in tables.items():
+            if table:
+                interval = float(np.median(np.diff(table.time))) if len(table) > 1 else 0.0
+                rate = 1 / interval if interval > 0 else float("nan")
+                rows.append((name, len(table), rate, float(table.time[-1] - table.time[0])))
         paths = {"fixes": (self.gps.x, self.gps.y)}
         if self.truth:
             paths["truth"] = (self.truth.x, self.truth.y)
         heads = ("", "rows", "rate, Hz", "length, s")
         return notebook.table(self.name, heads, rows) + notebook.track(self.name, paths)
-
-
-def _rate(time: Array) -> float:
-    """Of the median interval, Hz; NaN where there is none."""
-    interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    return 1 / interval if interval > 0 else float("nan")
-
-
-def _span(time: Array) -> float:
-    return float(time[-1] - time[0]) if len(time) else 0.0

@@ -60,7 +60,5 @@ def fingerprint(drive: Drive) -> str:
                 digest.update(name.encode())
                 digest.update(column)
     if drive.odometer is not None:  # after the others: a drive without one keeps its fingerprint
-        digest.update(b"odometer")
-        digest.update(drive.odometer.time.tobytes())
-        digest.update(drive.odometer.speed.tobytes())
+        digest.update(b"odometer" + drive.odometer.time.tobytes() + drive.odometer.speed.tobytes())
     return digest.hexdigest()

@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sigmaswarm.drives.tables import Array
 
 UP = 2
 """The place of the rate about the vertical axis."""
@@ -36,14 +35,9 @@ MOST_BIAS = 0.5
 class GyroSeen:
     """Evidence of one alignment on the gyro bias, or of several: see `together`.
 
-    Attributes
-    ----------
-    bias, variance : ndarray, shape (3,)
-        rad/s about forward, left and up, and squared; infinite where nothing is known.
-    taken : float
-        rad/s: the bias about up for which the alignment's mean and covariance hold.
-    turns : ndarray, shape (5,)
-        How x, y, vx, vy, theta change with that bias, per rad/s.
+    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared, infinite where nothing is known.
+    The alignment's mean and covariance hold for the bias ``taken`` about up; ``turns`` (5,) is how x, y, vx, vy, theta
+    change with it, per rad/s.
     """
 
     bias: Array
@@ -52,30 +46,26 @@ class GyroSeen:
     turns: Array
 
     def beside(self, known: float) -> "GyroSeen":
-        """The same of the gyro as it is, where a bias about up, rad/s, was known and taken off beforehand."""
+        """The evidence on the gyro itself, where a known bias about up, rad/s, was subtracted beforehand."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
 
     def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
-        """Put it into a filter's states at the start.
+        """Put the evidence into a filter's states at the start, ``mean`` (..., n) and ``covariance`` (..., n, n).
 
-        The bias is what two measurements say: 0, as unsure as ``std``, and what is seen. Or the filter was not
-        tuned for this gyro (`STRANGE`), which then may be off by far more (`STRANGE_STD`); how likely that is, all axes
-        tell together. The two cases count as they are likely.
-
-        Parameters
-        ----------
-        mean : ndarray, shape (..., n)
-            Those of the states 0 to 4 as the alignment gives them; changed in place.
-        covariance : ndarray, shape (..., n, n)
-            The same.
-        places : mapping of int to int
-            Of the axes, 0 to 2, whose bias the filter estimates: the place of the bias among the states.
-        std : ndarray, shape (...)
-            rad/s: how far off the filter expects the gyro to be.
+        The bias follows from two measurements: 0, as unsure as ``std`` (...), rad/s, and the one seen. Or the filter
+        was not tuned for this gyro (`STRANGE`), which then may be off by far more (`STRANGE_STD`). All axes together
+        show how likely that is, and the two cases are weighted accordingly. ``places`` maps the axes, 0 to 2, whose
+        bias the filter estimates to its place among the states; both arrays change in place.
         """
-        bias, variance = self._with(np.asarray(std)[..., None], [*places])
+        std, axes = np.asarray(std)[..., None], [*places]
+        usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))
+        odds = np.log(STRANGE / (1 - STRANGE)) + strange[2] - usual[2]
+        share = 1.0 / (1.0 + np.exp(np.clip(-odds, -700.0, 700.0)))
+        bias = (1 - share) * usual[0] + share * strange[0]
+        parts = [each[1] + (each[0] - bias) ** 2 for each in (usual, strange)]
+        variance = (1 - share) * parts[0] + share * parts[1]
         for k, (axis, place) in enumerate(places.items()):
             mean[..., place], covariance[..., place, place] = bias[..., k], variance[..., k]
             if axis == UP:
@@ -84,20 +74,8 @@ class GyroSeen:
                 covariance[..., :5, :5] += across[..., None] * self.turns[..., None, :]
                 covariance[..., :5, place] = covariance[..., place, :5] = across
 
-    def _with(self, std: Array, axes: list[int]) -> tuple[Array, Array]:
-        """Biases and variances (..., k) of some axes, for ``std`` (..., 1)."""
-        usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))
-        odds = np.log(STRANGE / (1 - STRANGE)) + strange[2] - usual[2]
-        share = 1.0 / (1.0 + np.exp(np.clip(-odds, -700.0, 700.0)))
-        bias = (1 - share) * usual[0] + share * strange[0]
-        parts = [each[1] + (each[0] - bias) ** 2 for each in (usual, strange)]
-        return bias, (1 - share) * parts[0] + share * parts[1]
-
     def _measured(self, std: Array, axes: list[int]) -> tuple[Array, Array, Array]:
-        """Biases and variances, (..., k), of a gyro that may be off by ``std``, and its likelihood.
-
-        That is the logarithm, (..., 1), of the density of what is seen, but for a constant.
-        """
+        """Biases and variances, (..., k), of a gyro that may be off by ``std``, and its log-likelihood, (..., 1)."""
         seen, variance = self.bias[..., axes], self.variance[..., axes]
         left = std**2 / (1.0 + std**2 / variance)
         surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)

@@ -27,11 +27,8 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    Attributes
-    ----------
-    absorbs : (k,) bool: the step ends with a measurement
-    rows : (o, 3) measurements in the order of the steps: see SPEED ... MORE
-    turn : (k,) bool: at the step's end the wheels turn, so the car does not stand
+    Each step of ``absorbs`` (k,) ends with one of ``rows`` (o, 3): see SPEED ... MORE. At the end of steps of ``turn``
+    (k,) the wheels turn, so the car does not stand.
     """
 
     absorbs: NDArray[np.bool_]
@@ -39,7 +36,7 @@ class Wheels:
     turn: NDArray[np.bool_]
 
 
-def put_together(odometer: Odometer, start: float, end: Array, sampled: NDArray[np.bool_]) -> Wheels:
+def measurements_of(odometer: Odometer, start: float, end: Array, sampled: NDArray[np.bool_]) -> Wheels:
     """Compute the measurements; steps end at ``end`` (k,) s, at an IMU sample where ``sampled`` (k,).
 
     The first sample of each interval with a new reading uses the readings since the last measurement.

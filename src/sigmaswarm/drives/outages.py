@@ -16,20 +16,9 @@ SECONDS_PER_OUTAGE = 15.0
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
-    """Return a mask of the fixes in an outage, both ends included.
+    """Return a mask of the fixes (n,) s in an outage (k, 2) s, both ends included.
 
     Drift is measured at the end of a window, before any new fix, so a fix exactly there is hidden, too.
-
-    Parameters
-    ----------
-    time : array_like, shape (n,)
-        s, of the fixes.
-    windows : array_like, shape (k, 2)
-        s.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
@@ -52,27 +41,10 @@ def random_windows(
     apart: float = 5.0,
     count: int | None = None,
 ) -> Array:
-    """Draw outages between ``start`` and ``end``, uniformly among all placements that keep the distances.
+    """Draw outages (k, 2) between two times, s, uniformly among all placements that keep the distances.
 
-    Parameters
-    ----------
-    start, end : float
-        s.
-    rng : numpy.random.Generator
-        Draws lengths, then places.
-    length : float or (float, float)
-        s, of each window, or the range from which each draws its own.
-    first_after : float
-        s from ``start`` to the first window at least.
-    apart : float
-        s from one window's end to the next one's start at least.
-    count : int, optional
-        Largest number. By default one per 15 s of the available time, at least one.
-
-    Returns
-    -------
-    ndarray, shape (k, 2)
-        s, in order of time; shape (0, 2) where not one fits.
+    They have the ``length`` or one from that range each, begin ``first_after`` s or later, and are ``apart`` s at
+    least. There are ``count`` at most, by default one per 15 s of the available time and at least one.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
@@ -102,25 +74,9 @@ def balanced_windows(
     apart: float = 5.0,
     every: float = 12.0,
 ) -> Array:
-    """Draw one outage in each ``every`` seconds between ``start`` and ``end``, so that they cover the drive.
+    """Draw one outage in each ``every`` seconds between two times, s, so that they cover the drive, (k, 2).
 
-    Parameters
-    ----------
-    start, end : float
-        s.
-    rng : numpy.random.Generator
-        Draws lengths, then places.
-    length : (float, float)
-        s, the range from which each window draws its length.
-    apart : float
-        s from ``start`` to the first window, and from one window's end to the next one's start, at least.
-    every : float
-        s; at least the longest window and ``apart``.
-
-    Returns
-    -------
-    ndarray, shape (k, 2)
-        s, in order of time; shape (0, 2) where not one fits.
+    Each draws its length from a range, s, and is at least ``apart`` s from the start and the one before.
     """
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
@@ -136,26 +92,12 @@ def balanced_windows(
 
 
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
-    """Shift windows so that each ends exactly on an IMU sample, where a filter has an estimate.
+    """Shift windows (k, 2), in order of time, so that each ends exactly on an IMU sample (n,), s.
 
     Each moves later, its length unchanged, to the first sample at or after its end; farther where it would
     else come closer than ``apart`` to the one before. So the first keeps its distance from the start. A
     window that would end after the last sample moves earlier, onto that sample; where this brings it too
     close to the one before, it is left out.
-
-    Parameters
-    ----------
-    windows : array_like, shape (k, 2)
-        s, in order of time.
-    imu_time : array_like, shape (n,)
-        s, increasing.
-    apart : float
-        s from one window's end to the next one's start at least.
-
-    Returns
-    -------
-    ndarray, shape (k or fewer, 2)
-        s.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -15,6 +15,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import fingerprint
@@ -53,22 +54,10 @@ SHARE = 0.5
 class Landmarks:
     """The landmarks of a drive, a thousandth of its size.
 
-    Attributes
-    ----------
-    name : str
-        The drive's.
-    sha256 : str
-        Its `fingerprint`, which identifies a whole drive without landmarks.
-    span : (float, float)
-        s, of its IMU.
-    geographic : bool
-        True if positions are in degrees, else in m in a local frame.
-    fixes : ndarray of int, shape (n, 3)
-        Time (us), and position: latitude and longitude (1e-7 deg), or y and x (cm).
-    rates : ndarray, shape (k, 2)
-        Time (s), and the yaw rate as ln|gz| modulo ``UNITS``: equal in rad/s and deg/s, with either sign.
-    width : float
-        Samples below this value are landmarks.
+    ``sha256`` is its `fingerprint`, which identifies a whole drive without landmarks; ``span`` that of its IMU, s.
+    ``fixes`` (n, 3) has time (us) and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm).
+    ``rates`` (k, 2) has time (s) and the yaw rate as ln|gz| modulo ``UNITS``, equal in rad/s and deg/s, with either
+    sign; samples below ``width`` are landmarks.
     """
 
     name: str
@@ -110,7 +99,8 @@ def landmarks(drive: Drive) -> Landmarks:
         place = 1e7 * enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), drive.origin)[:, :2]
     else:
         place = 100 * np.column_stack([gps.y, gps.x])
-    fixes = _whole(np.column_stack([MICRO * gps.time, place])[moving])
+    fixes = np.column_stack([MICRO * gps.time, place])[moving]
+    fixes = np.rint(np.clip(np.nan_to_num(fixes), -9e18, 9e18)).astype(np.int64)
     turning = imu.gz != 0
     digits = np.mod(np.log(np.abs(imu.gz[turning])), UNITS)
     times, width = imu.time[turning], WIDTH
@@ -121,11 +111,6 @@ def landmarks(drive: Drive) -> Landmarks:
     return Landmarks(drive.name, fingerprint(drive), span, geographic, fixes, rates, width)
 
 
-def _whole(values: Array) -> Whole:
-    """Round to integers, clipped to their range."""
-    return np.rint(np.clip(np.nan_to_num(values), -9e18, 9e18)).astype(np.int64)
-
-
 def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
     """Landmarks of a drive of which only the fingerprint is known."""
     return Landmarks(name, sha256, (0.0, duration), False, np.zeros((0, 3), np.int64), np.zeros((0, 2)))
@@ -133,14 +118,12 @@ def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
 
 def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
     """Compute how much of a drive others contain, s, and which of them."""
-    found = {
-        (i, other.name): part for i, other in enumerate(others) if (part := _common(drive, other)) is not None
-    }
+    found = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
     covered, until = 0.0, -math.inf
-    for start, end in sorted(found.values()):
+    for start, end in sorted(part for _, part in found):
         covered += max(end - max(start, until), 0.0)
         until = max(until, end)
-    return Overlap(round(covered, 3), tuple(dict.fromkeys(name for _, name in found)))
+    return Overlap(round(covered, 3), tuple(dict.fromkeys(name for name, _ in found)))
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
@@ -165,19 +148,19 @@ def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
     """Offset, s, of one's clock from the other's by equal fixes; None without enough of them."""
     if one.geographic != other.geographic:
         return None
-    a, b = (marks.fixes.astype(np.float64) for marks in (one, other))
-    return _offset(a, b, SAME_PLACE)
+    return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), SAME_PLACE)
 
 
 def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
     """Offset, s, by equal yaw rates."""
     width = min(one.width, other.width)
-    rates: list[Array] = []
-    for marks in (one, other):
+
+    def rates(marks: Landmarks) -> Array:
         time, value = marks.rates[marks.rates[:, 1] < width].T
         _, level, count = np.unique(np.rint(value / SAME_RATE), return_inverse=True, return_counts=True)
-        rates.append(np.column_stack([MICRO * time, value])[count[level] <= COMMON])
-    return _offset(rates[0], rates[1], SAME_RATE)
+        return np.column_stack([MICRO * time, value])[count[level] <= COMMON]
+
+    return _offset(rates(one), rates(other), SAME_RATE)
 
 
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
@@ -193,17 +176,17 @@ def _offset(a: Array, b: Array, tolerance: float) -> float | None:
         return None
     offsets = a[i, 0] - b[j, 0]
     order = np.argsort(offsets, kind="stable")
-    votes = np.searchsorted(offsets[order], offsets[order] + 2 * SAME_TIME, side="right") - np.arange(
-        len(order)
-    )
+    ends = np.searchsorted(offsets[order], offsets[order] + 2 * SAME_TIME, side="right")
+    votes = ends - np.arange(len(order))
     best = int(np.argmax(votes))
     chosen = order[best : best + votes[best]]
     offset = float(np.median(offsets[chosen]))
-    start, end = max(a[:, 0].min(), b[:, 0].min() + offset), min(a[:, 0].max(), b[:, 0].max() + offset)
-    there = [
-        np.count_nonzero((t >= start - SAME_TIME) & (t <= end + SAME_TIME))
-        for t in (a[:, 0], b[:, 0] + offset)
-    ]
+    times = a[:, 0], b[:, 0] + offset
+    start, end = (
+        max(t.min() for t in times) - SAME_TIME,
+        min(t.max() for t in times) + SAME_TIME,
+    )
+    there = [np.count_nonzero((t >= start) & (t <= end)) for t in times]
     agreeing = min(len(np.unique(i[chosen])), len(np.unique(j[chosen])))
     if agreeing < SHARE * min(there) or len(np.unique(np.rint(a[i[chosen], 1] / tolerance))) < FEWEST:
         return None
@@ -211,29 +194,10 @@ def _offset(a: Array, b: Array, tolerance: float) -> float | None:
 
 
 def _equal(a: Array, b: Array, tolerance: float) -> tuple[Whole, Whole]:
-    """Pairs (i, j) of rows of a and b that differ by at most the tolerance in each column.
-
-    Rows are joined by cells of that size and their neighbors. (To import SciPy's tree takes 0.2 s.)
-    """
-
-    def keys(cells: Array) -> Array:
-        return cells @ (
-            1_000_003.0 ** np.arange(cells.shape[1])
-        )  # equal keys of different cells are harmless
-
-    size = tolerance * 1.001
-    cells, of_b = np.floor(a / size), keys(np.floor(b / size))
-    order = np.argsort(of_b, kind="stable")
-    pairs = [np.zeros((2, 0), np.int64)]
-    for step in np.ndindex(*[3] * a.shape[1]):
-        at = keys(cells + np.array(step) - 1)
-        first, last = (np.searchsorted(of_b, at, side, sorter=order) for side in ("left", "right"))
-        count = last - first
-        i = np.repeat(np.arange(len(a)), count)
-        j = order[np.repeat(first - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())]
-        pairs.append(np.stack([i, j])[:, (np.abs(a[i] - b[j]) <= tolerance).all(axis=1)])
-    i, j = np.unique(np.concatenate(pairs, axis=1), axis=1)
-    return i, j
+    """Pairs (i, j) of rows of a and b that differ by at most the tolerance in each column."""
+    pairs = KDTree(a).sparse_distance_matrix(KDTree(b), tolerance, np.inf, output_type="ndarray")
+    order = np.lexsort([pairs["j"], pairs["i"]])
+    return pairs["i"][order], pairs["j"][order]
 
 
 def save_landmarks(
@@ -243,10 +207,8 @@ def save_landmarks(
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
-    with (
-        whole_file(path) as file,
-        ZipFile(file, "w", ZIP_DEFLATED) as archive,
-    ):  # as `np.savez_compressed` does
+    # As `np.savez_compressed` does, which needs all arrays at once.
+    with whole_file(path) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
 
         def put(name: str, array: NDArray[np.generic]) -> None:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

@@ -8,23 +8,17 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN, judged
-from sigmaswarm.drives.timeline import Timeline, build_timeline, driving_of
+from sigmaswarm.drives.timeline import Timeline, build_timeline
 
 SMALL = 500_000
 """Steps of a time line that stays in memory: somewhat over an hour, 40 MB."""
 
 
 class PreparedDrive:
-    """A drive with the start and the time lines of filters, which all that runs filters over it shares.
+    """A drive with the start and the time lines of filters, shared by all filters that run over it.
 
-    Parameters
-    ----------
-    drive : Drive
-    initial : InitialState, optional
-        The start; by default that of the alignment, computed when it is first needed.
-    as_recorded : bool
-        Run without preprocessing: update with stale fixes, and treat gaps in the IMU like other steps. For diagnosis,
-        and for the paper's protocol.
+    The start is ``initial``, by default that of the alignment, computed on first use. ``as_recorded`` means without
+    preprocessing, for diagnosis and the paper's protocol: stale fixes are used, and gaps in the IMU are ordinary steps.
     """
 
     def __init__(
@@ -37,13 +31,7 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """The start of filters.
-
-        Raises
-        ------
-        AlignmentError
-            If the drive never moves far enough.
-        """
+        """The start of filters; AlignmentError if the drive never moves far enough."""
         return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
 
     @cached_property
@@ -51,32 +39,29 @@ class PreparedDrive:
         """The kind of each fix, (number of fixes,): see `drives.frozen`. Without preprocessing all are new."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
-    @cached_property
-    def _driving(self) -> Array:
-        """The IMU as it drives the steps of all time lines."""
-        return driving_of(self.drive, as_recorded=self.as_recorded)
-
     @property
     def frozen(self) -> NDArray[np.bool_]:
         """Stale fixes, (number of fixes,): filters don't use them as positions."""
         return self.kinds >= FROZEN
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the steps of a filter that gets all fixes but the hidden ones, computed once.
+        """Return the steps of a filter that gets all fixes but the ``hidden`` ones (g,); computed once.
 
-        Parameters
-        ----------
-        hidden : ndarray of bool, shape (number of fixes,), optional
-            Fixes that the filter does not get; none by default.
-        removed : bool
-            Remove the hidden fixes, so that no step ends at one. Otherwise the steps are those of the drive; all
-            such time lines share its arrays, and the hidden fixes can be forecast.
+        With ``removed``, no step ends at a hidden fix. Otherwise the steps are those of the drive; all such time lines
+        share its arrays, and the hidden fixes can be forecast.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
         key = hidden.tobytes(), removed
         if key not in self._timelines:
-            self._timelines[key] = self._built(hidden, removed)
+            if removed:
+                line = self.timeline().without(hidden)
+            elif hidden.any():
+                line = self.timeline().hiding(hidden)
+            else:
+                start, recorded = self.initial.time, self.as_recorded
+                line = build_timeline(self.drive, start, as_recorded=recorded, kinds=self.kinds)
+            self._timelines[key] = line
         return self._timelines[key]
 
     def forget(self) -> None:
@@ -89,19 +74,6 @@ class PreparedDrive:
             for (hidden, removed), line in self._timelines.items()
             if not removed and not any(hidden) and len(line.end) <= SMALL
         }
-
-    def _built(self, hidden: NDArray[np.bool_], removed: bool) -> Timeline:
-        if removed:
-            return self.timeline().without(hidden)
-        if hidden.any():
-            return self.timeline().hiding(hidden)
-        return build_timeline(
-            self.drive,
-            self.initial.time,
-            as_recorded=self.as_recorded,
-            kinds=self.kinds,
-            driving=self._driving,
-        )
 
 
 def prepared(

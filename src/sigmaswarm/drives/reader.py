@@ -3,44 +3,33 @@
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from sigmaswarm.drives.checks import remarks_of, shortage_of
-from sigmaswarm.drives.description import Origin, frame_of, read_description
-from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
+from sigmaswarm.drives.checks import checked
+from sigmaswarm.drives.description import frame_of, place_on_plane, read_description
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
+from sigmaswarm.drives.tables import COLUMNS, RECORDS
 from sigmaswarm.drives.urls import drive_urls, is_url, local_copy, without_secrets
-from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
-from sigmaswarm.geodesy import geodetic_to_enu
+from sigmaswarm.errors import DriveError, SigmaswarmWarning
 
 Location = str | Path
 """A folder, or a URL that fsspec reads."""
 
-_GPS_EXTRAS = ("alt", "std_x", "std_y", "speed", "course")
 
-COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "imu": (("t", "ax", "ay", "gz"), ("az", "gx", "gy")),
-    "enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)),
-    "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS),
-    "odometer": (("t", "speed"), ()),
-    "truth": (("t", "x", "y", "vx", "vy", "theta"), ("std_x", "std_y", "std_theta")),
-}
-"""The required and the optional columns of each table; those of gps by its frame."""
-
-
-def drive_locations(location: Location) -> list[Location]:
-    """Return a drive itself, or all drives in a folder or below a URL, sorted by name.
+def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
+    """Return the drives at locations: each itself, or all drives in a folder or below a URL, sorted by name.
 
     Raises
     ------
     DriveError
         If a folder contains no drive, or a URL can't be listed.
     """
-    return [*drive_urls(str(location))] if is_url(location) else [*drive_folders(Path(location))]
-
-
-def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
-    """Return the drives of several folders and URLs."""
-    return [drive for location in locations for drive in drive_locations(location)]
+    return [
+        drive
+        for location in locations
+        for drive in (drive_urls(str(location)) if is_url(location) else drive_folders(Path(location)))
+    ]
 
 
 def drive_folders(path: Path) -> list[Path]:
@@ -53,17 +42,13 @@ def drive_folders(path: Path) -> list[Path]:
     return inside
 
 
-def has_table(folder: Path, name: str) -> bool:
+def has_table(folder: Path, table: str) -> bool:
     """Return whether a folder contains a table, such as ``imu``, in any format."""
-    return any((folder / f"{name}{form}").exists() for form in FORMS)
+    return bool(_files_of(folder, table))
 
 
-def _table(folder: Path, name: str) -> Path:
-    """Return the file of a table; that of CSV if there is none."""
-    there = [folder / f"{name}{form}" for form in FORMS if (folder / f"{name}{form}").exists()]
-    if len(there) > 1:
-        raise DriveError(f"{folder} holds both {there[0].name} and {there[1].name}; delete one of them")
-    return there[0] if there else folder / f"{name}{CSV}"
+def _files_of(folder: Path, table: str) -> list[Path]:
+    return [folder / f"{table}{form}" for form in FORMS if (folder / f"{table}{form}").exists()]
 
 
 def read_drive(path: str | Path) -> Drive:
@@ -128,55 +113,36 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     inside = [f.name for f in folder.iterdir() if has_table(f, "imu")]
     if inside and not has_table(folder, "imu"):
         raise DriveError(f"{folder} is no drive but holds {len(inside)}; name one of them, say {min(inside)}")
-    ignored: list[str] = []
     about = read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)
+    stated, origin = about.pop("frame", None), about.pop("origin", None)
+    files: dict[str, Path] = {}
+    for table in RECORDS:
+        there = _files_of(folder, table)
+        if len(there) > 1:
+            raise DriveError(f"{folder} holds both {there[0].name} and {there[1].name}; delete one of them")
+        files[table] = there[0] if there else folder / f"{table}{CSV}"
 
-    files = {name: _table(folder, name) for name in ("imu", "gps", "truth", "odometer")}
-    imu = TableFile.read(files["imu"]).columns(*COLUMNS["imu"], ignored)
-    table = TableFile.read(files["gps"])
-    frame = frame_of(about.pop("frame", None), files["gps"], table.cells.columns)
-    gps = table.columns(*COLUMNS[frame], ignored)
-    origin = about.pop("origin", None)
-    if frame == "wgs84":
-        origin = place_on_plane(gps, origin)
-    truth = None
-    if files["truth"].exists():
-        truth = _truth(TableFile.read(files["truth"]).columns(*COLUMNS["truth"], ignored), files["truth"])
+    frame, records, ignored = "enu", dict[str, Any](), list[str]()
+    for table, file in files.items():
+        if table not in ("imu", "gps") and not file.exists():
+            continue
+        cells = TableFile.read(file)
+        if table == "gps":
+            frame = frame_of(stated, file, cells.cells.columns)
+        columns = cells.columns(*COLUMNS[frame if table == "gps" else table], ignored)
+        if table == "gps" and frame == "wgs84":
+            origin = place_on_plane(columns, origin)
+        try:
+            records[table] = RECORDS[table](**columns)
+        except DriveError as error:
+            raise DriveError(f"{file}: {error}") from None
 
-    odometer = None
-    if files["odometer"].exists():
-        odometer = Odometer(**TableFile.read(files["odometer"]).columns(*COLUMNS["odometer"], ignored))
+    def as_filed(message: str) -> str:
+        for table, file in files.items():
+            message = message.replace(f"{table}{CSV}", file.name)
+        return f"{folder}/{message}"
 
-    drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about, odometer)
-    if shortage := shortage_of(drive):
-        raise DriveError(f"{folder}/{_as_filed(shortage, files)}")
+    drive = Drive(name, frame=frame, origin=origin, metadata=about, **records)
     warned = [SigmaswarmWarning(message) for message in ignored]
-    warned += [
-        DriveWarning(f"{folder}/{_as_filed(str(remark), files)}", remark.code) for remark in remarks_of(drive)
-    ]
-    return drive, warned
-
-
-def _truth(columns: dict[str, Array], path: Path) -> Truth:
-    try:
-        return Truth(**columns)
-    except DriveError as error:
-        raise DriveError(f"{path}: {error}") from None
-
-
-def _as_filed(said: str, files: dict[str, Path]) -> str:
-    """Replace the names of tables in a message by those of the files."""
-    for name, file in files.items():
-        said = said.replace(f"{name}{CSV}", file.name)
-    return said
-
-
-def place_on_plane(gps: dict[str, Array], origin: Origin | None) -> Origin:
-    """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) they refer to."""
-    if origin is None:
-        altitude = float(gps["alt"][0]) if "alt" in gps else 0.0
-        origin = float(gps["lat"][0]), float(gps["lon"][0]), altitude
-    enu = geodetic_to_enu(gps["lat"], gps["lon"], gps.get("alt", origin[2]), origin)
-    gps["x"], gps["y"] = enu[:, 0], enu[:, 1]
-    return origin
+    return drive, [*warned, *checked(drive.imu, drive.gps, drive.truth, as_filed)]

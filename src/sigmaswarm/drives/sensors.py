@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.drive import Drive
 
 VARIES = 1.5
 """Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
@@ -26,17 +26,7 @@ UNSTATED_GPS_STD = 2.1
 
 @dataclass(frozen=True)
 class SuggestedFilter:
-    """A filter for some logs.
-
-    Attributes
-    ----------
-    model : str
-        A name of `filters.names.ModelName`.
-    use : tuple of str
-        The measurements it uses apart from positions: values of ``--use``.
-    because : str
-        The sensors that suggest it.
-    """
+    """A filter for some logs: its model, the measurements besides positions, and the sensors that suggest it."""
 
     model: str
     use: tuple[str, ...]
@@ -54,9 +44,6 @@ class Sensors:
 
     Attributes
     ----------
-    name : str
-    truth : bool
-        True if there is at least one row.
     interval : float
         Median time between two IMU samples, s.
     axes : tuple of str
@@ -91,6 +78,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
     if isinstance(drive, Sensors):
         return drive
     gps, imu = drive.gps, drive.imu
+    away = gps.time[np.hypot(gps.x - gps.x[:1], gps.y - gps.y[:1]) > STARTED]
     return Sensors(
         name=drive.name,
         truth=bool(drive.truth),
@@ -102,13 +90,8 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         velocity=gps.speed is not None and gps.course is not None,
         spread=stated_spread(drive),
         white=has_white_errors(drive),
-        driven=_driven(drive.gps),
+        driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
     )
-
-
-def _driven(gps: Gps) -> float:
-    away = gps.time[np.hypot(gps.x - gps.x[:1], gps.y - gps.y[:1]) > STARTED]
-    return float(gps.time[-1] - away[0]) if len(away) else 0.0
 
 
 def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
@@ -131,16 +114,17 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     wheels = bool(found) and all(one.odometer for one in found)
     spreads = [one.spread for one in found if one.spread]
     stated = bool(found) and len(spreads) == len(found)
-    use = ("lateral", "standstill", *(("odometer",) if wheels else ()), *(("accuracy",) if stated else ()))
-    all_there = all(len(one.axes) == 6 for one in found)
-    missing = "az, gx or gy of the IMU look wrong" if all_there else "an IMU without az, gx and gy"
-    reasons = ["six IMU axes" if six else missing]
+    look_wrong = all(len(one.axes) == 6 for one in found)
+    reasons = ["az, gx or gy of the IMU look wrong" if look_wrong else "an IMU without az, gx and gy"]
+    if six:
+        reasons = ["six IMU axes"]
     if wheels:
         reasons.append("an odometer")
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
-    return SuggestedFilter("tilted12" if six else "planar8", (*use, "robust"), ", ".join(reasons))
+    use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
+    return SuggestedFilter("tilted12" if six else "planar8", use, ", ".join(reasons))
 
 
 def has_attitude(drive: Drive) -> bool:
@@ -174,14 +158,9 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 
 
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
-    """Estimate the white noise of fixes, m per axis; 0 for fewer than four.
+    """Estimate the white noise of fixes at even times, east + i north (n,) m; m per axis, 0 for fewer than four.
 
     The estimate is robust. It uses third differences, which remove the motion, and lasting errors with it.
-
-    Parameters
-    ----------
-    position : ndarray of complex, shape (n,)
-        East + i north, m, of fixes at even times.
     """
     third = np.diff(position, n=3)
     spread = np.concatenate([third.real, third.imag])

@@ -8,11 +8,13 @@ from typing import TypeVar
 import numpy as np
 
 from sigmaswarm.drives.alignment import NoStart, find_start
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.tables import Table
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
+AnyTable = TypeVar("AnyTable", bound=Table)
 
 
 def split_drives(
@@ -66,19 +68,19 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
         clip(drive, end=cut, name=f"{drive.name}-train"),
         clip(drive, start=cut, name=f"{drive.name}-test"),
     )
+    sha256 = fingerprint(drive)
     for part in parts:
         if isinstance(start := find_start(part), NoStart):
             message = f"{part.name} can't be used by itself: {start.what}; split elsewhere, or {start.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
-    sha256 = fingerprint(drive)
-    return _said_whence(parts[0], drive.name, sha256), _said_whence(parts[1], drive.name, sha256)
-
-
-def _said_whence(part: Drive, name: str, sha256: str) -> Drive:
-    """Add the origin of a part to its metadata."""
-    start, end = float(part.imu.time[0]), float(part.imu.time[-1])
-    whence = {"drive": name, "start_s": start, "end_s": end, "sha256": sha256}
-    return replace(part, metadata={**part.metadata, "cut_from": whence})
+    first, last = (
+        {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256}
+        for t in (part.imu.time for part in parts)
+    )
+    return (
+        replace(parts[0], metadata={**parts[0].metadata, "cut_from": first}),
+        replace(parts[1], metadata={**parts[1].metadata, "cut_from": last}),
+    )
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
@@ -99,25 +101,23 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
         Fewer than two IMU samples are left.
     """
 
-    def inside(time: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        return (time >= start) & (time < end)
+    def inside(table: AnyTable) -> AnyTable:
+        return table.select((table.time >= start) & (table.time < end))
 
-    imu = drive.imu.select(inside(drive.imu.time))
+    imu = inside(drive.imu)
     if len(imu) < 2:
         span = f"t = {drive.imu.time[0]:g} to {drive.imu.time[-1]:g} s"
         raise DriveError(
             f"{drive.name}: {start:g} <= t < {end:g} leaves no drive; choose times within {span}"
         )
-    truth = drive.truth and drive.truth.select(inside(drive.truth.time))
-    odometer = drive.odometer and drive.odometer.select(inside(drive.odometer.time))
     begins = imu.time[0] == drive.imu.time[0]  # later, a stated heading no longer holds
     return replace(
         drive,
         name=drive.name if name is None else name,
         imu=imu,
-        gps=drive.gps.select(inside(drive.gps.time)),
-        truth=truth or None,  # a table without rows is no truth
-        odometer=odometer or None,
+        gps=inside(drive.gps),
+        truth=(drive.truth and inside(drive.truth)) or None,  # a table without rows is no truth
+        odometer=(drive.odometer and inside(drive.odometer)) or None,
         metadata={k: v for k, v in drive.metadata.items() if begins or k != "heading_deg"},
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import RECORDS, Array
 from sigmaswarm.errors import DriveError
 from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import names_shown, quoted, shown
@@ -42,7 +42,7 @@ _LONGEST_LEAP = 1e12
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 """File formats of a drive's tables."""
-TABLES = tuple(f"{name}{form}" for name in ("imu", "gps", "odometer", "truth") for form in FORMS)
+TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)
 
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 """Errors of polars on damaged tables; some bytes fail its own assertions."""
@@ -58,7 +58,8 @@ class TableFile:
     """The cells of a table, and the number of each row (n,): the line of a CSV file, the row of a Parquet file, from 1.
 
     Cells of a CSV file are numbers if all of them are finite numbers, which takes a fifth of the memory, and otherwise
-    text (None if empty), from which messages quote. Those of a Parquet file have the types of the file.
+    text (None if empty), from which messages quote. Those of a Parquet file have the types of the file. A table in
+    memory has numbers and a name in place of the path; its rows count from 0.
     """
 
     path: Path
@@ -93,12 +94,11 @@ class TableFile:
             raise _empty(path)
         names = [
             name.strip().split("_duplicated_")[0] for name in cells.columns
-        ]  # polars renames a second one
-        for name in names:
-            if names.count(name) > 1:
-                raise DriveError(
-                    f"{path}, row 1: column {quoted(name)} appears twice; delete or rename one of them"
-                )
+        ]  # as polars calls a second one
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise DriveError(
+                f"{path}, row 1: column {quoted(twice)} appears twice; delete or rename one of them"
+            )
         cells.columns = names
         # A copy of a day's text takes a gigabyte.
         rows = cells if len(filled) == len(cells) else cells[filled]
@@ -112,7 +112,7 @@ class TableFile:
         try:
             found = self._known_columns(required, optional, told)
         except DriveError:
-            if self.path.suffix == PARQUET or self.cells.dtypes[0] == pl.String:
+            if self.path.suffix != CSV or self.cells.dtypes[0] == pl.String:
                 raise
             return self._text(self.path).columns(required, optional, remarks)
         remarks += told
@@ -121,18 +121,17 @@ class TableFile:
     def _known_columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        known = (*required, *optional)
-        names = self.cells.columns
+        known, names = (*required, *optional), self.cells.columns
+        header = f"{self.path}, row 1" if self.path.suffix == CSV else f"{self.path}"
         for name in required:
             if name not in names:
                 if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
-                    raise DriveError(
-                        f"{self._header}: {quoted(names[0])} is one cell; separate cells by commas, and write "
-                        "decimals with a dot"
-                    )
-                raise DriveError(
-                    f"{self._header}: no column {name}, only {names_shown(names)}; add or rename it"
+                    what = f"{quoted(names[0])} is one cell; separate cells by commas"
+                    raise DriveError(f"{header}: {what}, and write decimals with a dot")
+                remedy = (
+                    "rename it" if self.path.suffix else f"rename one with columns={{'its name': '{name}'}}"
                 )
+                raise DriveError(f"{header}: no column {name}, only {names_shown(names)}; add or {remedy}")
         if unknown := [name for name in names if name not in known]:
             self._require_one_line(unknown)
             said = names_shown(unknown, "'")
@@ -140,11 +139,6 @@ class TableFile:
         numbers = {name: self._numbers(name) for name in known if name in names}
         self._require_increasing(numbers["t"])
         return {"time" if name == "t" else name: values for name, values in numbers.items()}
-
-    @property
-    def _header(self) -> str:
-        """Where the names of the columns stand."""
-        return f"{self.path}" if self.path.suffix == PARQUET else f"{self.path}, row 1"
 
     def _require_one_line(self, columns: Sequence[str]) -> None:
         """Refuse cells with a line break: a quote that is not closed swallows all rows after it."""
@@ -157,21 +151,21 @@ class TableFile:
     def _numbers(self, column: str) -> Array:
         """A column (n,) as finite numbers within its range."""
         text = self.cells[column]
-        if text.dtype == pl.String and self.path.suffix != PARQUET:
+        if text.dtype == pl.String and self.path.suffix == CSV:
             text = text.str.strip_chars()
         elif not text.dtype.is_numeric():
-            raise DriveError(
-                f"{self.path}, column {column}: holds {shown(text.dtype)}, not numbers; write it as 64-bit floats"
-            )
+            what = f"holds {shown(text.dtype)}, not numbers; write it as 64-bit floats"
+            raise DriveError(f"{self.path}, column {column}: {what}")
         values = text.cast(pl.Float64, strict=False)
         if values.null_count() or not values.is_finite().all():
             i = int(values.is_finite().fill_null(False).arg_min() or 0)
             if text[i] is None or text[i] == "":
                 empty = self._fault(i, column, "is empty", "fill it in or delete the row")
                 raise empty if self.path.suffix == PARQUET else _shape_fault(self.path, empty)
-            raise self._fault(
-                i, column, "is not a finite number", "write digits with a dot, or delete the row"
-            )
+            remedy = "write digits with a dot, or delete the row"
+            if not self.path.suffix:
+                remedy = f"drop such rows, as with dropna(subset=['{column}'])"
+            raise self._fault(i, column, "is not a finite number", remedy)
         low, high, remedy = RANGES.get(column, (-np.inf, np.inf, ""))
         within = values.is_between(low, high)
         if not within.all():
@@ -179,14 +173,18 @@ class TableFile:
         return values.to_numpy()
 
     def _require_increasing(self, time: Array) -> None:
-        late = np.flatnonzero(np.diff(time) <= 0)
+        """Refuse times that do not increase, and those behind an implausibly long interval."""
+        late, i = np.flatnonzero(np.diff(time) <= 0), _leap(time)
+        what, remedy = "lies absurdly far after", "delete the row with the damaged time"
         if late.size:
-            i = int(late[0]) + 1
-            what = f"is not after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
-            raise self._fault(i, "t", what, "sort the rows by time and delete repeated ones")
-        if i := leap(time):
-            what = f"lies absurdly far after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
-            raise self._fault(i, "t", what, "delete the row with the damaged time")
+            i, what, remedy = (
+                int(late[0]) + 1,
+                "is not after",
+                "sort the rows by time and delete repeated ones",
+            )
+        if i:
+            before = f"{shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
+            raise self._fault(i, "t", f"{what} {before}", remedy)
 
     def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
         cell = self.cells[column][i]
@@ -197,20 +195,17 @@ class TableFile:
 
 def _require_few_columns(path: Path, count: int) -> None:
     if count > MOST_COLUMNS:
-        raise DriveError(
-            f"{path}: has {count} columns, more than {MOST_COLUMNS}; leave out what a drive does not need"
-        )
+        what = f"has {count} columns, more than {MOST_COLUMNS}"
+        raise DriveError(f"{path}: {what}; leave out what a drive does not need")
 
 
-def leap(time: Array) -> int:
+def _leap(time: Array) -> int:
     """Find the first row (n,) after an implausibly long time; 0 if there is none."""
     if len(time) < 3:
         return 0
     interval = np.diff(time)
-    usual = float(np.median(interval))
-    if interval.max() <= _LONGEST_LEAP * usual:
-        return 0
-    return int(np.argmax(interval > _LONGEST_LEAP * usual)) + 1
+    far = interval > _LONGEST_LEAP * float(np.median(interval))
+    return int(far.argmax()) + 1 if far.any() else 0
 
 
 def _parquet(path: Path) -> pl.DataFrame:

@@ -1,12 +1,12 @@
 """The merged time line: the steps of a filter, and the measurements at their ends.
 
 The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both
-driven by the same sample, and is absorbed at its own time. Two fixes of one moment, as two receivers give them, are
-absorbed one after the other: the second one's step has no length. Each step uses its true dt. Process noise is the
+driven by the same sample, and updates the filter at its own time. Two fixes of one moment, as two receivers give them,
+update it one after the other: the second one's step has no length. Each step uses its true dt. Process noise is the
 variance added per nominal interval (the median) and scales with dt / nominal.
 
-A gap in the IMU's samples is driven by the mean of the two around it, and marked: what the car did in it nobody saw
-(`drives.gaps`). Frozen fixes are left out (`drives.frozen`). Both rules hold unless the drive is asked for as recorded.
+A gap in the IMU's samples is driven by the mean of the two around it, and marked (`drives.gaps`). Stale fixes are left
+out (`drives.frozen`). Both rules hold unless the drive is taken as recorded.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.gaps import gaps_before
-from sigmaswarm.drives.odometer import Wheels, put_together
+from sigmaswarm.drives.odometer import Wheels, measurements_of
 from sigmaswarm.drives.standstill import standing
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
@@ -44,13 +44,13 @@ class Timeline:
     ----------
     start : s
     end : (k,) s: when each step ends
-    steps : (k, 3) the columns dt (s), q_scale and gap (s): how long each step is, dt / nominal interval of the drive,
-        and how long the gap in the IMU's samples is that it is a part of, 0 where it is of none
+    steps : (k, 3) the columns dt (s), q_scale and gap (s): length of the step, dt / nominal interval of the drive, and
+        length of the gap in the IMU's samples that it is a part of, 0 outside of gaps
     sample : (k,) int: the number of the IMU's sample that drives each step
     driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, as they drive the steps up to each of its samples;
         all time lines of a drive share it
-    absorbs : (k,) bool: a fix is absorbed at the step's end
-    hides : (k,) bool: a fix at the step's end is hidden from the filter; only its forecast is scored
+    absorbs : (k,) bool: a fix updates the filter at the step's end
+    hides : (k,) bool: a fix at the step's end is hidden from the filter; its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
     fixes : (f, 6) m east, north; m/s east, north (0 where the log has no velocity); m2 east, north, as the receiver
         states it (0 where it does not); in the order in which steps meet them, hidden ones included
@@ -61,7 +61,7 @@ class Timeline:
     cornering : (k,) bool: lateral acceleration so high that tires slip
     drive : Drive
         As the filter sees it.
-    kinds : (g,) what each fix of that drive is: see `drives.frozen`; all `NEW` where it is taken as recorded
+    kinds : (g,) the kind of each fix of that drive: see `drives.frozen`; all `NEW` where it is taken as recorded
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
@@ -87,8 +87,18 @@ class Timeline:
 
     @property
     def dt(self) -> Array:
-        """How long each step is, (k,) s."""
+        """Length of each step, (k,) s."""
         return self.steps[:, DT]
+
+    @property
+    def q_scale(self) -> Array:
+        """Length of each step in nominal intervals, (k,)."""
+        return self.steps[:, Q_SCALE]
+
+    @property
+    def gap(self) -> Array:
+        """Length of the gap in the IMU's samples that each step is a part of, (k,) s; 0 outside of gaps."""
+        return self.steps[:, GAP]
 
     @cached_property
     def ax(self) -> Array:
@@ -105,29 +115,9 @@ class Timeline:
         """Yaw rate, (k,) rad/s."""
         return self.driving[self.sample, GZ - FIRST_AXIS]
 
-    @property
-    def q_scale(self) -> Array:
-        """Length of each step in nominal intervals, (k,)."""
-        return self.steps[:, Q_SCALE]
-
-    @property
-    def gap(self) -> Array:
-        """The gap in the IMU's samples that each step is a part of, (k,) s; 0: of none."""
-        return self.steps[:, GAP]
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """The names of the IMU's axes, in the order of their columns."""
-        return AXES[: self.driving.shape[1]]
-
     def imu(self, axes: Sequence[str]) -> Array:
         """Inputs of each step, (k, len(axes)) m/s2 and rad/s."""
         return self.driving[:, [AXES.index(axis) for axis in axes]][self.sample]
-
-    @property
-    def frozen(self) -> NDArray[np.bool_]:
-        """Stale fixes of the drive, (g,): no filter uses them as positions."""
-        return self.kinds >= FROZEN
 
     @cached_property
     def stands(self) -> NDArray[np.bool_]:
@@ -138,7 +128,7 @@ class Timeline:
     def wheels(self) -> Wheels | None:
         """Odometer measurements of the steps, if the drive has any; computed on first use."""
         odometer = self.drive.odometer
-        return None if odometer is None else put_together(odometer, self.start, self.end, self.sampled)
+        return None if odometer is None else measurements_of(odometer, self.start, self.end, self.sampled)
 
     @cached_property
     def alignments(self) -> Alignments:
@@ -146,34 +136,23 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < FROZEN)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
-        """The same steps with fixes that a filter does not get to see; all other arrays are shared.
-
-        ``hidden``, shape (number of the drive's fixes,), says which.
-        """
+        """Return the same steps with some of the drive's fixes, (g,), hidden; all other arrays are shared."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.absorbs] = hidden[_usable(self.drive, self.start, self.kinds)]
-        seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
-        return replace(
-            self, absorbs=self.absorbs & ~hides, hides=hides, drive=seen, kinds=self.kinds[~hidden]
-        )
+        return replace(self, absorbs=self.absorbs & ~hides, hides=hides, **self._seen(hidden))
 
     def without(self, hidden: NDArray[np.bool_]) -> "Timeline":
-        """The steps as if some fixes had never been, none of which ends at one: those of `build_timeline`, bit for bit.
-
-        ``hidden``, shape (number of the drive's fixes,), says which.
-        """
+        """Return the steps of a drive without some of its fixes, (g,): those of `build_timeline`, bit for bit."""
         absorbs = self.absorbs.copy()
         absorbs[self.absorbs] = ~hidden[_usable(self.drive, self.start, self.kinds)]
         moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share one
         meets = np.bincount(moment[absorbs], minlength=len(self.end) + 1) > 0
         keeps = absorbs | (self.sampled & ~meets[moment])
-        end, kinds = self.end[keeps], self.kinds[~hidden]
-        steps = self.steps[keeps]
-        steps[:, DT] = np.diff(end, prepend=self.start)
-        steps[:, Q_SCALE] = steps[:, DT] / self.nominal_interval
         of_imu = np.zeros(len(meets), dtype=np.bool_)
         of_imu[moment[self.sampled]] = True
-        seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
+        end, steps, seen = self.end[keeps], self.steps[keeps], self._seen(hidden)
+        steps[:, DT] = np.diff(end, prepend=self.start)
+        steps[:, Q_SCALE] = steps[:, DT] / self.nominal_interval
         return replace(
             self,
             end=end,
@@ -183,58 +162,49 @@ class Timeline:
             hides=np.zeros(len(end), dtype=np.bool_),
             sampled=of_imu[moment[keeps]] & _is_last(end),
             cornering=self.cornering[keeps],
-            drive=seen,
-            kinds=kinds,
-            **_fixes_of(seen, _usable(seen, self.start, kinds)),
+            **seen,
+            **_fixes_of(seen["drive"].gps.select(_usable(seen["drive"], self.start, seen["kinds"]))),
         )
+
+    def _seen(self, hidden: NDArray[np.bool_]) -> dict[str, Any]:
+        """The drive without some of its fixes, and the kinds of the others."""
+        return {
+            "drive": replace(self.drive, gps=self.drive.gps.select(~hidden)),
+            "kinds": self.kinds[~hidden],
+        }
 
 
 def build_timeline(
-    drive: Drive,
-    start: float,
-    *,
-    as_recorded: bool = False,
-    kinds: Array | None = None,
-    driving: Array | None = None,
+    drive: Drive, start: float, *, as_recorded: bool = False, kinds: Array | None = None
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    Parameters
-    ----------
-    drive : Drive
-    start : float
-    as_recorded : bool
-        Without preprocessing: use stale fixes, treat IMU gaps as ordinary steps.
-    kinds : (g,), optional
-        Kinds of the fixes, if they were found on a drive with more fixes.
-    driving : (n, 3) or (n, 6), optional
-        As `driving_of` gives it for the drive's IMU, where that is known.
+    ``as_recorded``: use stale fixes, treat IMU gaps as ordinary steps. ``kinds`` (g,): of the fixes, if they were found
+    on a drive with more fixes.
     """
     imu = drive.imu
     if kinds is None:
         kinds = np.zeros(len(drive.gps)) if as_recorded else judged(drive.gps)
+    fixes = drive.gps.select(_usable(drive, start, kinds))
     imu_time = imu.time[np.searchsorted(imu.time, start, side="right") :]
-    usable = _usable(drive, start, kinds)
-    fix_time = drive.gps.time[usable]
-    moments = np.union1d(imu_time, fix_time)
-    fixes_there = np.diff(np.searchsorted(fix_time, moments, side="right"), prepend=0)
+    moments = np.union1d(imu_time, fixes.time)
+    fixes_there = np.diff(np.searchsorted(fixes.time, moments, side="right"), prepend=0)
     ends = np.repeat(moments, np.maximum(1, fixes_there))
-    meets = _among(ends, fix_time)
     sample = np.searchsorted(imu.time, ends, side="left")  # the first sample at or after the step's end
-    dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
-    driving = driving_of(drive, as_recorded=as_recorded) if driving is None else driving
-    steps = np.zeros((len(ends), FIRST_AXIS))  # filled by column, to save memory
-    steps[:, DT], steps[:, Q_SCALE] = dt, dt / nominal
-    if not as_recorded:
-        steps[:, GAP] = gaps_before(imu.time)[sample]
+    gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
+    driving = _driving(drive, np.flatnonzero(gaps))
+    steps = np.empty((len(ends), FIRST_AXIS))  # filled by column, to save memory
+    steps[:, DT] = np.diff(ends, prepend=start)
+    steps[:, Q_SCALE] = steps[:, DT] / nominal
+    steps[:, GAP] = gaps[sample]
     return Timeline(
         start=start,
         end=ends,
         steps=steps,
         sample=sample.astype(np.int32),
         driving=driving,
-        absorbs=meets,
+        absorbs=_among(ends, fixes.time),
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & _is_last(ends),
         lever=np.array([*drive.lever_arm, drive.antenna_height]),
@@ -243,53 +213,8 @@ def build_timeline(
         kinds=kinds,
         imu_time=imu_time,
         nominal_interval=nominal,
-        **_fixes_of(drive, usable),
+        **_fixes_of(fixes),
     )
-
-
-def _is_last(ends: Array) -> NDArray[np.bool_]:
-    """Of the steps that end at one moment."""
-    return np.append(ends[1:] != ends[:-1], True)
-
-
-def _fixes_of(drive: Drive, usable: NDArray[np.bool_]) -> dict[str, Any]:
-    """Attributes of the fixes of a time line."""
-    gps = drive.gps.select(usable)
-    velocity, has_velocity = np.zeros((2, len(gps))), gps.speed is not None and gps.course is not None
-    if gps.speed is not None and gps.course is not None:
-        velocity = gps.speed * np.array([np.cos(gps.course), np.sin(gps.course)])
-    variance, stated = _stated_variance(gps)
-    return {
-        "fixes": np.column_stack([gps.x, gps.y, *velocity, *variance]),
-        "fix_time": gps.time,
-        "has_velocity": has_velocity,
-        "states_accuracy": stated,
-    }
-
-
-def driving_of(drive: Drive, *, as_recorded: bool = False) -> Array:
-    """Inputs up to each sample of the IMU: see `Timeline.driving`."""
-    axes = _axes(drive)
-    driving = np.empty((len(drive.imu), len(axes)))
-    gaps = np.zeros(len(drive.imu)) if as_recorded else gaps_before(drive.imu.time)
-    for column, axis in enumerate(axes):
-        driving[:, column] = _across(gaps, axis)
-    return driving
-
-
-def _axes(drive: Drive) -> list[Array]:
-    """The columns of the IMU in the order of `AXES`: all six, or the three that every IMU has."""
-    columns = [getattr(drive.imu, axis) for axis in AXES]
-    return columns[:3] if any(column is None for column in columns) else columns
-
-
-def _stated_variance(gps: Gps) -> tuple[Array, bool]:
-    """Stated variances of the fixes, (2, f) m2 east and north, and if all fixes have them."""
-    if gps.std_x is None or gps.std_y is None:
-        return np.zeros((2, len(gps))), False
-    variance = np.square([gps.std_x, gps.std_y])
-    known = np.isfinite(variance).all()
-    return (variance if known else np.zeros_like(variance)), bool(known)
 
 
 def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
@@ -298,14 +223,36 @@ def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
     return (time > start) & (time <= drive.imu.time[-1]) & (kinds < FROZEN)
 
 
-def _across(gaps: Array, column: Array) -> Array:
-    """Inputs up to each sample: the sample, or the mean of the two around a gap."""
-    ends = np.flatnonzero(gaps)
-    if not len(ends):
-        return column
-    driving = column.copy()
-    driving[ends] = 0.5 * (column[ends - 1] + column[ends])
+def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
+    """Inputs up to each sample of the IMU: the sample, or the mean of the two around a gap."""
+    columns = [getattr(drive.imu, axis) for axis in AXES]
+    columns = columns[:3] if any(column is None for column in columns) else columns
+    driving = np.column_stack(columns)
+    driving[gap_ends] = 0.5 * (driving[gap_ends - 1] + driving[gap_ends])
     return driving
+
+
+def _fixes_of(gps: Gps) -> dict[str, Any]:
+    """Attributes of the fixes of a time line."""
+    velocity, variance = np.zeros((2, len(gps))), np.zeros((2, len(gps)))
+    has_velocity = stated = False
+    if gps.speed is not None and gps.course is not None:
+        has_velocity, velocity = True, gps.speed * np.array([np.cos(gps.course), np.sin(gps.course)])
+    if gps.std_x is not None and gps.std_y is not None:
+        squares = np.square([gps.std_x, gps.std_y])
+        stated = bool(np.isfinite(squares).all())
+        variance = squares if stated else variance
+    return {
+        "fixes": np.column_stack([gps.x, gps.y, *velocity, *variance]),
+        "fix_time": gps.time,
+        "has_velocity": has_velocity,
+        "states_accuracy": stated,
+    }
+
+
+def _is_last(ends: Array) -> NDArray[np.bool_]:
+    """Of the steps that end at one moment."""
+    return np.append(ends[1:] != ends[:-1], True)
 
 
 def _among(times: Array, known: Array) -> NDArray[np.bool_]:

@@ -1,7 +1,5 @@
 """Writing a drive's folder atomically."""
 
-from collections.abc import Callable
-from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
@@ -9,9 +7,10 @@ from typing import Any, Literal
 import polars as pl
 import tomli_w
 
-from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_with_warnings
 from sigmaswarm.drives.table_files import TABLES
+from sigmaswarm.drives.tables import RECORDS
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
 
@@ -56,19 +55,12 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
         new.mkdir()
         for file, content in contents.items():
             (new / file).write_bytes(content)
-        _require_readable(new, folder)
+        try:
+            read_with_warnings(new)
+        except DriveError as error:
+            said = str(error).removeprefix(f"{new}/").replace(str(new), str(folder))
+            raise DriveError(f"{folder}: the drive could not be read back: {said}") from None
     return folder
-
-
-def _require_readable(written: Path, folder: Path) -> None:
-    """Read the new folder back; an error names the file, row, column and value."""
-    try:
-        read_with_warnings(
-            written
-        )  # and leave them to whoever reads it: the doctor tells what only looks wrong
-    except DriveError as error:
-        said = str(error).removeprefix(f"{written}/").replace(str(written), str(folder))
-        raise DriveError(f"{folder}: the drive could not be read back: {said}") from None
 
 
 def require_replaceable(
@@ -79,10 +71,10 @@ def require_replaceable(
         return
     if not folder.is_dir():
         raise DriveError(f"{folder} is a file; name another folder to write the drive to")
-    held = {entry.name for entry in folder.iterdir()}
-    if held and not overwrite:
+    entries = {entry.name for entry in folder.iterdir()}
+    if entries and not overwrite:
         raise DriveError(f"{folder} exists and is not empty; {remedy}")
-    if foreign := held - FILES:
+    if foreign := entries - FILES:
         raise DriveError(
             f"{folder} holds {min(foreign)!r}, which is not part of a drive; name another folder"
         )
@@ -102,27 +94,19 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
     if drive.name == folder.name:
         del about["name"]  # reading takes the folder's: a copy that is renamed is known by its new name
     try:
-        description = tomli_w.dumps(about)
+        contents = {"drive.toml": tomli_w.dumps(about).encode()}
     except TypeError as error:
         raise DriveError(
             f"{folder / 'drive.toml'}: TOML can't hold the metadata: {error}; change it"
         ) from None
-    tables = {"imu": drive.imu, "gps": drive.gps, "odometer": drive.odometer, "truth": drive.truth}
-    unwritten = {"gps": {"x", "y"}} if wgs84 else {}
-    frames = {k: _frame(table, unwritten.get(k, set())) for k, table in tables.items() if table is not None}
-    return {"drive.toml": description.encode(), **{f"{k}.{form}": _FORMS[form](f) for k, f in frames.items()}}
-
-
-def _frame(table: Imu | Gps | Odometer | Truth, unwritten: set[str]) -> pl.DataFrame:
-    """Return the columns of a table that exist."""
-    names = sorted((f.name for f in fields(table)), key="gz".__eq__)  # stable: the format has gz last
-    columns = {name: getattr(table, name) for name in names if name not in unwritten}
-    return pl.DataFrame({"t" if k == "time" else k: v for k, v in columns.items() if v is not None})
-
-
-def _csv(frame: pl.DataFrame) -> bytes:
-    """Write numbers with the fewest digits that keep every bit."""
-    return frame.write_csv().encode()
+    for name in RECORDS:
+        if (table := getattr(drive, name)) is not None:
+            unwritten = {"x", "y"} if wgs84 and name == "gps" else set[str]()
+            columns = {k: v for k, v in vars(table).items() if v is not None and k not in unwritten}
+            columns = {k: columns[k] for k in sorted(columns, key="gz".__eq__)}  # the format has gz last
+            frame = pl.DataFrame(columns).rename({"time": "t"})
+            contents[f"{name}.{form}"] = frame.write_csv().encode() if form == "csv" else _parquet(frame)
+    return contents
 
 
 def _parquet(frame: pl.DataFrame) -> bytes:
@@ -130,6 +114,3 @@ def _parquet(frame: pl.DataFrame) -> bytes:
     file = BytesIO()
     frame.write_parquet(file, compression="zstd", statistics=False)
     return file.getvalue()
-
-
-_FORMS: dict[Form, Callable[[pl.DataFrame], bytes]] = {"csv": _csv, "parquet": _parquet}

@@ -85,7 +85,7 @@ def assemble(
         if "odometer" in joined
         else None,
     )
-    if shortage := shortage_of(drive):
+    if shortage := shortage_of(drive.imu, drive.gps):
         raise InputError(f"{name}: {_with_offset(shortage, drive)}")
     return drive
 

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TypeVar
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import LocalDataset
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.kernel_array import KernelArray, Sums
@@ -25,6 +25,7 @@ from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 
 T = TypeVar("T")
+LOG_2PI = math.log(2 * math.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +49,20 @@ class Scores:
 
     def __getitem__(self, at: tuple[int, int]) -> Score:
         """The score of one set on one drive."""
-        numbers = {name: float(getattr(self, name)[at]) for name in _NUMBERS}
-        return Score(**numbers, failed=bool(self.failed[at]))
+        return Score(**{name: values[at].item() for name, values in vars(self).items()})
 
     def stacked(self) -> Array:
         """All scores as one array, shape (n_scores, n_sets, n_drives), for transport."""
-        return np.array([getattr(self, field.name) for field in fields(self)], dtype=np.float64)
+        return np.array([*vars(self).values()], dtype=np.float64)
 
     @classmethod
     def unstacked(cls, stacked: Array) -> "Scores":
         """Scores from the array of `stacked`."""
         *numbers, failed = (np.asfortranarray(one) for one in stacked)
         return cls(*numbers, failed=failed.astype(np.bool_))
+
+
+_NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed")
 
 
 @dataclass(frozen=True)
@@ -75,17 +78,8 @@ class Passes:
 class Replayer:
     """Drives prepared once, to be replayed by any number of parameter sets.
 
-    Parameters
-    ----------
-    drives : sequence of Drive or PreparedDrive
-    outages : bool
-        Run the outages too (a pass of its own over each drive).
-    forecasts : bool
-        Run with fixes hidden all over the drive (another pass).
-    outage_length : float
-        s.
-    outage_seed : int
-        Places the windows.
+    ``outages`` (windows of ``outage_length`` s, placed by ``outage_seed``) and ``forecasts`` (fixes hidden all over the
+    drive) are further passes over each drive.
 
     Raises
     ------
@@ -102,45 +96,48 @@ class Replayer:
         outage_length: float = OUTAGE_LENGTH,
         outage_seed: int = 0,
     ) -> None:
-        ready = [prepared(drive) for drive in drives]
-        self._ready = tuple(ready)
-        self.drives = tuple(one.drive for one in ready)
-        self.initial = tuple(one.initial for one in ready)
-        self._passes = {"tracking": tuple(map(tracking_replay, ready))}
+        self._ready = tuple(prepared(drive) for drive in drives)
+        self._passes = {"tracking": tuple(map(tracking_replay, self._ready))}
         if outages:
             length, seed = outage_length, outage_seed
-            self._passes["outages"] = tuple(outage_replay(one, length=length, seed=seed) for one in ready)
+            self._passes["outages"] = tuple(outage_replay(r, length=length, seed=seed) for r in self._ready)
         if forecasts:
-            self._passes["forecasts"] = tuple(forecast_replay(one, seed=outage_seed) for one in ready)
+            self._passes["forecasts"] = tuple(forecast_replay(r, seed=outage_seed) for r in self._ready)
 
-    @classmethod
-    def together(cls, parts: Sequence["Replayer"]) -> "Replayer":
+    @staticmethod
+    def together(parts: Sequence["Replayer"]) -> "Replayer":
         """Join replayers with the same passes, without preparing anything again."""
-        whole = copy(parts[0])
-        whole._forget()
+        whole = Replayer.__new__(Replayer)
         whole._ready = tuple(one for part in parts for one in part._ready)
-        whole.drives = tuple(drive for part in parts for drive in part.drives)
-        whole.initial = tuple(initial for part in parts for initial in part.initial)
-        names = parts[0]._passes
-        whole._passes = {name: tuple(r for part in parts for r in part._passes[name]) for name in names}
+        whole._passes = {
+            name: tuple(replay for part in parts for replay in part._passes[name])
+            for name in parts[0]._passes
+        }
         return whole
-
-    @property
-    def dataset(self) -> LocalDataset:
-        """The drives."""
-        return LocalDataset(self.drives)
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without preparing anything again."""
-        if list(drives) == list(range(len(self.drives))):
+        if list(drives) == list(range(len(self._ready))):
             return self
-        part = copy(self)
-        part._forget()
+        part = Replayer.__new__(Replayer)
         part._ready = tuple(self._ready[i] for i in drives)
-        part.drives = tuple(self.drives[i] for i in drives)
-        part.initial = tuple(self.initial[i] for i in drives)
         part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
         return part
+
+    @cached_property
+    def drives(self) -> tuple[Drive, ...]:
+        """The drives."""
+        return tuple(ready.drive for ready in self._ready)
+
+    @cached_property
+    def initial(self) -> tuple[InitialState, ...]:
+        """The start on each drive."""
+        return tuple(ready.initial for ready in self._ready)
+
+    @property
+    def dataset(self) -> LocalDataset:
+        """The drives as a dataset."""
+        return LocalDataset(self.drives)
 
     @property
     def truth_moments(self) -> list[int]:
@@ -160,30 +157,23 @@ class Replayer:
     @cached_property
     def _steps(self) -> dict[str, list[int]]:
         """Of each replay."""
-        return {
-            name: [len(replay.timeline.dt) for replay in replays] for name, replays in self._passes.items()
-        }
+        return {name: [len(r.timeline.dt) for r in replays] for name, replays in self._passes.items()}
 
     @cached_property
-    def _counts(self) -> dict[str, "Counts"]:
-        return {name: Counts.of(replays) for name, replays in self._passes.items()}
+    def _divisors(self) -> dict[str, Array]:
+        return {name: _divisors_of(replays) for name, replays in self._passes.items()}
 
     @cached_property
     def _jobs(self) -> dict[tuple[int, ModelName, int], list[Job]]:
-        """Results of `jobs_for`."""
+        """Results of `jobs_for`, since all generations of a search have the same jobs."""
         return {}
-
-    def _forget(self) -> None:
-        """Clear the caches, which are of other drives."""
-        for found in ("_steps", "_counts", "_jobs"):
-            self.__dict__.pop(found, None)
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Score the sets; the result has the same bits whatever the executor and its number of workers."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
-        return _scores_by(self._counts, self._run(parameter_sets, executor))
+        return _scores_by(self._divisors, self._run(parameter_sets, executor))
 
     def measured(
         self,
@@ -205,9 +195,11 @@ class Replayer:
         for places, table in tables_of(parameter_sets):
             array = KernelArray(table)
             array.compute_starts(self.initial)
+            key = len(table), array.model, workers
+            if key not in self._jobs:
+                self._jobs[key] = jobs_for(self._steps, *key)
             work += [
-                (job, places[job.sets.start : job.sets.stop], array.part(job.sets))
-                for job in self._jobs_for(len(table), array.model, workers)
+                (job, places[job.sets.start : job.sets.stop], array.part(job.sets)) for job in self._jobs[key]
             ]
         # The longest first, so that no worker is left with one at the end.
         work.sort(key=lambda item: item[0].work, reverse=True)
@@ -219,85 +211,57 @@ class Replayer:
             sums[job.name].put(slice(job.replays.start, job.replays.stop), places, part)
         return sums
 
-    def _jobs_for(self, n_sets: int, model: ModelName, workers: int) -> list[Job]:
-        """As `jobs_for`; kept, since all generations of a search have the same jobs."""
-        key = n_sets, model, workers
-        if key not in self._jobs:
-            self._jobs[key] = jobs_for(self._steps, n_sets, model, workers)
-        return self._jobs[key]
-
-
-@dataclass(frozen=True, eq=False)
-class Counts:
-    """Divisors of the sums of each replay, each of shape (n_drives, 1); NaN in place of 0.
-
-    Attributes
-    ----------
-    moments : number of positions that are compared
-    positions, headings : total weights of their errors
-    fixes, hidden : numbers of fixes
-    """
-
-    moments: Array
-    positions: Array
-    headings: Array
-    fixes: Array
-    hidden: Array
-
-    @classmethod
-    def of(cls, replays: Sequence[Replay]) -> "Counts":
-        """Counts of the replays of a pass."""
-        each = [
-            (t.n_positions, t.position_weight, t.heading_weight, len(replay.timeline.fixes), replay.n_hidden)
-            for replay in replays
-            for t in (replay.targets,)
-        ]
-        counts = np.array(each, dtype=np.float64)
-        return cls(*np.where(counts > 0, counts, np.nan).T[..., np.newaxis])
-
 
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
     """Scores from the sums of each pass (``tracking``, ``outages``, ``forecasts``); NaN for a missing pass."""
-    return _scores_by({name: Counts.of(passes[name]) for name in sums}, sums)
+    return _scores_by({name: _divisors_of(passes[name]) for name in sums}, sums)
 
 
-def _scores_by(counts: Mapping[str, Counts], sums: Mapping[str, Sums]) -> Scores:
+def _divisors_of(replays: Sequence[Replay]) -> Array:
+    """Divisors of the sums of each replay, (5, n_drives, 1); NaN in place of 0.
+
+    They are the numbers of positions, the total weights of positions and headings, and the numbers of fixes and of
+    hidden ones.
+    """
+    counts = np.array(
+        [
+            (t.n_positions, t.position_weight, t.heading_weight, len(replay.timeline.fixes), replay.n_hidden)
+            for replay in replays
+            for t in (replay.targets,)
+        ],
+        dtype=np.float64,
+    )
+    return np.where(counts > 0, counts, np.nan).T[..., np.newaxis]
+
+
+def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, Sums]) -> Scores:
     shape = next(iter(sums.values())).failed.T.shape
     columns = dict.fromkeys(_NUMBERS, np.full(shape, np.nan))
     failed = np.zeros(shape, dtype=np.bool_)
     for name, added in sums.items():
-        for score, values in _SCORES[name](counts[name], added).items():
+        for score, values in _scores_in(name, divisors[name], added).items():
             columns[score] = values.T
         failed |= added.failed.T
     return Scores(**columns, failed=failed)
 
 
-_NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed")
-
-
-def _tracking_scores(counts: Counts, sums: Sums) -> dict[str, Array]:
+def _scores_in(name: str, divisors: Array, sums: Sums) -> dict[str, Array]:
+    """Scores of a pass, each of shape (n_drives, n_sets)."""
+    moments, positions, headings, fixes, hidden = divisors
+    if name == "outages":
+        return {"outage_drift": np.sqrt(sums.squared_position / positions)}
+    if name == "forecasts":
+        return {
+            "forecast_rmse": np.sqrt(sums.squared_forecast / hidden),
+            "forecast_t": sums.forecast_t / hidden + LOG_2PI,
+        }
+    tails = sums.log_determinant + (INNOVATION_DOF + 2) * sums.log_tail
     return {
-        "position_rmse": np.sqrt(sums.squared_position / counts.positions),
-        "heading_rmse": np.sqrt(sums.squared_heading / counts.headings),
-        "fix_rmse": np.sqrt(sums.squared_fix / counts.fixes),
-        "innovation_nll": (sums.nis + sums.log_determinant) / counts.fixes / 2 + math.log(2 * math.pi),
-        "innovation_t": (sums.log_determinant + (INNOVATION_DOF + 2) * sums.log_tail) / counts.fixes / 2
-        + math.log(2 * math.pi),
-        "mean_nis": sums.nis / counts.fixes,
-        "mean_nees": sums.nees / counts.moments,
+        "position_rmse": np.sqrt(sums.squared_position / positions),
+        "heading_rmse": np.sqrt(sums.squared_heading / headings),
+        "fix_rmse": np.sqrt(sums.squared_fix / fixes),
+        "innovation_nll": (sums.nis + sums.log_determinant) / fixes / 2 + LOG_2PI,
+        "innovation_t": tails / fixes / 2 + LOG_2PI,
+        "mean_nis": sums.nis / fixes,
+        "mean_nees": sums.nees / moments,
     }
-
-
-def _outage_scores(counts: Counts, sums: Sums) -> dict[str, Array]:
-    return {"outage_drift": np.sqrt(sums.squared_position / counts.positions)}
-
-
-def _forecast_scores(counts: Counts, sums: Sums) -> dict[str, Array]:
-    return {
-        "forecast_rmse": np.sqrt(sums.squared_forecast / counts.hidden),
-        "forecast_t": sums.forecast_t / counts.hidden + math.log(2 * math.pi),
-    }
-
-
-_SCORES = {"tracking": _tracking_scores, "outages": _outage_scores, "forecasts": _forecast_scores}
-"""Scores from the sums of each pass, each of shape (n_drives, n_sets)."""

@@ -6,23 +6,15 @@ section 5.4.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
-
-
-def _chi2_below(share: float | list[float], degrees: int) -> Array:
-    """Quantiles of the chi-square distribution."""
-    from scipy.special import gammaincinv  # 0.1 s to import; scipy.stats, which has chi-square, 0.4 s
-
-    return np.asarray(2 * gammaincinv(degrees / 2, share), np.float64)
-
 
 GATE_95 = -2 * math.log(0.05)
 """NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
@@ -33,12 +25,25 @@ RIGHT_NEES = 1.5
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
-Summary = tuple[float, tuple[float, float], float | None, float] | None
-"""Mean NIS on one drive, its 95% band, mean NEES or None, correlation of neighbors; None where it is unknown."""
+
+_KEYS = {
+    "nis_band": "nis_band_95",
+    "inside_gate": "share_inside_95_gate",
+    "white_band": "autocorrelation_band_95",
+    "missed": "missed_m",
+    "expected": "expected_m",
+    "own_sigma": "own_sigma_m",
+}
+"""Names in scores.json, where they differ."""
+_CONFIG = ConfigDict(
+    frozen=True,
+    alias_generator=lambda name: _KEYS.get(name, name),
+    populate_by_name=True,
+    serialize_by_alias=True,
+)
 
 
-@dataclass(frozen=True, eq=False)
-class Consistency:
+class Consistency(BaseModel):
     """Consistency of a filter's covariances on one drive.
 
     Attributes
@@ -50,51 +55,45 @@ class Consistency:
         95% band of the mean of this many independent values.
     inside_gate : float
         Share of the fixes inside the 95% gate.
-    autocorrelation : ndarray, shape (LAGS,)
+    autocorrelation : list of float, length LAGS
         Of the normalized innovations, 1 to LAGS fixes apart, mean of both axes; 0 where they are white.
+    white_band : float
+        95% of the autocorrelations of white innovations lie within plus and minus this.
     white_p : float
         p-value of the test of G. M. Ljung and G. E. P. Box (1978) that they are white.
-    mean_nees : float
-        Of the position at moments of truth; 2 where the filter is consistent, NaN without truth. Its values are
+    mean_nees : float or None
+        Of the position at moments of truth; 2 where the filter is consistent, None without truth. Its values are
         correlated over time, so it has no band.
     missed, expected : float
         m, RMS: actual innovations, and innovations according to their covariances.
-    own_sigma : float
-        m, RMS over the drive: standard deviation of the position according to the filter. NaN where not computed.
+    own_sigma : float or None
+        m, RMS over the drive: standard deviation of the position according to the filter. None where not computed.
     """
+
+    model_config = _CONFIG
 
     n_fixes: int
     mean_nis: float
     nis_band: tuple[float, float]
     inside_gate: float
-    autocorrelation: Array
+    autocorrelation: list[float] = Field(min_length=1)
+    white_band: float = math.nan
     white_p: float
-    mean_nees: float = float("nan")
-    missed: float = float("nan")
-    expected: float = float("nan")
-    own_sigma: float = float("nan")
-
-    @property
-    def white_band(self) -> float:
-        """95% of the autocorrelations of white innovations lie within plus and minus this."""
-        return float(1.96 / np.sqrt(2 * self.n_fixes))
-
-    @property
-    def summary(self) -> Summary:
-        """Input of `verdicts`."""
-        nees = None if np.isnan(self.mean_nees) else self.mean_nees
-        return self.mean_nis, self.nis_band, nees, float(self.autocorrelation[0])
+    mean_nees: float | None = None
+    missed: float | None = None
+    expected: float | None = None
+    own_sigma: float | None = None
 
 
 def consistency(
-    drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = float("nan")
+    drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = math.nan
 ) -> Consistency | None:
     """Compute a filter's consistency over a drive; None where it failed or had too few fixes."""
     return consistency_of(run_innovations(drive, parameters), mean_nees)
 
 
 def consistency_of(
-    innovations: Innovations, mean_nees: float = float("nan"), own_sigma: float = float("nan")
+    innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
     """Compute consistency from innovations; None where a covariance is invalid or they are too few."""
     n = len(innovations.time)
@@ -103,23 +102,25 @@ def consistency_of(
         np.isfinite(s).all() and np.all(s[:, 0, 0] > 0) and np.all(np.linalg.det(s) > 0)
     ):
         return None
-    from scipy.special import chdtrc
+    from scipy.special import chdtrc, gammaincinv  # 0.1 s to import
 
-    nis = innovations.nis
-    band = _chi2_below([0.025, 0.975], 2 * n) / n
-    each = np.stack([_autocorrelation(column) for column in innovations.normalized.T])
+    nis, values = innovations.nis, innovations.normalized.T
+    # Around zero, the mean of a consistent filter's innovations.
+    each = np.array([[x[k:] @ x[:-k] / (x @ x) for k in range(1, LAGS + 1)] for x in values])
     ljung_box = n * (n + 2) * float(np.sum(each**2 / (n - np.arange(1, LAGS + 1))))
+    low, high = 2 * gammaincinv(n, [0.025, 0.975]) / n  # quantiles of chi-square with 2n degrees of freedom
     return Consistency(
         n_fixes=n,
         mean_nis=float(nis.mean()),
-        nis_band=(float(band[0]), float(band[1])),
+        nis_band=(float(low), float(high)),
         inside_gate=float(np.mean(nis <= GATE_95)),
-        autocorrelation=each.mean(axis=0),
+        autocorrelation=each.mean(axis=0).tolist(),
+        white_band=float(1.96 / np.sqrt(2 * n)),
         white_p=float(chdtrc(2 * LAGS, ljung_box)),
-        mean_nees=mean_nees,
+        mean_nees=None if math.isnan(mean_nees) else mean_nees,
         missed=float(np.sqrt(np.mean(np.square(innovations.innovation).sum(axis=1)))),
         expected=float(np.sqrt(np.mean(np.trace(s, axis1=1, axis2=2)))),
-        own_sigma=own_sigma,
+        own_sigma=None if math.isnan(own_sigma) else own_sigma,
     )
 
 
@@ -170,33 +171,19 @@ VERDICTS: dict[Kind, str] = {
 }
 
 
-def _size(mean_squares: Sequence[float], what: str) -> str:
-    """Compare sigmas with the right ones, from mean NIS or NEES, which should be 2."""
-    mean = sum(mean_squares) / len(mean_squares)
-    ratio = math.sqrt(2 / mean) if mean > 0 else math.inf
-    size = "large" if ratio > 1 else "small"
-    off = f"{100 * abs(ratio - 1):.0f}% too {size}"
-    if not 0.5 < ratio < 2:
-        off = f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"
-    return f"{off} (mean {what} {mean:.2g}, should be 2)"
-
-
-def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
+def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
     """Sentences on the consistency on several drives, one for each kind that holds for a drive."""
-    known = [entry for entry in found if entry]
-    of: dict[Kind, list[tuple[float, float | None]]] = {kind: [] for kind in VERDICTS}
-    for entry in known:
-        for kind in _kinds(*entry):
-            of[kind].append((entry[0], entry[2]))
-    counts = {kind: len(drives) for kind, drives in of.items()} | {"unknown": len(found) - len(known)}
-    blind = bool(known) and all(nees is None for _, _, nees, _ in known)
+    known = [one for one in found if one]
+    of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
+    blind = bool(known) and all(one.mean_nees is None for one in known)
     said: dict[Kind, str] = {}
     for kind, text in VERDICTS.items():
-        if not (count := counts[kind]):
+        count = len(found) - len(known) if kind == "unknown" else len(of[kind])
+        if not count:
             continue
         sizes = {
-            "nis_size": of[kind] and _size([nis for nis, _ in of[kind]], "NIS"),
-            "nees_size": of[kind] and _size([nees or 0.0 for _, nees in of[kind]], "NEES"),
+            "nis_size": _size([one.mean_nis for one in of[kind]], "NIS"),
+            "nees_size": _size([one.mean_nees or 0.0 for one in of[kind]], "NEES"),
         }
         where = f"on {count} of {len(found)} drives " if len(found) > 1 else ""
         forecasts = f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else ""
@@ -204,9 +191,9 @@ def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
     return said
 
 
-def _kinds(nis: float, band: tuple[float, float], nees: float | None, neighbors: float) -> Iterator[Kind]:
-    """Kinds of one drive, from its mean NIS with its 95% band, mean NEES, and correlation of neighbors."""
-    low, high = band
+def _kinds(one: Consistency) -> Iterator[Kind]:
+    (low, high), nis, nees = one.nis_band, one.mean_nis, one.mean_nees
+    neighbors = one.autocorrelation[0]
     if nis > high:
         yield "optimistic"
     elif nis < low:
@@ -220,7 +207,12 @@ def _kinds(nis: float, band: tuple[float, float], nees: float | None, neighbors:
         yield "optimistic_position"
 
 
-def _autocorrelation(values: Array) -> Array:
-    """Autocorrelation around zero, the mean of a consistent filter's innovations."""
-    power = float(values @ values)
-    return np.array([float(values[k:] @ values[:-k]) / power for k in range(1, LAGS + 1)])
+def _size(mean_squares: Sequence[float], what: str) -> str:
+    """Compare sigmas with the right ones, from mean NIS or NEES, which should be 2."""
+    mean = sum(mean_squares) / max(len(mean_squares), 1)
+    ratio = math.sqrt(2 / mean) if mean > 0 else math.inf
+    size = "large" if ratio > 1 else "small"
+    off = f"{100 * abs(ratio - 1):.0f}% too {size}"
+    if not 0.5 < ratio < 2:
+        off = f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"
+    return f"{off} (mean {what} {mean:.2g}, should be 2)"

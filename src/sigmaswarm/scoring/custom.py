@@ -1,9 +1,8 @@
 """Errors of a user's model against the truth in its log."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.custom.log import Log
@@ -11,38 +10,11 @@ from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.geodesy import wrap_angle
 
 
-@dataclass(frozen=True, eq=False)
-class StateTargets:
-    """True states of one log, prepared for comparison with any number of estimates.
+def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
+    """Return a function of means (k, n), at the log's times, to the RMSE of the model's ``scored`` states.
 
-    Attributes
-    ----------
-    places : (s,) int: the states that are compared
-    angles : (s,) bool: which of them are angles
-    truth : (j, s)
-    before : (j,) int: the row of the log's time at or before each moment of truth
-    weight : (j,) of the row after it
-    """
-
-    places: list[int]
-    angles: NDArray[np.bool_]
-    truth: Array
-    before: NDArray[np.intp]
-    weight: Array
-
-    def rmse(self, mean: Array) -> float:
-        """sqrt(mean(e^T e)) over moments of truth; e = estimate - truth, the estimate, (k, n), linear in between."""
-        estimate = mean[:, self.places]
-        early, late = estimate[self.before], estimate[np.minimum(self.before + 1, len(mean) - 1)]
-        error = early + self.weight[:, np.newaxis] * self._turn(late - early) - self.truth
-        return float(np.sqrt(np.mean(np.sum(self._turn(error) ** 2, axis=1))))
-
-    def _turn(self, difference: Array) -> Array:
-        return np.where(self.angles, wrap_angle(difference), difference)
-
-
-def state_targets(log: Log, model: Model) -> StateTargets:
-    """Prepare the truth of the model's ``scored`` states, or of all that the log has.
+    It is sqrt(mean(e^T e)) over moments of truth; e = estimate - truth, the estimate linear in between. Without
+    ``scored`` all states count whose truth the log has.
 
     Raises
     ------
@@ -65,10 +37,15 @@ def state_targets(log: Log, model: Model) -> StateTargets:
     before = np.searchsorted(log.time, moments, side="right") - 1
     after = np.minimum(before + 1, len(log.time) - 1)
     interval = np.where(after > before, log.time[after] - log.time[before], 1.0)
-    return StateTargets(
-        places=model.places(names),
-        angles=np.isin(names, model.angles),
-        truth=np.column_stack([log.truth[name][within] for name in names]),
-        before=before,
-        weight=(moments - log.time[before]) / interval,
-    )
+    weight = ((moments - log.time[before]) / interval)[:, np.newaxis]
+    truth = np.column_stack([log.truth[name][within] for name in names])
+    places, angles = model.places(names), np.isin(names, model.angles)
+
+    def rmse(mean: Array) -> float:
+        estimate = mean[:, places]
+        early, moved = estimate[before], estimate[after] - estimate[before]
+        error = early + weight * np.where(angles, wrap_angle(moved), moved) - truth
+        error = np.where(angles, wrap_angle(error), error)
+        return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+    return rmse

@@ -58,25 +58,18 @@ Runs = Mapping[str, Callable[[Replay], Run]]
 class Outages:
     """The outages of one length on a drive in several placements, and the drifts of methods over them.
 
-    Attributes
-    ----------
-    seeds : list
-        Seeds of the placements; empty where no outage fits.
-    failed : set of str
-        Methods that failed in one of them.
+    ``seeds`` are those of the placements, none where no outage fits; ``failed`` the methods that failed in one of them.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
         self._ready, self._length = ready, length
-        placed = placements(ready.drive, ready.initial, length=length, seed=seed)[:most]
-        ends = [(each, self._windows(each)[:, 1]) for each in placed]
-        self.seeds = [each for each, at in ends if len(at)]
-        self._ends = [at for _, at in ends if len(at)]
+        drive, initial = ready.drive, ready.initial
+        placed = placements(drive, initial, length=length, seed=seed)[:most]
+        ends = {each: outage_windows(drive, initial, length=length, seed=each)[:, 1] for each in placed}
+        self.seeds = [each for each in placed if len(ends[each])]
+        self._ends = [ends[each] for each in self.seeds]
         self._each: dict[str, list[float]] = {}
         self.failed: set[str] = set()
-
-    def _windows(self, seed: Seed) -> Array:
-        return outage_windows(self._ready.drive, self._ready.initial, length=self._length, seed=seed)
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
         """Add an estimate that uses no fix, so it needs no further run."""
@@ -91,7 +84,7 @@ class Outages:
     ) -> None:
         """Run filters and other methods with the fixes hidden. No steps are kept.
 
-        ``watched``: filters are monitored and reset after divergence; otherwise they share the lanes of one run.
+        ``watched``: filters are monitored and reset after divergence; otherwise they run side by side.
         """
         for seed in self.seeds:
             self._ready.forget()
@@ -99,12 +92,7 @@ class Outages:
         self._ready.forget()
 
     def _run_placed(
-        self,
-        seed: Seed,
-        filters: Mapping[str, FilterParameters],
-        also: Runs,
-        *,
-        watched: bool,
+        self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, watched: bool
     ) -> None:
         """Run one placement; a separate function, to free its memory before the next one."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
@@ -115,26 +103,19 @@ class Outages:
             sums = run_replays([outages], [*filters.values()])
         scores = scores_of({"outages": [outages]}, {"outages": sums})
         for i, method in enumerate(filters):
-            self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
-            if scores[i, 0].failed:
-                self.failed.add(method)
+            self._add(method, scores[i, 0].outage_drift, failed=scores[i, 0].failed)
         for method, make in also.items():
-            self._follow(method, make(outages))
+            run, ends = make(outages), self._ends[len(self._each.get(method, ()))]
+            places = [np.empty((0, 2))]
+            for piece in run:
+                here = ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])]  # each is a sample's time
+                places.append(piece.mean[np.searchsorted(piece.time, here), :2])
+            self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
 
-    def _follow(self, method: str, run: Run) -> None:
-        """Add the error of a run at the ends of the outages."""
-        of = self._each.setdefault(method, [])
-        ends, at, places = self._ends[len(of)], 0, np.empty((0, 2))
-        for piece in run:
-            here = ends[at : np.searchsorted(ends, piece.time[-1], side="right")]  # each ends at a sample
-            places = np.vstack([places, piece.mean[np.searchsorted(piece.time, here), :2]])
-            at += len(here)
-        if run.failure:
+    def _add(self, method: str, drift: float, *, failed: bool) -> None:
+        self._each.setdefault(method, []).append(drift)
+        if failed:
             self.failed.add(method)
-        reference = drift_reference(self._ready)
-        true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
-        squares = np.square(places - np.column_stack(true)).sum(axis=1)
-        of.append(root_mean(squares, drift_weights(self._ready, ends)))
 
     def drift(self, method: str) -> float:
         """Return the RMS over the outages of all placements, m; NaN where none fits or the method failed."""
@@ -150,13 +131,15 @@ class Outages:
         return DriftRecord(outages=sum(map(len, self._ends)), each=each)
 
 
-def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: np.ndarray) -> float:
-    """Return the RMS position error at the ends of the windows, m."""
-    if not len(ends):
-        return float("nan")
+def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: Array) -> float:
+    """Return the RMS position error at the ends of the windows, m; NaN where there are none."""
+    places = [np.interp(ends, estimate.time, estimate.mean[:, i]) for i in (0, 1)]
+    return _drift(ready, ends, np.column_stack(places))
+
+
+def _drift(ready: PreparedDrive, ends: Array, places: Array) -> float:
+    """The RMS error of positions (k, 2) at the ends of outages."""
     reference = drift_reference(ready)
-    errors = [
-        np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
-        for i, column in enumerate((reference.x, reference.y))
-    ]
-    return root_mean(np.square(errors).sum(axis=0), drift_weights(ready, ends))
+    true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
+    squares = np.square(places - np.column_stack(true)).sum(axis=1)
+    return root_mean(squares, drift_weights(ready, ends))

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +33,6 @@ from sigmaswarm.scoring.records import (
     ASKED_FILE,
     SCORES_FILE,
     AgainstRecord,
-    ConsistencyRecord,
     DriftRecord,
     EvaluationRecord,
     ScoresRecord,
@@ -61,30 +59,53 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluated:
-    """Results of all methods on a drive.
+class Options:
+    """Options of an evaluation.
 
     Attributes
     ----------
-    scores : mapping of method to Score
-    consistency : Consistency or None
-        Of the tuned filter; None where it failed or had too few fixes.
-    innovations : Innovations or None
-        Of the tuned filter.
-    tracks : Tracks or None
-        As tracks.npz keeps them.
-    picture : Picture or None
-        The same in more points, for print.
-    data : mapping
-        Identification of the drive.
-    restarts : mapping of method to tuple of float
-        s: times of resets, see `filters.divergence`.
-    frozen : int
-        Stale fixes: they repeat an earlier one although the car may have moved; no filter used them.
-    drifts : mapping of measure to DriftRecord
-        Number of outages, and the drift of each of their placements.
-    seen : Overlap or None
-        The part that the filter was tuned on; None if unknown, see `evaluate`.
+    against : FilterParameters, optional
+        Another tuning or filter, of any model; it is the first row of every table.
+    outage_length : float
+        s, of the shorter outages; the longer ones last 30 s.
+    outage_seed : int
+        Seed of the outages, which are the same for every method; see `placements`.
+    as_recorded : bool
+        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
+    smooth : bool
+        Also evaluate the smoothed estimates, see `sigmaswarm.smooth`. In an outage they use the fixes after it.
+    swarm : bool
+        Also evaluate a filter bank, see `sigmaswarm.LiveFilterBank`.
+    more : mapping of str to callable
+        Further methods, by names of `ALSO`: callables that run on a replay, such as a trained network.
+    """
+
+    against: FilterParameters | None = None
+    outage_length: float = OUTAGE_LENGTH
+    outage_seed: int = 0
+    as_recorded: bool = False
+    smooth: bool = False
+    swarm: bool = False
+    more: Runs = field(default_factory=dict[str, Callable[[Replay], Run]])
+
+    def further(self, parameters: FilterParameters) -> dict[str, Callable[[Replay], Run]]:
+        """The methods that are not a single filter, apart from fixes alone."""
+        runs: dict[str, Callable[[Replay], Run]] = {}
+        if self.smooth:
+            runs[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
+        if self.swarm:
+            bank = partial(BankRun, parameters=parameters, recover=True, as_recorded=self.as_recorded)
+            runs[SWARM] = bank
+        return {**runs, **self.more}
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """Results of all methods on a drive.
+
+    Scores, times of resets (s), and drifts with the number of outages are by method or measure. Consistency and
+    innovations are those of the tuned filter. ``tracks`` are those of tracks.npz, ``picture`` has more points, for
+    print. ``frozen`` counts stale fixes, which no filter used.
     """
 
     scores: Mapping[str, Score]
@@ -92,26 +113,25 @@ class Evaluated:
     innovations: Innovations | None = None
     tracks: Tracks | None = None
     picture: Picture | None = None
-    data: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    record: DriveRecord = field(default_factory=lambda: DriveRecord(name=""))
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     frozen: int = 0
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
-    seen: Overlap | None = None
 
     def called(self, name: str) -> "Evaluated":
         """The same under another name, where two drives have one."""
         tracks, picture = self.tracks, self.picture
         return replace(
             self,
+            record=self.record.model_copy(update={"name": name}),
             tracks=tracks and replace(tracks, name=name),
             picture=picture and replace(picture, whole=replace(picture.whole, name=name)),
         )
 
-    @property
-    def record(self) -> DriveRecord:
-        """The drive as files and sentences name it."""
-        of = {} if self.seen is None else {"seen_s": self.seen.seconds, "seen_in": list(self.seen.of)}
-        return DriveRecord.model_validate({**self.data, **of})
+    def seen_in(self, overlap: Overlap) -> "Evaluated":
+        """The same with the part of the drive that the filter was tuned on."""
+        part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
+        return replace(self, record=self.record.model_copy(update=part))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -174,51 +194,53 @@ class Evaluation:
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """`MEASURES`, called after the length of this evaluation's outages."""
+        """`MEASURES`, named after the length of this evaluation's outages."""
         return measures(self.outage_length)
 
     @property
     def restarted(self) -> tuple[str, ...]:
-        """See the function of that name."""
+        """A sentence for each drive on which the tuned filter diverged."""
         return restarted(self.record)
 
     @property
     def worse_than_raw(self) -> tuple[str, ...]:
-        """See the function of that name."""
+        """A sentence for each drive on which the tuned filter's position is worse than the raw fixes."""
         return worse_than_raw(self.record)
 
     @property
     def worse_than_untuned(self) -> tuple[str, ...]:
-        """See the function of that name."""
+        """A sentence for each untuned method that is better on average over the drives."""
         return worse_than_untuned(self.record, self.measures)
 
     @property
     def record(self) -> ScoresRecord:
-        """As scores.json holds it."""
-        consistency = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
+        """The content of scores.json."""
+        drives, rivals = self.drives, [m for m in (OWN, UNTUNED, FIXES) if m in self.names]
+        failed = {name: [m for m, s in found.scores.items() if s.failed] for name, found in drives.items()}
         return ScoresRecord(
-            drives={
-                drive: {m: {k: self.value(drive, m, k) for k in MEASURES} for m in self.names}
-                for drive in self.drives
-            },
+            drives={d: {m: {k: self.value(d, m, k) for k in MEASURES} for m in self.names} for d in drives},
             mean={m: {k: self.mean(m, k) for k in MEASURES} for m in self.names},
-            consistency=consistency,
+            consistency=dict(self.consistency),
             restarts={
-                drive: {m: list(found.restarts.get(m, ())) for m in self.names if m in found.restarts}
-                for drive, found in self.drives.items()
+                name: {m: list(found.restarts[m]) for m in self.names if m in found.restarts}
+                for name, found in drives.items()
             },
-            improvement_percent={
-                over: {k: self.improvement(over, k) for k in MEASURES}
-                for over in (OWN, UNTUNED, FIXES)
-                if over in self.names
-            },
-            drifts={drive: dict(found.drifts) for drive, found in self.drives.items() if found.drifts},
-            failed={
-                drive: failed
-                for drive, found in self.drives.items()
-                if (failed := [m for m, score in found.scores.items() if score.failed])
-            },
-            stale_fixes={drive: found.frozen for drive, found in self.drives.items() if found.frozen},
+            improvement_percent={m: {k: self.improvement(m, k) for k in MEASURES} for m in rivals},
+            drifts={name: dict(found.drifts) for name, found in drives.items() if found.drifts},
+            failed={name: methods for name, methods in failed.items() if methods},
+            stale_fixes={name: found.frozen for name, found in drives.items() if found.frozen},
+        )
+
+    @property
+    def setup(self) -> EvaluationRecord:
+        """The content of evaluation.json."""
+        other = self.against
+        return EvaluationRecord(
+            outage_length_s=self.outage_length,
+            outage_seed=self.outage_seed,
+            versions=versions(),
+            data=[found.record for found in self.drives.values()],
+            against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -228,7 +250,7 @@ class Evaluation:
     @property
     def view(self) -> EvaluationView:
         """Tables and sentences, as the terminal, notebooks and the page show them."""
-        return EvaluationView(self.record, self.asked, self.names)
+        return EvaluationView(self.record, self.setup, self.names)
 
     def to_frame(self) -> pl.DataFrame:
         """Return one row per drive and method; methods have the names that the command line prints."""
@@ -263,39 +285,21 @@ class Evaluation:
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_whole(paths[1], self._frame({m: m for m in self.names}).write_csv())
-        write_json(paths[2], self.asked.model_dump())
+        write_json(paths[2], self.setup.model_dump())
         save_tracks([found.tracks for found in self.drives.values() if found.tracks], paths[3])
         if self.against is not None:
             paths.append(folder / AGAINST_FILE)
             self.against.save(paths[-1])
         return paths
 
-    @property
-    def asked(self) -> EvaluationRecord:
-        """As evaluation.json holds it."""
-        other = self.against
-        return EvaluationRecord(
-            outage_length_s=self.outage_length,
-            outage_seed=self.outage_seed,
-            versions=versions(),
-            data=[found.record.model_copy(update={"name": name}) for name, found in self.drives.items()],
-            against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
-        )
-
 
 def evaluate(
     drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
     parameters: FilterParameters,
     *,
-    against: FilterParameters | None = None,
-    outage_length: float = OUTAGE_LENGTH,
-    outage_seed: int = 0,
-    as_recorded: bool = False,
     seen: Sequence[Landmarks] | None = None,
-    smooth: bool = False,
-    swarm: bool = False,
-    more: Runs = MappingProxyType({}),
     cluster: "Client | None" = None,
+    **options: Any,
 ) -> Evaluation:
     """Compare tuned parameters with the same filter by data sheet, raw GPS and IMU only.
 
@@ -305,27 +309,15 @@ def evaluate(
         Preferably none of the tuning's. Without truth only the outage drift is computed, against the hidden fixes.
     parameters : FilterParameters
         The tuned ones.
-    against : FilterParameters, optional
-        Another tuning or filter, of any model; it is the first row of every table.
-    outage_length : float
-        s, of the shorter outages; the longer ones last 30 s.
-    outage_seed : int
-        Seed of the outages, which are the same for every method; see `placements`.
-    as_recorded : bool
-        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     seen : sequence of Landmarks, optional
         Landmarks of the training drives: ``tuning.seen``, or `tuning.record.seen_by` of its file. The evaluation then
         reports the part of each drive that they contain, also of renamed, cut or repaired drives. Without seen.npz
         only complete drives are recognized.
-    smooth : bool
-        Also evaluate the smoothed estimates, see `sigmaswarm.smooth`. In an outage they use the fixes after it.
-    swarm : bool
-        Also evaluate a filter bank, see `sigmaswarm.LiveFilterBank`.
-    more : mapping of str to callable
-        Further methods, by names of `ALSO`: callables that run on a replay, such as a trained network.
     cluster : distributed.Client, optional
         A Dask cluster whose workers read the drives, also given as paths or URLs, and do the work. The result's bits
         do not depend on it.
+    **options
+        Those of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more.
 
     Raises
     ------
@@ -336,137 +328,107 @@ def evaluate(
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
+    chosen = Options(**options)
     (dataset,) = datasets_of(drives, cluster=cluster)
     if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
-    own = {} if against is None else {OWN: against}
-    also: dict[str, Callable[[Replay], Run]] = {}
-    if smooth:
-        also[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
-    if swarm:
-        also[SWARM] = partial(BankRun, parameters=parameters, recover=True, as_recorded=as_recorded)
-    also |= more
-    one = partial(
-        _one,
-        parameters=parameters,
-        own=own,
-        length=outage_length,
-        seed=outage_seed,
-        as_recorded=as_recorded,
-        marked=seen is not None,
-        also=also,
-    )
+    one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
     found: dict[str, Evaluated] = {}
     for drive, each, marks in dataset.imap(one):
-        name = _unique(drive, found)
-        known = None if seen is None or marks is None else known_overlap(marks, seen)
-        found[name] = replace(each if name == drive else each.called(name), seen=known)
-    other = None if against is None else (against.kind, against.model)
-    names = method_names(parameters.kind, parameters.model, also=(*own, *also), against=other)
-    return Evaluation(found, names, outage_length, outage_seed, against, parameters)
-
-
-def _one(
-    drive: Drive,
-    parameters: FilterParameters,
-    own: Mapping[str, FilterParameters],
-    length: float,
-    seed: int,
-    *,
-    as_recorded: bool,
-    marked: bool,
-    also: Runs,
-) -> tuple[str, Evaluated, Landmarks | None]:
-    """Evaluate a drive; return its name, its results and, if ``marked``, its landmarks."""
-    marks = landmarks(drive) if marked else None
-    filters = compared(drive, parameters) | dict(own)
-    ready = PreparedDrive(drive, as_recorded=as_recorded)
-    return drive.name, _evaluated(ready, filters, also, drive.name, length, seed), marks
+        numbered = (f"{drive} ({i})" for i in range(2, len(found) + 2))  # two drives may have one name
+        name = next(n for n in (drive, *numbered) if n not in found)
+        found[name] = each if name == drive else each.called(name)
+        if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
+            found[name] = found[name].seen_in(overlap)
+    other = chosen.against
+    also = (*([OWN] if other else []), *chosen.further(parameters))
+    against = None if other is None else (other.kind, other.model)
+    names = method_names(parameters.kind, parameters.model, also=also, against=against)
+    return Evaluation(found, names, chosen.outage_length, chosen.outage_seed, other, parameters)
 
 
 def _evaluated(
-    ready: PreparedDrive,
-    filters: Mapping[str, FilterParameters],
-    also: Runs,
-    name: str,
-    length: float,
-    seed: int,
-) -> Evaluated:
-    """Run every method once over the drive, and the filters again with the outages."""
-    drive = ready.drive
+    drive: Drive, parameters: FilterParameters, options: Options, marked: bool
+) -> tuple[str, Evaluated, Landmarks | None]:
+    """Run every method over a drive; return its name, its results and, if ``marked``, its landmarks."""
+    marks = landmarks(drive) if marked else None
+    own = {} if options.against is None else {OWN: options.against}
+    filters, further = compared(drive, parameters) | own, options.further(parameters)
+    ready = PreparedDrive(drive, as_recorded=options.as_recorded)
     tracker = Tracker(ready, picture=True)
+    lengths = {"outage_drift_m": options.outage_length, "long_outage_drift_m": LONG_OUTAGE_LENGTH}
+    outages = {m: Outages(ready, length=each, seed=options.outage_seed) for m, each in lengths.items()}
+
     imu_only = run_imu_only(ready)  # first: it needs memory that the filters' targets take later
     tracker.keep_estimate("imu_only", imu_only)
-    outages = {
-        measure: Outages(ready, length=each, seed=seed)
-        for measure, each in (("outage_drift_m", length), ("long_outage_drift_m", LONG_OUTAGE_LENGTH))
-    }
     for of in outages.values():
         of.add_estimate("imu_only", imu_only)
-    dead_reckoning = replace(score_estimate(drive, imu_only), failed=False)
+    scores = {"imu_only": replace(score_estimate(drive, imu_only), failed=False)}
     del imu_only
-    tracking = tracking_replay(ready)
-    also = {**also, FIXES: partial(FixesAlone, noise=fit_noise(tracking))}
-    recorded = [tracker.record(m, tracking, p, recover=True) for m, p in filters.items()]
-    innovations = recorded[list(filters).index("tuned")].innovations
-    restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
-    sums = joined([recording.sums for recording in recorded], axis=1)
-    whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
-    more: dict[str, Score] = {}
-    for method, make in also.items():
-        run = make(tracking)
-        more[method] = tracker.follow(method, run)
-        if method != FIXES:  # it is never reset
-            restarts[method] = tuple(run.restarts)
-    del recorded, tracking  # to free memory for the next pass
+    passed = _tracked(ready, tracker, filters, further)
     for of in outages.values():
-        of.run(filters, also)
-    each = {
-        method: replace(
-            whole[i, 0],
-            position_median=tracker.scores[method].position_median,
-            position_95=tracker.scores[method].position_95,
-            failed=whole[i, 0].failed or any(method in of.failed for of in outages.values()),
-        )
-        for i, method in enumerate(filters)
-    }
-    more = {
-        method: replace(score, failed=score.failed or any(method in of.failed for of in outages.values()))
-        for method, score in more.items()
-    }
-    scores = {**each, **more, "raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
-    for method in (*filters, *more, "imu_only"):
+        of.run(filters, passed.further)
+
+    for method, score in {**scores, **passed.scores}.items():
         short, long = (of.drift(method) for of in outages.values())
-        scores[method] = replace(scores[method], outage_drift=short, long_outage_drift=long)
-    failed, nees = each["tuned"].failed, each["tuned"].mean_nees
-    return Evaluated(
+        failed = score.failed or any(method in of.failed for of in outages.values())
+        scores[method] = replace(score, outage_drift=short, long_outage_drift=long, failed=failed)
+    scores["raw_gps"] = score_raw_gps(drive, ready.initial)
+    tuned, start, end = scores["tuned"], ready.initial.time, float(drive.imu.time[-1])
+    innovations, sigma = passed.innovations, tracker.own_sigma["tuned"]
+    found = Evaluated(
         scores={method: scores[method] for method in (OWN, "tuned", *ALSO, *METHODS) if method in scores},
-        consistency=None if failed else consistency_of(innovations, nees, tracker.own_sigma["tuned"]),
+        consistency=None if tuned.failed else consistency_of(innovations, tuned.mean_nees, sigma),
         innovations=innovations,
-        tracks=tracker.tracks(name),
-        picture=tracker.picture(name),
-        data=described(drive)
-        | {"scored_from_s": round(ready.initial.time - float(drive.imu.time[0]), 3)}
-        | {"truth_share": share_known(drive.truth, ready.initial.time, float(drive.imu.time[-1]))},
-        restarts=restarts,
+        tracks=tracker.tracks(drive.name),
+        picture=tracker.picture(drive.name),
+        record=DriveRecord(
+            **described(drive),
+            scored_from_s=round(start - float(drive.imu.time[0]), 3),
+            truth_share=share_known(drive.truth, start, end),
+        ),
+        restarts=passed.restarts,
         frozen=int(ready.frozen.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
     )
+    return drive.name, found, marks
+
+
+@dataclass(frozen=True, eq=False)
+class _Passed:
+    """Results of the pass over all fixes, and the methods that are not a single filter."""
+
+    scores: Mapping[str, Score]
+    restarts: Mapping[str, tuple[float, ...]]
+    innovations: Innovations
+    further: Runs
+
+
+def _tracked(
+    ready: PreparedDrive, tracker: Tracker, filters: Mapping[str, FilterParameters], further: Runs
+) -> _Passed:
+    """Run every method over all fixes; a separate function, to free the memory for the next pass."""
+    replay = tracking_replay(ready)
+    further = {**further, FIXES: partial(FixesAlone, noise=fit_noise(replay))}
+    recorded = {m: tracker.record(m, replay, p, recover=True) for m, p in filters.items()}
+    restarts = {m: tuple(recording.restarts) for m, recording in recorded.items()}
+    sums = joined([recording.sums for recording in recorded.values()], axis=1)
+    whole = scores_of({"tracking": [replay]}, {"tracking": sums})
+    scores = {
+        m: replace(whole[i, 0], position_median=score.position_median, position_95=score.position_95)
+        for i, (m, score) in enumerate(tracker.scores.items())
+    }
+    for method, make in further.items():
+        run = make(replay)
+        tracker.follow(method, run)
+        scores[method] = tracker.scores[method]
+        if method != FIXES:  # it is never reset
+            restarts[method] = tuple(run.restarts)
+    return _Passed(scores, restarts, recorded["tuned"].innovations, further)
 
 
 def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:
     """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
-    drift, long_drift = (
-        rms_drift(
-            ready, estimate, outage_windows(ready.drive, estimate.initial, length=each, seed=seed)[:, 1]
-        )
-        for each in (length, LONG_OUTAGE_LENGTH)
-    )
-    score = score_estimate(ready.drive, estimate)
-    return replace(score, outage_drift=drift, long_outage_drift=long_drift, failed=False)
-
-
-def _unique(name: str, taken: Mapping[str, Any]) -> str:
-    """Two drives of one name must not hide each other."""
-    numbered = (f"{name} ({i})" for i in range(2, len(taken) + 2))
-    return name if name not in taken else next(n for n in numbered if n not in taken)
+    windows = outage_windows(ready.drive, estimate.initial, length=length, seed=seed)
+    drift = rms_drift(ready, estimate, windows[:, 1])
+    return replace(score_estimate(ready.drive, estimate), outage_drift=drift, failed=False)

@@ -7,7 +7,7 @@ that, but for those that would leave workers idle at the end.
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
@@ -23,16 +23,7 @@ SHORT = 20_000
 
 @dataclass(frozen=True)
 class Job:
-    """Some replays of one pass, by some of the parameter sets.
-
-    Attributes
-    ----------
-    name : str
-        The pass.
-    replays, sets : range
-    steps : int
-        Steps of the replays together.
-    """
+    """Some replays of the pass ``name``, of so many steps together, by some of the parameter sets."""
 
     name: str
     replays: range
@@ -46,25 +37,19 @@ class Job:
 
 
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int) -> list[Job]:
-    """Divide a batch into jobs, in the order of passes, replays and sets.
-
-    Parameters
-    ----------
-    steps : mapping of str to sequence of int
-        The steps of each replay, by pass.
-    """
+    """Divide a batch into jobs, in the order of passes, replays and sets; ``steps``: of each replay, by pass."""
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(SHORT, total / workers)))
     most = MOST_SETS if workers == 1 else most_lanes(model)
     # Whole rounds of all workers are wide; the shortest parts, which are left over, are split among the workers.
     left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]
     narrow = min(most, -(-n_sets // workers // WIDEST) * WIDEST)
-    jobs = list[Job]()
-    for part in parts:
-        width = narrow if part in left_over else most
-        for first in range(0, n_sets, width):
-            jobs.append(Job(part.name, part.replays, range(first, min(first + width, n_sets)), part.steps))
-    return jobs
+    widths = [(part, narrow if part in left_over else most) for part in parts]
+    return [
+        replace(part, sets=range(first, min(first + width, n_sets)))
+        for part, width in widths
+        for first in range(0, n_sets, width)
+    ]
 
 
 def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:

@@ -17,31 +17,10 @@ METHODS = {
     "imu_only": "IMU only",
 }
 """The rows of every comparison: keys in files and display names."""
-HOW_UNTUNED = (
-    "The baseline is the tuned filter's model with noises from data sheets: R from the stated accuracy of the fixes "
-    "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
-)
-"""A sentence that defines the baseline."""
-HOW_ROBOT = (
-    "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 and "
-    "0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
-)
-"""The same for the model robot-localization."""
 HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noises are fitted to each drive"
-"""A sentence that defines the filter without an IMU."""
+"""Definition of the filter without an IMU."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 """A sentence for users who do not know the option."""
-
-KIND_NAMES = {
-    "ukf": "UKF",
-    "ekf": "EKF",
-    "adaptive-ukf": "adaptive UKF",
-    "strong-tracking-ukf": "strong tracking UKF",
-    "fuzzy-ukf": "fuzzy UKF",
-}
-"""Display names of the filter types."""
-
-
 ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
@@ -50,7 +29,8 @@ ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
 
 def filter_called(kind: str, model: str) -> str:
     """Return the display name of a filter: its type, and its model where that is not the paper's."""
-    return KIND_NAMES.get(kind, kind) + ("" if model == "planar5" else f", {model}")
+    name = kind.replace("-", " ").replace("ukf", "UKF").replace("ekf", "EKF")
+    return name if model == "planar5" else f"{name}, {model}"
 
 
 def method_names(
@@ -72,7 +52,15 @@ def method_names(
 
 def how_untuned(tuned: str) -> str:
     """Return the sentence that defines the baseline of a filter of that display name."""
-    return HOW_ROBOT if tuned.endswith("robot-localization") else HOW_UNTUNED
+    if tuned.endswith("robot-localization"):
+        return (
+            "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 "
+            "and 0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
+        )
+    return (
+        "The baseline is the tuned filter's model with noises from data sheets: R from the stated accuracy of the "
+        "fixes (else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
+    )
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """The records of an evaluation: scores.json and evaluation.json."""
 
 import hashlib
-import math
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -11,51 +10,12 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json
 from sigmaswarm.records import load_record
-from sigmaswarm.scoring.consistency import Consistency, Summary
+from sigmaswarm.scoring.consistency import Consistency
 
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 
 Measured = dict[str, float | None]
 """By measure; None where it is not known."""
-
-
-class ConsistencyRecord(BaseModel):
-    """Consistency of the tuned filter on a drive."""
-
-    n_fixes: int
-    mean_nis: float
-    nis_band_95: tuple[float, float]
-    share_inside_95_gate: float
-    autocorrelation: list[float] = Field(min_length=1)
-    autocorrelation_band_95: float = math.nan
-    white_p: float
-    mean_nees: float | None = None
-    missed_m: float | None = None
-    expected_m: float | None = None
-    own_sigma_m: float | None = None
-
-    @classmethod
-    def of(cls, found: Consistency) -> "ConsistencyRecord":
-        """Convert to plain types."""
-        return cls(
-            n_fixes=found.n_fixes,
-            mean_nis=found.mean_nis,
-            nis_band_95=found.nis_band,
-            share_inside_95_gate=found.inside_gate,
-            autocorrelation=found.autocorrelation.tolist(),
-            autocorrelation_band_95=found.white_band,
-            white_p=found.white_p,
-            mean_nees=None if math.isnan(found.mean_nees) else found.mean_nees,
-            missed_m=found.missed,
-            expected_m=found.expected,
-            own_sigma_m=None if math.isnan(found.own_sigma) else found.own_sigma,
-        )
-
-    @property
-    def summary(self) -> Summary:
-        """The figures that `verdicts` reads."""
-        return self.mean_nis, self.nis_band_95, self.mean_nees, self.autocorrelation[0]
-
 
 FEW = 4
 """Outages of one placement: with fewer, all placements hide much the same fixes."""
@@ -81,7 +41,7 @@ class ScoresRecord(BaseModel):
 
     drives: dict[str, dict[str, Measured]] = Field(min_length=1)
     mean: dict[str, Measured]
-    consistency: dict[str, ConsistencyRecord | None] = Field(default_factory=dict)
+    consistency: dict[str, Consistency | None] = Field(default_factory=dict)
     improvement_percent: dict[str, Measured] = Field(default_factory=dict)
     restarts: dict[str, dict[str, list[float]]] = Field(default_factory=dict)
     """By drive and method, s: resets after divergence."""
@@ -99,18 +59,14 @@ class ScoresRecord(BaseModel):
         """
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]
-        each = [[v for v in one if v is not None] for one in drawn]
-        count = min(map(len, each), default=0) if each == drawn else 0
-        if not count:
+        count = min(map(len, drawn), default=0)
+        if not count or any(drift is None for one in drawn for drift in one):
             return ""
-        means = [sum(one[i] for one in each) / len(each) for i in range(count)]
+        means = [sum(one[i] or 0.0 for one in drawn) / len(drawn) for i in range(count)]
         outages = sum(one.outages for one in found)
-        said = f"{outages} outages in {count} placements"
-        said += f"; a single placement gives {min(means):.3g} to {max(means):.3g} m"
-        few = (
-            ", all on the same short stretch: another one may give far more" if outages < FEW * count else ""
-        )
-        return said + few
+        few = ", all on the same short stretch: another one may give far more" * (outages < FEW * count)
+        single = f"a single placement gives {min(means):.3g} to {max(means):.3g} m"
+        return f"{outages} outages in {count} placements; {single}{few}"
 
     def mean_of(self, method: str, measure: str) -> float | None:
         """Return the mean over the drives that have it, or None."""
@@ -119,12 +75,12 @@ class ScoresRecord(BaseModel):
     def known(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
         """Return the methods and measures that have any value: without truth no errors and no raw GPS."""
         methods, measures = [*methods], [*measures]
-        known = [
-            m for m in measures if any(self.mean_of(method, m) is not None for method in methods)
-        ] or measures
-        return [
-            m for m in methods if m != "raw_gps" or any(self.mean_of(m, k) is not None for k in known)
-        ], known
+
+        def any_value(methods: Iterable[str], measures: Iterable[str]) -> bool:
+            return any(self.mean_of(method, m) is not None for method in methods for m in measures)
+
+        known = [m for m in measures if any_value(methods, [m])] or measures
+        return [m for m in methods if m != "raw_gps" or any_value([m], known)], known
 
 
 class AgainstRecord(BaseModel):

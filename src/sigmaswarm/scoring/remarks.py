@@ -6,40 +6,41 @@ import numpy as np
 
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import said_of_restarts
-from sigmaswarm.scoring.consistency import CORRELATED
+from sigmaswarm.scoring.consistency import CORRELATED, Consistency
 from sigmaswarm.scoring.drifts import FIXES, UNTUNED
 from sigmaswarm.scoring.measures import METHODS, POSITION_MEASURES, Measure
-from sigmaswarm.scoring.records import ConsistencyRecord, ScoresRecord
+from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstLook
 from sigmaswarm.wording import counted
+
+ALL_OF_IT = 0.99
+"""Share of a drive with truth above which gaps in it are not reported."""
+FAR_BELOW = 1.0
+"""Mean NIS (half of what it should be) below which predictions do not measure the error."""
+MOST_TOLD = 3
+"""Drives without truth for which the error is estimated."""
+NOTABLE = 0.9
+"""Share of the tuned filter's error below which the baseline's is reported as lower."""
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
     """Return a sentence for each drive on which the tuned filter diverged."""
-    return tuple(
-        f"the tuned filter {said_of_restarts(drive, found['tuned'])}"
-        for drive, found in scores.restarts.items()
-        if found.get("tuned")
-    )
+    found = {drive: times for drive, of in scores.restarts.items() if (times := of.get("tuned"))}
+    return tuple(f"the tuned filter {said_of_restarts(drive, times)}" for drive, times in found.items())
 
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
     """Return the number of drives, and how much of them the tuning saw."""
     called = counted(len(data), "drive")
-    if not any(drive.seen_s for drive in data):
-        known = all(drive.seen_s is not None for drive in data)
-        return f"{called} that the tuning never saw" if known else called
-    told = [
+    each = [
         f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
         f"{', '.join(drive.seen_in)}"
         for drive in data
         if drive.seen_s
     ]
-    return f"{called} (NOT {'all ' if len(data) > 1 else ''}held out: {'; '.join(told)})"
-
-
-ALL_OF_IT = 0.99
-"""Share of a drive with truth above which gaps in it are not reported."""
+    if each:
+        return f"{called} (NOT {'all ' if len(data) > 1 else ''}held out: {'; '.join(each)})"
+    return called + " that the tuning never saw" * all(drive.seen_s is not None for drive in data)
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
@@ -56,31 +57,46 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     """Return a sentence for each drive on which the tuned filter's position is worse than the raw fixes."""
     said: list[str] = []
     for drive, found in scores.drives.items():
-        pairs = {
-            what: (found["tuned"].get(measure), found["raw_gps"].get(measure))
-            for measure, what in POSITION_MEASURES.items()
-        }
         worse = [
             f"{what} {tuned:.3g} m against {raw:.3g} m"
-            for what, (tuned, raw) in pairs.items()
-            if tuned is not None and raw is not None and tuned > raw
+            for measure, what in POSITION_MEASURES.items()
+            if (tuned := found["tuned"].get(measure)) is not None
+            and (raw := found["raw_gps"].get(measure)) is not None
+            and tuned > raw
         ]
         if worse:
             said.append(f"on {drive} the tuned filter is WORSE than the raw fixes: {', '.join(worse)}")
     return tuple(said)
 
 
-FAR_BELOW = 1.0
-"""Mean NIS (half of what it should be) below which predictions do not measure the error."""
-MOST_TOLD = 3
-"""Drives without truth for which the error is estimated."""
+def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
+    """Return a sentence for each untuned method that is better on average over the drives."""
+    said: list[str] = []
+    for method, name in ((UNTUNED, "the baseline"), (FIXES, "a filter of the fixes alone")):
+        known = {
+            m: (tuned, other)
+            for m in ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
+            if (tuned := scores.mean_of("tuned", m)) is not None
+            and (other := scores.mean_of(method, m)) is not None
+        }
+        worse = {m: pair for m, pair in known.items() if pair[1] < NOTABLE * pair[0]}
+        each = ", ".join(
+            f"{shown[m].title} {tuned:.3g} {shown[m].unit} against {other:.3g} {shown[m].unit}"
+            for m, (tuned, other) in worse.items()
+        )
+        if "position_rmse_m" in worse or 2 * len(worse) > len(known):
+            said.append(f"the tuned filter is WORSE than {name}: {each}")
+        elif worse:
+            among = f"{len(worse)} of {len(known)} measures"
+            said.append(f"the tuned filter is worse in {among} than {name}: {each}")
+    return tuple(said)
 
 
 def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
     """Estimate the tuned filter's position error on each of the first drives without truth, in a sentence."""
     blind = [one.name for one in data if one.has_truth is False]
-    told = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma_m]
-    return tuple(_without_truth(name, c) for name, c in told[:MOST_TOLD])
+    found = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
+    return tuple(_without_truth(name, c) for name, c in found[:MOST_TOLD])
 
 
 def said_of_first_look(look: FirstLook) -> str:
@@ -93,21 +109,21 @@ def said_of_first_look(look: FirstLook) -> str:
         return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: expect more on others"
     if look.consistency is None or not look.consistency.own_sigma:
         return ""
-    return _without_truth(name, ConsistencyRecord.of(look.consistency))
+    return _without_truth(name, look.consistency)
 
 
-def _without_truth(drive: str, found: ConsistencyRecord) -> str:
+def _without_truth(drive: str, found: Consistency) -> str:
     return f"Position error on {drive} without truth: {said_of_position(found)}"
 
 
-def said_of_position(found: ConsistencyRecord) -> str:
+def said_of_position(found: Consistency) -> str:
     """Estimate the position error of a filter on a drive without truth, in a sentence.
 
     It is the RMS of its sigmas, checked against its predictions of the fixes. Where these deviate far less than
     expected, the receiver smooths its fixes or their errors last: then the filter may be off by as much as the fixes.
     """
-    own, missed, expected = found.own_sigma_m or 0.0, found.missed_m or 0.0, found.expected_m or 0.0
-    (low, high), nis = found.nis_band_95, f"mean NIS {found.mean_nis:.2g} where 2 is right"
+    own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
+    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} where 2 is right"
     alike = found.autocorrelation[0] > CORRELATED
     if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
         fixes = max(expected**2 - own**2, 0.0) ** 0.5
@@ -125,31 +141,3 @@ def said_of_position(found: ConsistencyRecord) -> str:
     if alike:
         return f"{said}, or more: {included}, as expected, but neighboring fixes share a part of it"
     return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not in it"
-
-
-NOTABLE = 0.9
-"""Share of the tuned filter's error below which the baseline's is reported as lower."""
-
-
-def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    """Return a sentence for each untuned method that is better on average over the drives."""
-    return tuple(said for method in (UNTUNED, FIXES) if (said := _worse_than(method, scores, shown)))
-
-
-def _worse_than(method: str, scores: ScoresRecord, shown: Mapping[str, Measure]) -> str:
-    compared = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
-    pairs = {m: (scores.mean_of("tuned", m), scores.mean_of(method, m)) for m in compared}
-    known = {
-        m: (tuned, other) for m, (tuned, other) in pairs.items() if tuned is not None and other is not None
-    }
-    worse = {m: pair for m, pair in known.items() if pair[1] < NOTABLE * pair[0]}
-    if not worse:
-        return ""
-    each = ", ".join(
-        f"{shown[m].title} {tuned:.3g} {shown[m].unit} against {other:.3g} {shown[m].unit}"
-        for m, (tuned, other) in worse.items()
-    )
-    name = {UNTUNED: "the baseline", FIXES: "a filter of the fixes alone"}[method]
-    if "position_rmse_m" in worse or 2 * len(worse) > len(known):
-        return f"the tuned filter is WORSE than {name}: {each}"
-    return f"the tuned filter is worse in {len(worse)} of {len(known)} measures than {name}: {each}"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sigmaswarm.datasets.dataset import Dataset
 from sigmaswarm.datasets.remote import RemoteDataset, in_order
 from sigmaswarm.datasets.worker import CachedDrive, apply_to_each
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.table import ParameterTable
@@ -37,13 +37,8 @@ def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "Replays":
         remote = RemoteReplayer(dataset, passes, check)
         _ = remote.steps  # prepares the drives
         return remote
-    return _replayer(
-        [PreparedDrive(d, as_recorded=passes.as_recorded) for d in dataset.imap(_itself)], passes, check
-    )
-
-
-def _itself(drive: Drive) -> Drive:
-    return drive
+    drives = dataset.map(partial(PreparedDrive, as_recorded=passes.as_recorded))
+    return _replayer(drives, passes, check)
 
 
 def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> Replayer:
@@ -76,7 +71,7 @@ class RemoteReplayer:
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Score all sets on all drives."""
-        return Scores.unstacked(self._joined(Scores.stacked, parameter_sets))
+        return Scores.unstacked(self.measured(Scores.stacked, parameter_sets))
 
     def measured(
         self,
@@ -84,24 +79,18 @@ class RemoteReplayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Apply a function to the scores, shape (n_sets, n_drives), on the workers."""
-        return self._joined(take, parameter_sets)
+        """Apply a function to the scores, shape (..., n_sets, n_drives), on the workers."""
+        sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
+        answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
+        shape = len(self.dataset), *answers[0][1].shape[-2::-1]
+        whole = np.empty(shape).T  # memory order of `Replayer`: bits of sums depend on it
+        for places, part in answers:
+            whole[..., places] = part
+        return whole
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
         """Apply a function to each prepared drive."""
         return map_prepared(self.dataset, function, as_recorded=self.passes.as_recorded)
-
-    def _joined(self, take: Callable[[Scores], Array], parameter_sets: Sequence[FilterParameters]) -> Array:
-        """Join results of shape (..., n_sets, n_drives) in the order of the drives."""
-        sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
-        answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
-        shape = answers[0][1].shape[:-1]
-        whole = np.empty(
-            (len(self.dataset), *shape[::-1])
-        ).T  # memory order of `Replayer`: bits of sums depend on it
-        for places, part in answers:
-            whole[..., places] = part
-        return whole
 
 
 Replays = Replayer | RemoteReplayer

@@ -5,20 +5,22 @@ IMU sample, the estimate linearly interpolated to the truth time. Where truth st
 are weighted: see `truth_noise.py`. `targets.py` gives the same definitions to the compiled batch; tests compare them.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.truth_noise import heading_weights, is_known, position_weights, root_mean, weights_at
+from sigmaswarm.scoring.truth_noise import heading_weights, is_known, root_mean, weights_at
 
 HEADING_COUNTS_ABOVE = 2.0
 """m/s: below this true speed the heading error is not scored."""
+PIECE = 100_000
+"""Estimates that are scored at once, to limit the memory."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +44,19 @@ class Score:
     failed : bool
     """
 
-    position_rmse: float = float("nan")
-    heading_rmse: float = float("nan")
-    outage_drift: float = float("nan")
-    fix_rmse: float = float("nan")
-    forecast_rmse: float = float("nan")
-    innovation_nll: float = float("nan")
-    innovation_t: float = float("nan")
-    forecast_t: float = float("nan")
-    mean_nis: float = float("nan")
-    mean_nees: float = float("nan")
-    position_median: float = float("nan")
-    position_95: float = float("nan")
-    long_outage_drift: float = float("nan")
+    position_rmse: float = math.nan
+    heading_rmse: float = math.nan
+    outage_drift: float = math.nan
+    fix_rmse: float = math.nan
+    forecast_rmse: float = math.nan
+    innovation_nll: float = math.nan
+    innovation_t: float = math.nan
+    forecast_t: float = math.nan
+    mean_nis: float = math.nan
+    mean_nees: float = math.nan
+    position_median: float = math.nan
+    position_95: float = math.nan
+    long_outage_drift: float = math.nan
     failed: bool = False
 
 
@@ -63,20 +65,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
     The negative logarithm of Student's t in two dimensions with v degrees of freedom, but for a constant, if c = v. A c
     of its own makes it least for Gaussian innovations where their mean NIS is 2: see `sigmaswarm.filters.student`.
-
-    Parameters
-    ----------
-    innovation : ndarray, shape (f, 2)
-        nu, m.
-    covariance : ndarray, shape (f, 2, 2)
-        S, m2.
-    dof, scale : float
-        v and c.
-
-    Returns
-    -------
-    ndarray, shape (f,)
-        nats.
+    ``innovation`` (f, 2) is nu, ``covariance`` (f, 2, 2) is S, ``dof`` and ``scale`` are v and c; the result is (f,).
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
     half_log_det = 0.5 * np.log(np.linalg.det(covariance))
@@ -84,65 +73,38 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that come in pieces, as of `score_estimate`.
-
-    Parameters
-    ----------
-    truth : Truth
-    initial : InitialState
-        Where the method started.
-    """
+    """Errors of estimates that come in pieces, as of `score_estimate`; ``initial`` is where the method started."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth
-        self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
+        self._first = self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
         self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
-        self._parts: list[Array] = []
+        self._off: list[Array] = []
         self._turned: list[Array] = []
-        self._weights: list[tuple[Array | None, Array | None]] = []
 
     def add(self, time: Array, mean: Array) -> None:
         """The next estimates: times (r,) in s, and means (r, n) of a model's states."""
-        stop = int(np.searchsorted(self._truth.time, time[-1], side="right"))
-        at = slice(self._next, stop)
-        truth, nodes = self._truth.select(at), np.concatenate([[self._time], time])
+        truth, first = self._truth, self._next
+        self._next = int(np.searchsorted(truth.time, time[-1], side="right"))
+        at, nodes = slice(first, self._next), np.concatenate([[self._time], time])
         pose = np.vstack([self._pose, mean[:, : THETA + 1]])
         pose[:, THETA] = np.unwrap(pose[:, THETA])
-        x, y, theta = (np.interp(truth.time, nodes, pose[:, i]) for i in (0, 1, THETA))
-        self._parts.append(np.hypot(x - truth.x, y - truth.y))
-        fast = _fast(truth)
-        self._turned.append(wrap_angle(theta - truth.theta)[fast])
-        turned = heading_weights(truth)
-        self._weights.append((position_weights(truth), None if turned is None else turned[fast]))
-        self._next, self._time, self._pose = stop, time[-1], pose[-1]
-
-    @property
-    def quantiles(self) -> tuple[float, float]:
-        """The 50% and 95% quantiles so far, m; NaN where there are none, or an estimate was NaN."""
-        return quantiles_of(np.concatenate(self._parts)) if self._parts else quantiles_of(np.empty(0))
+        x, y, theta = (np.interp(truth.time[at], nodes, pose[:, i]) for i in (0, 1, THETA))
+        self._off.append(np.hypot(x - truth.x[at], y - truth.y[at]))
+        self._turned.append(wrap_angle(theta - truth.theta[at]))
+        self._time, self._pose = time[-1], pose[-1]
 
     @property
     def score(self) -> Score:
         """Score of position and heading so far."""
-        if not self._parts:
+        if not self._off:
             return Score()
-        off, wrong = np.concatenate(self._parts), np.concatenate(self._turned)
-        median, most = quantiles_of(off)
-        weights, turned = (
-            [one for one in each if one is not None] for each in zip(*self._weights, strict=True)
-        )
-        return Score(
-            position_rmse=root_mean(off**2, np.concatenate(weights) if weights else None),
-            position_median=median,
-            position_95=most,
-            heading_rmse=root_mean(wrong**2, np.concatenate(turned) if turned else None),
-        )
-
-
-def scored_truth(truth: Truth, start: float, end: float) -> Truth:
-    """The rows of truth that are scored, start and end included."""
-    first, after = np.searchsorted(truth.time, start, "left"), np.searchsorted(truth.time, end, "right")
-    return truth.select(slice(int(first), int(after)))  # a view
+        truth, scored = self._truth, slice(self._first, self._next)
+        fast = np.hypot(truth.vx[scored], truth.vy[scored]) > HEADING_COUNTS_ABOVE
+        wrong, weights = np.concatenate(self._turned)[fast], heading_weights(truth)
+        score = _position_score(np.concatenate(self._off), weights_at(truth, truth.time[scored]))
+        weights = None if weights is None else weights[scored][fast]
+        return replace(score, heading_rmse=root_mean(wrong**2, weights))
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
@@ -153,21 +115,22 @@ def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
     return x, y
 
 
+def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
+    """Distance of positions from the truth, m; NaN where truth is not known."""
+    true_x, true_y = truth_at(truth, time)
+    return np.hypot(x - true_x, y - true_y)
+
+
 def score_estimate(drive: Drive, estimate: Estimate) -> Score:
     """Position and heading error of an estimate; NaN without truth or after a failure."""
+    failed = estimate.failure is not None
     if drive.truth is None:
-        return Score(failed=estimate.failure is not None)
+        return Score(failed=failed)
     errors = PieceErrors(drive.truth, estimate.initial)
-    for first in range(
-        0, len(estimate.time), 100_000
-    ):  # a long drive at once would take several times its memory
-        part = slice(first, first + 100_000)
+    for first in range(0, len(estimate.time), PIECE):
+        part = slice(first, first + PIECE)
         errors.add(estimate.time[part], estimate.mean[part])
-    return replace(errors.score, failed=estimate.failure is not None)
-
-
-def _fast(truth: Truth) -> NDArray[np.bool_]:
-    return np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
+    return replace(errors.score, failed=failed)
 
 
 def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
@@ -175,17 +138,12 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
     if drive.truth is None:
         return Score()
     gps = drive.gps.select((drive.gps.time >= initial.time) & (drive.gps.time <= drive.imu.time[-1]))
-    x, y = truth_at(drive.truth, gps.time)
-    error = np.hypot(gps.x - x, gps.y - y)
+    error = distance_from(drive.truth, gps.time, gps.x, gps.y)
     known = np.isfinite(error)
-    error, weights = error[known], weights_at(drive.truth, gps.time[known])
-    median, most = quantiles_of(error)
-    return Score(position_rmse=root_mean(error**2, weights), position_median=median, position_95=most)
+    return _position_score(error[known], weights_at(drive.truth, gps.time[known]))
 
 
-def quantiles_of(errors: Array) -> tuple[float, float]:
-    """The 50% and 95% quantiles of errors (m,), linear between ranks; NaN where there are none."""
-    if not errors.size:
-        return float("nan"), float("nan")
-    median, most = np.quantile(errors, [0.5, 0.95])
-    return float(median), float(most)
+def _position_score(errors: Array, weights: Array | None) -> Score:
+    """RMSE, 50% and 95% quantiles, linear between ranks, of errors (m,); NaN where there are none."""
+    median, most = np.quantile(errors, [0.5, 0.95]).tolist() if errors.size else (math.nan, math.nan)
+    return Score(root_mean(errors**2, weights), position_median=median, position_95=most)

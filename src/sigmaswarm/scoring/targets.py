@@ -9,8 +9,8 @@ from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_win
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.replay import Replay, Targets
-from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
-from sigmaswarm.scoring.truth_noise import heading_weights, is_known, position_weights, weights_at
+from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
+from sigmaswarm.scoring.truth_noise import heading_weights, is_known, weights_at
 
 OUTAGE_LENGTH = 5.0
 """s without fixes, after which the drift is measured."""
@@ -30,22 +30,19 @@ OUTAGE_APART = 5.0
 def tracking_replay(ready: PreparedDrive) -> Replay:
     """All fixes, compared with truth wherever truth is known."""
     timeline = ready.timeline()
-    return Replay(timeline, ready.initial, _truth_targets(ready.drive, timeline))
+    return Replay(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
 
 def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> Replay:
     """Fixes hidden in seeded windows; compared with truth (without truth: with the fixes) at their ends."""
-    drive = ready.drive
-    windows = outage_windows(drive, ready.initial, length=length, seed=seed)
-    timeline = ready.timeline(hidden_fixes(drive.gps.time, windows), removed=True)
-    ends = windows[:, 1]
-    reference = drift_reference(ready)
+    windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
+    timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
+    ends, reference = windows[:, 1], drift_reference(ready)
     x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
-    headings = np.zeros_like(ends), np.zeros(len(ends), dtype=np.bool_)
-    weights, noise = drift_weights(ready, ends), np.empty((0, 4))
-    if weights is not None:
-        noise = np.column_stack([weights, *np.zeros((3, len(ends)))])
-    targets = Targets(np.ones_like(ends), x, y, *headings, _end(timeline, ends), noise)
+    no_headings = np.zeros_like(ends), np.zeros(len(ends), dtype=np.bool_)
+    weights = drift_weights(ready, ends)
+    noise = np.empty((0, 4)) if weights is None else np.column_stack([weights, np.zeros((len(ends), 3))])
+    targets = Targets(np.ones_like(ends), x, y, *no_headings, _end(timeline, ends), noise)
     return Replay(timeline, ready.initial, targets)
 
 
@@ -90,12 +87,13 @@ def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: 
     Where truth states deviations, windows that end in its gaps are left out.
     """
     reference = (drive.gps if drive.truth is None else drive.truth).time
-    last = min(drive.imu.time[-1], reference[-1])
+    earliest = (
+        float(reference[0]) - OUTAGE_FIRST_AFTER - length
+    )  # so that no window ends before the reference
+    last = float(min(drive.imu.time[-1], reference[-1]))
     windows = random_windows(
-        max(
-            initial.time, float(reference[0]) - OUTAGE_FIRST_AFTER - length
-        ),  # so that no window ends earlier
-        float(last),
+        max(initial.time, earliest),
+        last,
         np.random.default_rng(seed),
         length=length,
         first_after=OUTAGE_FIRST_AFTER,
@@ -105,15 +103,19 @@ def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: 
     return windows if drive.truth is None else windows[is_known(drive.truth, windows[:, 1])]
 
 
-def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:
-    if drive.truth is None:
+def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
+    if truth is None:
         return Targets.none(timeline)
-    truth = scored_truth(drive.truth, timeline.start, timeline.imu_time[-1])
+    rows = slice(
+        int(np.searchsorted(truth.time, timeline.start, "left")),
+        int(np.searchsorted(truth.time, timeline.imu_time[-1], "right")),
+    )
+    truth = truth.select(rows)  # a view
     nodes = np.concatenate([[timeline.start], timeline.imu_time])
     later = np.maximum(np.searchsorted(nodes, truth.time, side="left"), 1)
     weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
     counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
-    noise, position, heading = np.empty((0, 4)), position_weights(truth), heading_weights(truth)
+    noise, position, heading = np.empty((0, 4)), weights_at(truth, truth.time), heading_weights(truth)
     if position is not None and truth.std_x is not None and truth.std_y is not None:
         heading = np.ones(len(truth)) if heading is None else heading
         noise = np.column_stack([position, heading, truth.std_x**2, truth.std_y**2])

@@ -1,6 +1,7 @@
 """Thinning of series that come in pieces, to a size that does not grow with the drive."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,17 +11,10 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
 class Thinned:
-    """At most so many rows of a series, with all peaks of the error or of the NIS.
+    """At most so many rows of a series of n, with all peaks of the error or of the NIS.
 
     Kept are the first row, the last, and of each of equal parts in between the rows with the smallest and the largest
     error (the first and the last row where there is no error). The choice does not depend on the pieces.
-
-    Parameters
-    ----------
-    n : int
-        Rows of the whole series.
-    most : int
-        Rows to keep.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -43,7 +37,7 @@ class Thinned:
         ends = self._ends[self._ends > self._first] - self._first
         whole = ends[ends <= len(columns["time"])]
         if len(whole):
-            rows = _extremes(_key(columns), whole)
+            rows = _extremes(columns, whole)
             self._kept.append({name: values[rows] for name, values in columns.items()})
             columns = {name: values[whole[-1] :] for name, values in columns.items()}
             self._first += int(whole[-1])
@@ -57,29 +51,19 @@ class Thinned:
         return {name: np.concatenate([part[name] for part in self._kept]) for name in self._kept[0]}
 
 
-def _key(columns: Columns) -> NDArray[np.floating[Any]]:
-    order = np.arange(len(columns["time"]), dtype=np.float64)
-    return np.nan_to_num(columns.get("position_error", columns.get("nis", order)), nan=0.0)
-
-
-def _extremes(key: NDArray[np.floating[Any]], ends: NDArray[np.intp]) -> NDArray[np.intp]:
+def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the rows of the smallest and the largest value before each end, each once."""
-    rows: list[int] = []
-    for first, end in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
-        part = key[first:end]
-        rows += [first + int(part.argmin()), first + int(part.argmax())]
+    order = np.arange(len(columns["time"]), dtype=np.float64)
+    key = np.nan_to_num(columns.get("position_error", columns.get("nis", order)), nan=0.0)
+    parts = [(first, key[first:end]) for first, end in pairwise([0, *ends.tolist()])]
+    rows = [first + int(at) for first, part in parts for at in (part.argmin(), part.argmax())]
     return np.unique(rows)
 
 
 class CloseUp:
-    """All rows of a series near a place, with a gap where it leaves.
+    """All rows of a series near a place (2,), m, with a gap where it leaves.
 
-    Parameters
-    ----------
-    place : ndarray, shape (2,)
-        m east and north.
-    side : float
-        m; twice as much is kept, since axes of equal scale may show more.
+    Twice the ``side``, m, is kept, since axes of equal scale may show more.
     """
 
     def __init__(self, place: NDArray[np.float64], side: float) -> None:

@@ -7,10 +7,8 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
@@ -19,19 +17,19 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.bank.spread import START
-from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
-from sigmaswarm.scoring.columns import TrueMotion, columns_of
+from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import UNTUNED, Run
-from sigmaswarm.scoring.score import PieceErrors, Score, score_raw_gps
-from sigmaswarm.scoring.thinning import CloseUp, Thinned
+from sigmaswarm.scoring.score import PieceErrors, Score, distance_from, score_raw_gps
+from sigmaswarm.scoring.thinning import CloseUp, Columns, Thinned
+from sigmaswarm.scoring.truth_noise import is_known
 
-Columns = Mapping[str, NDArray[np.floating[Any]]]
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
 """Ends the name of the series that holds a filter's NIS."""
@@ -67,16 +65,9 @@ class Tracks:
 class Picture:
     """Data of a printed picture of a drive.
 
-    Attributes
-    ----------
-    whole : Tracks
-        In more points, float64.
-    close : mapping of str to mapping of str to ndarray
-        x and y of each series around the sharpest turn, every point; NaN outside of it.
-    start, turn : ndarray, shape (2,)
-        m east and north: where the filters start, and where the car turns most.
-    frame : ndarray, shape (2, 2)
-        Least and greatest x and y of the fixes, m.
+    ``whole`` has more points than a file; ``close`` every x and y of each series around the sharpest turn, NaN outside.
+    ``start`` and ``turn`` (2,) are where the filters start and where the car turns most, m east and north; ``frame``
+    (2, 2) the least and greatest x and y of the fixes.
     """
 
     whole: Tracks
@@ -94,20 +85,9 @@ def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameter
 class Tracker:
     """Keeps thinned tracks of methods while they run over a drive; complete estimates are not stored.
 
-    Parameters
-    ----------
-    ready : PreparedDrive
-    most_points : int
-        Of a series.
-    picture : bool
-        Also keep the data of a printed picture.
-
-    Attributes
-    ----------
-    scores : dict of str to Score
-        Of position and heading, of each filter that was recorded; NaN without truth.
-    own_sigma : dict of str to float
-        m, RMS: standard deviation of the position according to each filter.
+    ``scores`` are those of position and heading of each method that ran, ``own_sigma`` the RMS of the position's
+    standard deviation according to each filter, m. Series have ``most_points``; with ``picture`` the data of a printed
+    picture is kept, too.
     """
 
     def __init__(
@@ -121,8 +101,8 @@ class Tracker:
         self.scores: dict[str, Score] = {}
         self.own_sigma: dict[str, float] = {}
         truth = ready.drive.truth
-        self._truth = None if truth is None else TrueMotion(truth)
         if truth is not None:
+            self._theta = np.unwrap(truth.theta)
             self._keep("truth", [{"time": truth.time, "x": truth.x, "y": truth.y}], len(truth))
 
     def record(
@@ -130,27 +110,25 @@ class Tracker:
     ) -> Recording:
         """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
         recording = Recording(replay, parameters, recover=recover)
-        errors = self._follow(series, recording, replay.initial, len(replay.timeline.imu_time))
-        self.scores[series] = errors.score if errors else Score()
+        self._follow(series, recording, replay.initial)
         if recording.failure is None:
             found = recording.innovations
             self._keep(series + NIS, [{"time": found.time, "nis": found.nis}], len(found.time))
         return recording
 
-    def follow(self, series: str, run: Run) -> Score:
-        """Run another method, such as a filter bank, and keep its track; return its score."""
-        samples = int((self._ready.drive.imu.time > self._ready.initial.time).sum())
-        errors = self._follow(series, run, run.initial, samples)
+    def follow(self, series: str, run: Run) -> None:
+        """Run another method, such as a filter bank, and keep its track."""
+        self._follow(series, run, run.initial)
+        self.scores[series] = replace(self.scores[series], failed=run.failure is not None)
         if isinstance(run, BankRun):
             log = run.log
             moved = {name: log.moved[:, i] for i, name in enumerate(log.names) if name != START}
             self._keep(series + SHARES, [{"time": log.time, **log.shares}], len(log.time))
             self._keep(series + MOVED, [{"time": log.time, **moved}], len(log.time))
-        return replace(errors.score if errors else Score(), failed=run.failure is not None)
 
-    def _follow(self, series: str, run: Iterable[Piece], initial: InitialState, n: int) -> PieceErrors | None:
-        """Keep the track of n samples that comes in pieces; return its errors, if there is truth."""
-        truth = self._ready.drive.truth
+    def _follow(self, series: str, run: Iterable[Piece], initial: InitialState) -> None:
+        """Keep a track that comes in pieces, and its score."""
+        truth, imu_time = self._ready.drive.truth, self._ready.drive.imu.time
         errors = None if truth is None else PieceErrors(truth, initial)
         variance, count = 0.0, 0
 
@@ -162,16 +140,29 @@ class Tracker:
                 if len(piece.covariance):
                     variance += float(piece.covariance[:, [0, 1], [0, 1]].sum())
                     count += len(piece.time)
-                yield columns_of(piece.time, piece.mean, piece.covariance, self._truth)
+                yield self._columns(piece)
 
-        self._keep(series, pieces(), n)
+        self._keep(series, pieces(), int((imu_time > self._ready.initial.time).sum()))
         self.own_sigma[series] = float(np.sqrt(variance / count)) if count else np.nan
-        return errors
+        self.scores[series] = errors.score if errors else Score()
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
         """Keep the track of an estimate."""
-        columns = columns_of(estimate.time, estimate.mean, estimate.covariance, self._truth)
-        self._keep(series, [columns], len(estimate.time))
+        self._keep(series, [self._columns(estimate)], len(estimate.time))
+
+    def _columns(self, found: Estimate | Piece) -> Columns:
+        """Position, errors against truth, and 3 sigma of estimates."""
+        time, mean, truth = found.time, found.mean, self._ready.drive.truth
+        columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
+        if truth is not None:
+            columns["position_error"] = distance_from(truth, time, mean[:, 0], mean[:, 1])
+            true = np.where(is_known(truth, time), np.interp(time, truth.time, self._theta), np.nan)
+            columns["heading_error"] = np.degrees(wrap_angle(mean[:, THETA] - true))
+        if len(found.covariance):
+            std = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+            columns["position_3sigma"] = 3 * np.hypot(std[:, 0], std[:, 1])
+            columns["heading_3sigma"] = 3 * np.degrees(std[:, THETA])
+        return columns
 
     def _keep(self, series: str, pieces: Iterable[Columns], n: int) -> None:
         thin, fine = Thinned(n, self._most), Thinned(n, MOST_DRAWN)
@@ -204,43 +195,28 @@ class Tracker:
         for kept in (self._thin, self._fine, self._close):  # after the filters, whenever it was kept
             if "imu_only" in kept:
                 kept["imu_only"] = kept.pop("imu_only")
-        gps = self._ready.drive.gps
+        gps, truth = self._ready.drive.gps, self._ready.drive.truth
         columns = {"time": gps.time, "x": gps.x, "y": gps.y}
-        if self._truth is not None:
-            columns["position_error"] = self._truth.distance(gps.time, gps.x, gps.y)
+        if truth is not None:
+            columns["position_error"] = distance_from(truth, gps.time, gps.x, gps.y)
         self._keep("raw_gps", [columns], len(gps))
-
-
-def tracks_of(
-    drive: Drive | PreparedDrive,
-    filters: Mapping[str, FilterParameters],
-    name: str,
-    most_points: int = MOST_POINTS,
-) -> Tracks:
-    """Run filters, by the names of their series, and dead reckoning over a drive; return their tracks."""
-    ready = prepared(drive)
-    tracker = Tracker(ready, most_points)
-    tracker.keep_estimate("imu_only", run_imu_only(ready))
-    return _tracked(ready, filters, tracker).tracks(name)
 
 
 def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
     """Run filters over a drive; return the data of a printed picture."""
     ready = prepared(drive)
-    return _tracked(ready, filters, Tracker(ready, picture=True)).picture(name)
+    tracker = Tracker(ready, picture=True)
+    for series, parameters in filters.items():
+        tracker.record(series, replay_of(ready), parameters)
+    return tracker.picture(name)
 
 
 @dataclass(frozen=True, eq=False)
 class FirstLook:
     """Result of a tuned filter on a training drive.
 
-    Attributes
-    ----------
-    picture : Picture
-    position_rmse : mapping of method to float
-        m, of the tuned filter, the baseline and the raw fixes; NaN without truth.
-    consistency : Consistency or None
-        Of the tuned filter; None where it failed or had too few fixes.
+    ``position_rmse`` is that of the tuned filter, the baseline and the raw fixes, m; NaN without truth. ``consistency``
+    is None where the tuned filter failed or had too few fixes.
     """
 
     picture: Picture
@@ -251,25 +227,17 @@ class FirstLook:
 def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstLook:
     """Run a tuned filter and its baseline over a drive."""
     ready = PreparedDrive(drive, as_recorded=as_recorded)
-    tracker, recorded = Tracker(ready, picture=True), dict[str, Recording]()
-    for series, each in compared(drive, parameters).items():
-        recorded[series] = tracker.record(series, replay_of(ready), each)
-    failed = recorded["tuned"].failure is not None
+    tracker = Tracker(ready, picture=True)
+    filters = compared(drive, parameters)
+    tuned = {series: tracker.record(series, replay_of(ready), each) for series, each in filters.items()}[
+        "tuned"
+    ]
     rmse = {series: score.position_rmse for series, score in tracker.scores.items()}
-    return FirstLook(
-        tracker.picture(drive.name),
-        rmse | {"raw_gps": score_raw_gps(drive, ready.initial).position_rmse},
-        None
-        if failed
-        else consistency_of(recorded["tuned"].innovations, own_sigma=tracker.own_sigma["tuned"]),
-    )
-
-
-def _tracked(ready: PreparedDrive, filters: Mapping[str, FilterParameters], tracker: Tracker) -> Tracker:
-    replay = replay_of(ready)
-    for series, parameters in filters.items():
-        tracker.record(series, replay, parameters)
-    return tracker
+    rmse["raw_gps"] = score_raw_gps(drive, ready.initial).position_rmse
+    consistency = None
+    if tuned.failure is None:
+        consistency = consistency_of(tuned.innovations, own_sigma=tracker.own_sigma["tuned"])
+    return FirstLook(tracker.picture(drive.name), rmse, consistency)
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
@@ -315,17 +283,14 @@ def load_tracks(path: Path) -> list[Tracks]:
             number, of, column = key.split("/")
             series[int(number)].setdefault(of, {})[column] = np.asarray(values, np.float64)
         tracks = [Tracks(name, s) for name, s in zip(names, series, strict=True)]
-        for one in tracks:
-            _require_whole(one)
+        for of, columns in (item for one in tracks for item in one.series.items()):
+            position = (
+                set() if "." in of else {"x", "y"}
+            )  # NAME.nis, NAME.shares and NAME.moved are no tracks
+            needed = {"time", *position, *(["nis"] if of.endswith(NIS) else [])}
+            shapes = {values.shape for values in columns.values()}
+            if len(shapes) != 1 or len(shapes.pop()) != 1 or not needed <= columns.keys():
+                raise ValueError(of)
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
         raise InputError(f"{path}: not readable; repeat the command that made the folder") from None
     return tracks
-
-
-def _require_whole(tracks: Tracks) -> None:
-    for of, columns in tracks.series.items():
-        position = set() if "." in of else {"x", "y"}  # NAME.nis, NAME.shares and NAME.moved are no tracks
-        needed = {"time", *position, *(["nis"] if of.endswith(".nis") else [])}
-        shapes = {values.shape for values in columns.values()}
-        if len(shapes) != 1 or len(shapes.pop()) != 1 or not needed <= columns.keys():
-            raise ValueError(of)

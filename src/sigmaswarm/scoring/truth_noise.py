@@ -17,27 +17,20 @@ HEADING_FLOOR = math.radians(0.3)
 """rad, likewise."""
 
 
-def position_weights(truth: Truth) -> Array | None:
-    """Weights of the squared position errors, (m,): floor^2 / (sigma^2 + floor^2); None: 1.
-
-    sigma^2 is the mean of both axes' variances.
-    """
-    if truth.std_x is None or truth.std_y is None:
-        return None
-    return POSITION_FLOOR**2 / ((truth.std_x**2 + truth.std_y**2) / 2 + POSITION_FLOOR**2)
-
-
-def heading_weights(truth: Truth) -> Array | None:
-    """Weights of the squared heading errors, likewise; None where truth states no deviation of the heading."""
-    return None if truth.std_theta is None else HEADING_FLOOR**2 / (truth.std_theta**2 + HEADING_FLOOR**2)
-
-
 def weights_at(truth: Truth, time: Array) -> Array | None:
-    """Weights of squared position errors at times, s, from linearly interpolated deviations; None: 1."""
+    """Weights of squared position errors at times, s: floor^2 / (sigma^2 + floor^2); None: 1.
+
+    sigma^2 is the mean of both axes' variances, from linearly interpolated deviations.
+    """
     if truth.std_x is None or truth.std_y is None:
         return None
     std_x, std_y = np.interp(time, truth.time, truth.std_x), np.interp(time, truth.time, truth.std_y)
     return POSITION_FLOOR**2 / ((std_x**2 + std_y**2) / 2 + POSITION_FLOOR**2)
+
+
+def heading_weights(truth: Truth) -> Array | None:
+    """Weights of the squared heading errors, (m,); None where truth states no deviation of the heading."""
+    return None if truth.std_theta is None else HEADING_FLOOR**2 / (truth.std_theta**2 + HEADING_FLOOR**2)
 
 
 def root_mean(squares: Array, weights: Array | None = None) -> float:

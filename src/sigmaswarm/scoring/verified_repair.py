@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.doctor import repairs
 from sigmaswarm.doctor.findings import Diagnosis
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import stated_std, white_noise
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterParameters
@@ -68,41 +68,35 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     kept = diagnosis
     doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
     before = _forecasts(drive) if doubtful else None
+    withheld: list[str] = []
     while doubtful and before is not None:
-        mended = repairs.repair(drive, kept)
-        after = _forecasts(mended)
+        after = _forecasts(repairs.repair(drive, kept))
         if after is not None and np.all(after <= WORSE * before):
             break
         # Leave out the one without which the forecasts are best.
-        code = min(sorted(doubtful), key=lambda code: _error(drive, _without(kept, code)))
+        errors: dict[str, float] = {}
+        for code in sorted(doubtful):
+            found = _forecasts(repairs.repair(drive, _without(kept, code)))
+            errors[code] = np.inf if found is None else float(np.prod(found))
+        code = min(errors, key=lambda code: errors[code])
         kept, doubtful = _without(kept, code), doubtful - {code}
+        withheld.append(code)
     mended = repairs.repair(drive, kept)
-    withheld = [f.code for f in diagnosis.findings if f.repair and f.code not in _repaired(kept)]
     if not withheld:
         return mended
-    what = f"{drive.name}: the repair of {', '.join(dict.fromkeys(withheld))} is withheld: with it a filter forecasts"
+    withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in withheld))
+    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld: with it a filter forecasts"
     warnings.warn(SigmaswarmWarning(f"{what} the fixes worse; check the log by hand"), stacklevel=2)
-    return replace(mended, metadata={**mended.metadata, "withheld": list(dict.fromkeys(withheld))})
-
-
-def _repaired(diagnosis: Diagnosis) -> set[str]:
-    return {f.code for f in diagnosis.findings if f.repair is not None}
+    return replace(mended, metadata={**mended.metadata, "withheld": withheld})
 
 
 def _without(diagnosis: Diagnosis, code: str) -> Diagnosis:
     """Return the diagnosis without the repair of a finding."""
-    return replace(
-        diagnosis,
-        findings=tuple(replace(f, repair=None) if f.code == code else f for f in diagnosis.findings),
-    )
+    findings = tuple(replace(f, repair=None) if f.code == code else f for f in diagnosis.findings)
+    return replace(diagnosis, findings=findings)
 
 
-def _error(drive: Drive, diagnosis: Diagnosis) -> float:
-    found = _forecasts(repairs.repair(drive, diagnosis))
-    return float("inf") if found is None else float(np.prod(found))
-
-
-def _forecasts(drive: Drive) -> np.ndarray | None:
+def _forecasts(drive: Drive) -> Array | None:
     """RMS errors of forecasts, m: of the next fix, and of fixes hidden for 3 to 5 s; None if the filter can't run."""
     try:
         parameters = checking_filter(drive)
@@ -110,6 +104,6 @@ def _forecasts(drive: Drive) -> np.ndarray | None:
         hidden = Replayer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
     except SigmaswarmError:
         return None
-    size = np.hypot(*innovation.T)
-    found = np.array([np.sqrt(np.mean(np.sort(size)[: max(int(0.95 * len(size)), 1)] ** 2)), hidden])
+    size = np.sort(np.hypot(*innovation.T))[: max(int(0.95 * len(innovation)), 1)]
+    found = np.array([np.sqrt(np.mean(size**2)), hidden])
     return found[np.isfinite(found)] if np.isfinite(found[0]) else None

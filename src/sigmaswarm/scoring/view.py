@@ -1,12 +1,12 @@
 """Tables and sentences of an evaluation, for the terminal, notebooks and the page."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
-from sigmaswarm.scoring.consistency import FORECASTS, verdicts
+from sigmaswarm.scoring.consistency import FORECASTS, Consistency, verdicts
 from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
@@ -20,6 +20,9 @@ from sigmaswarm.scoring.remarks import (
 )
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
+
+_Row = tuple[str, str, Mapping[str, float | None]]
+"""Drive, method, and scores by measure."""
 
 LATE = 5.0
 """s into a drive: a start of the scores after it is reported."""
@@ -67,24 +70,30 @@ class EvaluationView:
 
     def mean_table(self) -> Table:
         """Means over the drives."""
-        methods, known = self.scores.known(self.names, self.measures)
-        rows = [
-            ("mean", self.names[m], *(self.scores.mean_of(m, k) for k in known))
-            for m in methods
-            if m in self.scores.mean
-        ]
-        return self._table("Mean over drives", self._columns(known), rows)
+        means = {m: ("mean", self.names[m], of) for m, of in self.scores.mean.items()}
+        return self._table("Mean over drives", lambda methods: [means[m] for m in methods if m in means])
 
     def drive_table(self) -> Table:
         """The scores of each drive."""
+
+        def rows(methods: Sequence[str]) -> list[_Row]:
+            return [
+                (drive, self.names[m] + " (failed)" * (m in self.scores.failed.get(drive, ())), found[m])
+                for drive, found in self.scores.drives.items()
+                for m in methods
+                if m in found
+            ]
+
+        return self._table("Each drive", rows)
+
+    def _table(self, caption: str, rows_of: Callable[[Sequence[str]], list[_Row]]) -> Table:
+        """The known scores of the known methods, with the tuned filter emphasized."""
         methods, known = self.scores.known(self.names, self.measures)
-        rows = [
-            (drive, self._name(drive, m), *(found[m].get(k) for k in known))
-            for drive, found in self.scores.drives.items()
-            for m in methods
-            if m in found
-        ]
-        return self._table("Each drive", self._columns(known), rows)
+        rows, tuned = rows_of(methods), self.names["tuned"]
+        columns = Column("drive"), Column("method"), *(_column(self.measures[m]) for m in known)
+        strong = {i for i, (_, name, _) in enumerate(rows) if name.removesuffix(" (failed)") == tuned}
+        cells = tuple((drive, name, *(of.get(m) for m in known)) for drive, name, of in rows)
+        return Table(caption, columns, cells, frozenset(strong))
 
     def drift_table(self) -> Table:
         """The drifts with the number of outages, and the lowest and highest drift of a single placement of them."""
@@ -92,11 +101,7 @@ class EvaluationView:
         known = [m for m in self.measures if any(m in of for of in drifts.values())]
         columns = [Column("drive"), Column("method")]
         for m in known:
-            columns += [
-                Column("outages"),
-                Column(self.measures[m].title, "m"),
-                Column("a single placement", "m"),
-            ]
+            columns += [Column("outages"), _column(self.measures[m]), Column("a single placement", "m")]
         rows: list[tuple[Cell, ...]] = []
         for drive, of in drifts.items():
             for method in (m for m in self.names if m != "raw_gps" and m in self.scores.mean):
@@ -105,64 +110,39 @@ class EvaluationView:
                     one, value = of.get(m), self.scores.drives[drive].get(method, {}).get(m)
                     cells += [one and float(one.outages), value, one and one.spread(method)]
                 rows.append((drive, self.names[method], *cells))
-        return self._table("Drifts by the placement of the outages", columns, rows)
+        strong = frozenset(i for i, row in enumerate(rows) if row[1] == self.names["tuned"])
+        return Table("Drifts by the placement of the outages", tuple(columns), tuple(rows), strong)
 
     def consistency_table(self) -> Table:
         """NIS, NEES and whiteness of the tuned filter on each drive."""
-        nees = not self.blind
-        columns = [Column("drive"), Column("fixes"), Column("mean NIS"), Column("consistent")]
-        columns += [Column("in 95% gate", "%", "{:.0f}".format), *([Column("mean NEES")] if nees else [])]
-        columns += [
-            Column("correlation", number="{:+.2f}".format),
-            Column("whiteness p", number="{:.2g}".format),
+        columns: list[tuple[Column, Callable[[Consistency], Cell]]] = [
+            (Column("fixes"), lambda c: c.n_fixes),
+            (Column("mean NIS"), lambda c: c.mean_nis),
+            (Column("consistent"), lambda c: c.nis_band),
+            (Column("in 95% gate", "%", "{:.0f}".format), lambda c: 100 * c.inside_gate),
+            *([] if self.blind else [(Column("mean NEES"), lambda c: c.mean_nees)]),
+            (Column("correlation", number="{:+.2f}".format), lambda c: c.autocorrelation[0]),
+            (Column("whiteness p", number="{:.2g}".format), lambda c: c.white_p),
         ]
-        rows: list[tuple[Cell, ...]] = []
-        for drive, c in self.scores.consistency.items():
-            if c is None:
-                rows.append((drive, *([None] * (len(columns) - 1))))
-                continue
-            cells: tuple[Cell, ...] = (
-                drive,
-                c.n_fixes,
-                c.mean_nis,
-                c.nis_band_95,
-                100 * c.share_inside_95_gate,
-            )
-            cells += (c.mean_nees,) if nees else ()
-            rows.append((*cells, c.autocorrelation[0], c.white_p))
-        return Table("", tuple(columns), tuple(rows))
-
-    def _columns(self, known: Sequence[str]) -> list[Column]:
-        shown = [self.measures[m] for m in known]
-        return [Column("drive"), Column("method"), *(Column(m.title, m.unit) for m in shown)]
-
-    def _name(self, drive: str, method: str) -> str:
-        failed = method in self.scores.failed.get(drive, ())
-        return f"{self.names[method]} (failed)" if failed else self.names[method]
-
-    def _table(self, caption: str, columns: Sequence[Column], rows: Sequence[tuple[Cell, ...]]) -> Table:
-        """Emphasize the tuned filter."""
-        strong = frozenset(
-            i for i, row in enumerate(rows) if str(row[1]).removesuffix(" (failed)") == self.names["tuned"]
+        rows = tuple(
+            (drive, *(c and of(c) for _, of in columns)) for drive, c in self.scores.consistency.items()
         )
-        return Table(caption, tuple(columns), tuple(rows), strong)
+        return Table("", (Column("drive"), *(column for column, _ in columns)), rows)
 
     # ---- sentences ----
 
     def result(self) -> str:
         """The result in a sentence: position error where truth is known, else the drift over outages."""
-        drives = said_of_drives(self.setup.data)
+        drives, mean_of = said_of_drives(self.setup.data), self.scores.mean_of
         for measure, what in (
             ("position_rmse_m", "has a position RMSE of {} m"),
             ("outage_drift_m", f"drifts {{}} m (RMS) over an outage of {self.setup.outage_length_s:g} s"),
         ):
-            tuned = self.scores.mean_of("tuned", measure)
+            tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            others = {
-                m: v for m in (OWN, "raw_gps", FIXES, UNTUNED) if (v := self.scores.mean_of(m, measure))
-            }
-            if others.get(UNTUNED, 0.0) > others.get(FIXES, float("inf")):
+            others = {m: v for m in (OWN, "raw_gps", FIXES, UNTUNED) if (v := mean_of(m, measure))}
+            if others.get(UNTUNED, 0.0) > others.get(FIXES, math.inf):
                 others.pop(UNTUNED)  # a gain over the worse rival would flatter
             each = [_compared(tuned, value, self.names[m]) for m, value in others.items()]
             spread = self.scores.drift_said(measure)
@@ -175,45 +155,44 @@ class EvaluationView:
         data = self.setup.data
         late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
         blind = [drive.name for drive in data if drive.has_truth is False]
-        return (
-            *([f"Filters start, and scores with them, {', '.join(late)}: at {START_RULE}."] if late else []),
-            *map(_sentence, partly_scored(data)),
-            *([f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []),
-            *map(_sentence, how_far(self.scores, data)),
-            *(
-                f"{name}: no filter used {n} of the fixes: they are stale (repeat an earlier one although the vehicle "
-                "may have moved)."
-                for name, n in self.scores.stale_fixes.items()
-            ),
-        )
+        said = [f"Filters start, and scores with them, {', '.join(late)}: at {START_RULE}."] if late else []
+        said += map(_sentence, partly_scored(data))
+        said += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
+        said += map(_sentence, how_far(self.scores, data))
+        said += [
+            f"{name}: no filter used {n} of the fixes: they are stale (repeat an earlier one although the vehicle "
+            "may have moved)."
+            for name, n in self.scores.stale_fixes.items()
+        ]
+        return tuple(said)
 
     def explanations(self) -> tuple[str, ...]:
         """Sentences that define the rows."""
+        methods = self.scores.mean
         return (
-            *([f"{how_untuned(self.names['tuned'])}."] if UNTUNED in self.scores.mean else []),
-            *([f"{HOW_FIXES}."] if FIXES in self.scores.mean else []),
-            *([] if OWN in self.scores.mean else [f"{HOW_AGAINST}."]),
+            *([f"{how_untuned(self.names['tuned'])}."] if UNTUNED in methods else []),
+            *([f"{HOW_FIXES}."] if FIXES in methods else []),
+            *([] if OWN in methods else [f"{HOW_AGAINST}."]),
         )
 
     def verdicts(self) -> dict[str, str]:
         """Sentences about the consistency of the tuned filter, by kind."""
-        found = verdicts([c and c.summary for c in self.scores.consistency.values()])
+        found = verdicts([*self.scores.consistency.values()])
         return {kind: _sentence(said) for kind, said in found.items()}
 
     def warnings(self) -> tuple[str, ...]:
         """Sentences to read before the result is used, worst first."""
-        data, shown = self.setup.data, self.measures
-        failed = [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]
-        said = [
-            *([f"the tuned filter failed on {', '.join(failed)}"] if failed else []),
-            *worse_than_raw(self.scores),
-            *worse_than_untuned(self.scores, shown),
-            *restarted(self.scores),
-        ]
+        data = self.setup.data
+        said: list[str] = []
         if any(drive.seen_s for drive in data):
-            said.insert(
-                0, "the filter was tuned on some of these drives: its scores there are better than on others"
+            said.append(
+                "the filter was tuned on some of these drives: its scores there are better than on others"
             )
+        if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
+            said.append(f"the tuned filter failed on {', '.join(failed)}")
+        said += worse_than_raw(self.scores)
+        said += worse_than_untuned(self.scores, self.measures)
+        said += restarted(self.scores)
         if len(data) == 1 and data[0].duration_s:
             said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
         return tuple(map(_sentence, said))
@@ -226,11 +205,11 @@ class EvaluationView:
 
     def drifts(self) -> tuple[str, ...]:
         """Sentences about the number of outages behind each drift."""
-        known = {m: self.scores.mean_of("tuned", m) for m in self.measures}
         return tuple(
-            f"{self.measures[m].title} of the tuned filter: {drift:.3g} m over {spread}."
-            for m, drift in known.items()
-            if drift is not None and (spread := self.scores.drift_said(m))
+            f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}."
+            for m, measure in self.measures.items()
+            if (drift := self.scores.mean_of("tuned", m)) is not None
+            and (spread := self.scores.drift_said(m))
         )
 
     # ---- notebooks and print ----
@@ -238,8 +217,13 @@ class EvaluationView:
     def to_text(self) -> str:
         """Return at most 15 lines for `print`: the result, the means, and the first remarks."""
         table = self.mean_table()
-        wide = [[str(row[1]), *(_digits(v) for v in row[2:])] for row in table.rows]
-        lines = _aligned([[c.heading for c in table.columns[1:]], *wide])
+        cells = [[str(row[1]), *map(notebook.number, row[2:])] for row in table.rows]  # pyright: ignore[reportArgumentType]
+        columns = [*zip([c.heading for c in table.columns[1:]], *cells, strict=True)]
+        widths = [max(map(len, column)) for column in columns]
+        lines = [
+            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
+            for row in zip(*columns, strict=True)
+        ]
         return "\n".join([self.result(), *lines, *self.warnings()[:MOST_REMARKS]])
 
     def to_html(self) -> str:
@@ -266,23 +250,19 @@ def explained_consistency(nees: bool) -> str:
 def explained_scores(view: EvaluationView) -> str:
     """Explain the tables of scores."""
     with_truth = view.scores.known(view.names, view.measures)[1][0] == "position_rmse_m"
-    drifts = (
-        " Each method runs again with the fixes hidden, by as many placements of the outages as the drive has room "
-        "for, at most eight; a drift is the RMS over all of them, at the end of each."
-        + (
-            ""
-            if with_truth
-            else " Without truth it is against the hidden fixes and includes their own errors."
+    drifts = rmse = ""
+    if view.scores.drifts:
+        drifts = (
+            " Each method runs again with the fixes hidden, by as many placements of the outages as the drive has room "
+            "for, at most eight; a drift is the RMS over all of them, at the end of each."
         )
-        if view.scores.drifts
-        else ""
-    )
-    rmse = (
-        " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 below "
-        "the 95% column."
-        if with_truth
-        else ""
-    )
+        if not with_truth:
+            drifts += " Without truth it is against the hidden fixes and includes their own errors."
+    if with_truth:
+        rmse = (
+            " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 "
+            "below the 95% column."
+        )
     return (
         f"Lower is better. Outages last {view.setup.outage_length_s:g} s, and {LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
         "IMU only uses no fix after the drive's start, so its drift accumulates from there."
@@ -309,16 +289,5 @@ def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:].removesuffix('.')}."
 
 
-def _digits(value: Any) -> str:
-    return notebook.number(value) if not isinstance(value, str) else value
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(w) if i == 0 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
+def _column(measure: Measure) -> Column:
+    return Column(measure.title, measure.unit)

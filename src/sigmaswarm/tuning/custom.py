@@ -1,6 +1,6 @@
 """Objectives of a tuning of a custom model."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from sigmaswarm.filters.custom.identity import fingerprint
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.custom.run import Runner, run_model
-from sigmaswarm.scoring.custom import StateTargets, state_targets
+from sigmaswarm.scoring.custom import truth_rmse
 from sigmaswarm.tuning.box import Box, Dimension
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.objectives import objective_named
@@ -36,7 +36,7 @@ class ModelProblem(Problem[dict[str, float]]):
     model: Model
     logs: Sequence[Log]
     runner: Runner
-    targets: list[StateTargets] | None
+    targets: list[Callable[[Array], float]] | None
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -77,7 +77,7 @@ class ModelProblem(Problem[dict[str, float]]):
         run = self.runner.run(i, parameters)
         if run.failed >= 0:
             return float("inf")
-        return self.targets[i].rmse(run.mean) if self.targets else float(run.nll.mean())
+        return self.targets[i](run.mean) if self.targets else float(run.nll.mean())
 
 
 def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> ModelProblem:
@@ -95,7 +95,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
             f"the objective {config.objective!r} is none for a model of your own; "
             f"choose one of {', '.join(MODEL_OBJECTIVES)}"
         )
-    targets = [state_targets(log, model) for log in logs] if config.objective == "truth-rmse" else None
+    targets = [truth_rmse(log, model) for log in logs] if config.objective == "truth-rmse" else None
     space, data = model_box(model, config.scale), [_described(log) for log in logs]
     return ModelProblem(config, space, data, model, logs, Runner(model, logs), targets)
 

@@ -1,0 +1,159 @@
+"""The tables of a drive: frozen records of columns, each with the time of its rows."""
+
+from dataclasses import MISSING, dataclass, fields
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm import notebook
+from sigmaswarm.errors import DriveError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of equal length, made read-only float64 when the record is built."""
+
+    time: Array
+
+    def __post_init__(self) -> None:
+        length = np.size(self.time)
+        for name, values in list(vars(self).items()):
+            if values is None:
+                continue
+            column = np.array(values, dtype=np.float64)
+            if column.shape != (length,):
+                kind = type(self).__name__
+                raise DriveError(
+                    f"{kind}.{name} has shape {column.shape}, but {kind}.time has {length} values"
+                )
+            column.setflags(write=False)
+            object.__setattr__(self, name, column)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def select(self, rows: NDArray[np.bool_] | slice) -> Self:
+        """Return the table with some of its rows (a mask or a slice)."""
+        chosen: dict[str, Any] = {name: v if v is None else v[rows] for name, v in vars(self).items()}
+        return type(self)(**chosen)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Return the existing columns, in the order and units of the attributes; needs pandas.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        return notebook.to_pandas({name: v for name, v in vars(self).items() if v is not None})
+
+
+@dataclass(frozen=True, eq=False)
+class Imu(Table):
+    """Inertial samples, each column of shape (n,), in the body frame (x forward, y left, z up).
+
+    Attributes
+    ----------
+    time : s, strictly increasing
+    ax, ay, az : specific force, m/s2 (az is about +9.8 at rest)
+    gx, gy, gz : angular rate, rad/s
+    """
+
+    ax: Array
+    ay: Array
+    gz: Array
+    az: Array | None = None
+    gx: Array | None = None
+    gy: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Gps(Table):
+    """Position fixes, each column of shape (n,).
+
+    Attributes
+    ----------
+    time : s, increasing; strictly so in files. Two receivers may give fixes of one time, used in order
+    x, y : m east and north of the drive's origin
+    lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
+    std_x, std_y : m, the receiver's stated standard deviation
+    speed, course : m/s; rad, counter-clockwise from east
+    """
+
+    x: Array
+    y: Array
+    lat: Array | None = None
+    lon: Array | None = None
+    alt: Array | None = None
+    std_x: Array | None = None
+    std_y: Array | None = None
+    speed: Array | None = None
+    course: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Odometer(Table):
+    """The speed of the wheels, each column of shape (n,).
+
+    Attributes
+    ----------
+    time : s, strictly increasing
+    speed : m/s, forward positive, at the rear axle; with scale error, quantization and slip
+    """
+
+    speed: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Truth(Table):
+    """The vehicle's true motion at the IMU's place, each column of shape (n,). A filter never sees it.
+
+    Attributes
+    ----------
+    time : s, strictly increasing
+    x, y : m east and north of the drive's origin
+    vx, vy : m/s east and north
+    theta : rad, heading counter-clockwise from east; may be unwrapped
+    std_x, std_y : m, standard deviation of the truth, if known: both or none
+    std_theta : rad, that of its heading
+    """
+
+    x: Array
+    y: Array
+    vx: Array
+    vy: Array
+    theta: Array
+    std_x: Array | None = None
+    std_y: Array | None = None
+    std_theta: Array | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.std_x is None) != (self.std_y is None) or (
+            self.std_x is None and self.std_theta is not None
+        ):
+            raise DriveError(
+                "Truth states std_x and std_y both, and with them std_theta, or none; add what lacks"
+            )
+
+
+RECORDS: dict[str, type[Table]] = {"imu": Imu, "gps": Gps, "truth": Truth, "odometer": Odometer}
+"""The record of each table of a drive."""
+
+
+def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the required and the optional columns as files name them."""
+    required = {("t" if f.name == "time" else f.name): f.default is MISSING for f in fields(table)}
+    return tuple(c for c, r in required.items() if r), tuple(c for c, r in required.items() if not r)
+
+
+COLUMNS = {name: _columns(table) for name, table in RECORDS.items()}
+COLUMNS["enu"] = COLUMNS["gps"]
+COLUMNS["wgs84"] = ("t", "lat", "lon"), tuple(c for c in COLUMNS["gps"][1] if c not in ("lat", "lon"))
+"""The required and the optional columns of each table; those of gps by its frame."""
