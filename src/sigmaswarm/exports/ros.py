@@ -20,9 +20,8 @@ from sigmaswarm.exports.body import body_velocity, quaternions, tilts_of
 from sigmaswarm.files import whole_folder
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
-from sigmaswarm.importing.source import broken
 from sigmaswarm.importing.readers.ros import bag_paths
-from sigmaswarm.importing.source import library
+from sigmaswarm.importing.source import broken, library
 
 TOPIC = "/sigmaswarm/odometry"
 NOT_ESTIMATED = 1e6
