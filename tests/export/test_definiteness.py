@@ -80,7 +80,7 @@ def test_an_indefinite_covariance_is_found(
     hostile = SOUND.copy()
     hostile[i, j] = hostile[j, i] = covariance
     for name in CASES:
-        failed, _ = run(tmp_path / name, name, hostile, *flags, samples=21, fixes=fixes)
+        failed, _ = run(tmp_path / name, name, hostile, *flags, samples=35, fixes=fixes)
         assert failed, name
 
 
