@@ -22,6 +22,7 @@ from sigmaswarm.simulation import (
     TERRAINS,
     VEHICLES,
 )
+from sigmaswarm.simulation.scenarios import Scenario
 from support import make_drive
 
 SOME = ("--maneuver", "turns", "brake", "--environment", "rain", "slippery", "--runs", 2, "--seed", 7)
@@ -124,7 +125,7 @@ def test_workers_are_as_many_threads(sigmaswarm, here: Path, monkeypatch):
 
 
 def test_the_defaults_are_the_library_s():
-    said, meant = inspect.signature(command).parameters, inspect.signature(library.simulate).parameters
+    said, meant = inspect.signature(command).parameters, inspect.signature(Scenario).parameters
     for name in ("imu", "gps", "vehicle", "seed", "duration"):
         assert said[name].default == meant[name].default, name
     assert said["runs"].default == inspect.signature(library.simulate_many).parameters["runs"].default
