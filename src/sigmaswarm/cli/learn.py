@@ -60,6 +60,7 @@ def learn(
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_drives, stdout
     from sigmaswarm.cli.progress import progress_bar
+    from sigmaswarm.learned.learn import LearnConfig
     from sigmaswarm.learned.learn import learn as train
     from sigmaswarm.tuning.record import FILE
 
@@ -70,14 +71,9 @@ def learn(
         "learning", "epochs at most, loss {task.fields[loss]}, remaining", waiting, loss="-"
     ) as show:
         learned = train(
-            network,
-            parameters,
-            read,
-            out=out,
-            validation=held_back,
+            LearnConfig(network, parameters, read, held_back, search, seed),
+            out,
             tuning=tuning / FILE if tuning.is_dir() else tuning,
-            search=search,
-            seed=seed,
             resume=resume,
             progress=lambda now: show(now.done, now.total, loss=f"{now.loss:.3f}"),
         )
