@@ -7,6 +7,7 @@ Forked processes take three quarters of the time of threads: a tuning spends a q
 which one thread holds at a time. A fork inherits drives and prepared time lines without a copy.
 """
 
+import ctypes
 import gc
 import os
 import signal
@@ -27,6 +28,8 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Report = Callable[[int], None]
 """Takes the number of finished rounds of a task; raises where the grid was interrupted."""
+PR_SET_PDEATHSIG = 1
+"""Of prctl(2): the signal that Linux sends to a process when its parent dies."""
 POLL = 0.05
 """s between two looks at the progress of the tasks."""
 KILLED = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
@@ -123,6 +126,8 @@ def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which ends at once with its parent or with the grid: files are written whole."""
     global _run
     _run = run
+    # Before a resumed run removes unfinished files, which must not be written any more.
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     gc.freeze()  # a collection would copy all inherited objects
 
