@@ -68,15 +68,10 @@ def assemble(
         if "lat" in gps and "lat" not in placed and recipe.origin is None and origin is not None:
             say(_assumed_origin(seconds, placed, gps, origin))
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
-    metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
     if recipe.gps_from_truth:
         if truth is None:
             raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
-        rate, noise = recipe.gps_from_truth
-        metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
-    if recipe.gps_lever_arm_m:
-        metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
     drive = Drive(
         name=name,
@@ -85,7 +80,7 @@ def assemble(
         truth=truth,
         frame="wgs84" if "lat" in gps else "enu",
         origin=origin,
-        metadata=metadata,
+        metadata=_metadata(recipe, zero),
         odometer=wheels,
     )
     if shortage := shortage_of(drive.imu, drive.gps):
@@ -94,6 +89,17 @@ def assemble(
             shortage += f", with --gps-offset (were both begun together: {offset:.3f})"
         raise InputError(f"{name}: {shortage}")
     return drive
+
+
+def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
+    """The keys of drive.toml; ``zero`` is the second at which the times begin."""
+    metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
+    if recipe.gps_from_truth:
+        rate, noise = recipe.gps_from_truth
+        metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
+    if recipe.gps_lever_arm_m:
+        metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
+    return metadata
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:

@@ -82,31 +82,26 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
+    """The matrix of the given rows: one that is left out is the others' cross product; of two, z or x stays put."""
+    unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:
         found = re.fullmatch(r"([xyz])=([+-]?)([xyz])", part)
         if not found or found[1] in rows:
             raise InputError(f"mount {text!r}: {part!r} is no axis; write for example x=-y,y=x")
-        rows[found[1]] = (-1.0 if found[2] == "-" else 1.0) * np.eye(3)[_AXES.index(found[3])]
-    matrix = _complete(rows)
-    if matrix is None or round(float(np.linalg.det(matrix))) != 1:
+        rows[found[1]] = -unit[found[3]] if found[2] == "-" else unit[found[3]]
+    if len(rows) == 1:
+        stays = "z" if "z" not in rows else "x"
+        rows[stays] = unit[stays]
+    for i, axis in enumerate(_AXES):
+        if axis not in rows:
+            rows[axis] = np.cross(rows[_AXES[(i + 1) % 3]], rows[_AXES[(i + 2) % 3]])
+    matrix = np.array([rows[axis] for axis in _AXES])
+    if round(float(np.linalg.det(matrix))) != 1:
         raise InputError(
             f"mount {text!r} is a mirror image or uses an axis twice, no rotation; check signs with the right hand"
         )
     return matrix
-
-
-def _complete(rows: dict[str, Array]) -> Array | None:
-    """The matrix with the given rows: one that is left out is the others' cross product; two, z or x stays put."""
-    if len(rows) == 1:
-        stays = "z" if "z" not in rows else "x"
-        rows = {**rows, stays: np.eye(3)[_AXES.index(stays)]}
-    if len(rows) == 2:
-        (missing,) = set(_AXES) - set(rows)
-        i = _AXES.index(missing)
-        others = (rows[_AXES[(i + 1) % 3]], rows[_AXES[(i + 2) % 3]])
-        rows = {**rows, missing: np.cross(*others)}
-    return np.array([rows[a] for a in _AXES]) if all(np.any(rows[a]) for a in _AXES) else None
 
 
 def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:

@@ -52,29 +52,26 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 def recordings(time: Nanoseconds) -> list[slice]:
     """The stretches between restarts of a clock."""
     falls = np.flatnonzero(np.diff(time) < 0) + 1
+    whole = [slice(0, len(time))]
     if not len(falls) or len(falls) > max(len(time) // FEWEST_ROWS, 1):
-        return [slice(0, len(time))]
-    step = float(np.median(np.abs(np.diff(time)))) / SECOND
-    least = max(LEAST_FALL, STEPS * step)
+        return whole
+    least = max(LEAST_FALL * SECOND, STEPS * float(np.median(np.abs(np.diff(time)))))
     ends = [0]
-    for fall in falls:
-        back = (int(time[fall - 1]) - int(time[fall])) / SECOND
-        if fall - ends[-1] >= FEWEST_ROWS and len(time) - fall >= FEWEST_ROWS and back > least:
-            ends.append(int(fall))
-    parts = [slice(a, b) for a, b in zip(ends, [*ends[1:], len(time)], strict=True)]
+    for fall in falls.tolist():
+        enough = min(fall - ends[-1], len(time) - fall) >= FEWEST_ROWS
+        if enough and int(time[fall - 1]) - int(time[fall]) > least:
+            ends.append(fall)
+    parts = [slice(*ends) for ends in pairwise([*ends, len(time)])]
     spans = sorted((int(time[p].min()), int(time[p].max())) for p in parts)
-    gaps = [(begin - end) / SECOND for (_, end), (begin, _) in pairwise(spans)]
-    if all(-least < gap < least for gap in gaps):
-        return [slice(0, len(time))]  # the parts of one recording in another order
-    return parts
+    gaps = [begin - end for (_, end), (begin, _) in pairwise(spans)]
+    return whole if all(-least < gap < least for gap in gaps) else parts  # one recording, in another order
 
 
 def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
     """The rows of the recording that is wanted; refused where there are several and none was chosen."""
     parts = recordings(time)
     if len(parts) == 1:
-        whole = f"{where}: its clock does not start anew; all its rows are taken" if part else ""
-        return slice(0, len(time)), whole
+        return parts[0], f"{where}: its clock does not start anew; all its rows are taken" if part else ""
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     said = f"{where}: the clock starts anew at row {parts[1].start + 1}: {len(parts)} recordings ({', '.join(lengths)})"
     if part is None:

@@ -17,6 +17,8 @@ from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Guess, Log, Part, first_bytes, of_rows, require_distinct
 from sigmaswarm.wording import names_shown
 
+_UNIT = re.compile(r"^(latitude|longitude|height|sd[neu]|age|v[neu])\((?:deg|m|s|m/s)\)$")
+"""Names of columns with their unit."""
 _TARGETS = {
     **{"lat": "latitude", "lon": "longitude", "alt": "height", "std_x": "sde", "std_y": "sdn"},
     **{"vx": "ve", "vy": "vn"},
@@ -46,7 +48,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _header(path: Path) -> tuple[str, list[str]]:
-    """The time system, and the columns after the time, without their units."""
+    """The time system, and the columns after the time."""
     said = ""
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -59,7 +61,7 @@ def _header(path: Path) -> tuple[str, list[str]]:
         raise InputError(
             f"{path}: has no header of RTKLIB's with GPST or UTC; write the solution with its header"
         )
-    columns = [re.sub(r"\((?:deg|m|s|m/s)\)$", "", word) for word in words[1:]]
+    columns = [re.sub(_UNIT, r"\1", word) for word in words[1:]]
     if not {"latitude", "longitude"} <= set(columns):
         raise InputError(
             f"{path}: has {names_shown(words[1:4])}; write the solution as latitude, longitude, height"
