@@ -53,7 +53,7 @@ def test_a_cell_is_refused_with_row_and_column(
     table: str, column: str, value: float, tables: dict[str, pl.DataFrame], tmp_path: Path
 ):
     broken = spoiled(tables, table, column, value)
-    with pytest.raises(InputError, match=f"{table}: column {column}, row 7: .* is outside"):
+    with pytest.raises(InputError, match=f"{table}, row 7, column {column}: .* is outside"):
         Drive.from_frames(**broken)
     (tmp_path / "drive.toml").touch()
     for name, frame in broken.items():
@@ -70,7 +70,7 @@ def test_a_time_far_away_is_refused(
     rows = tables[table].height
     last = pl.when(pl.int_range(pl.len()) == rows - 1).then(value).otherwise("t").alias("t")
     broken = {**tables, table: tables[table].with_columns(last)}
-    with pytest.raises(InputError, match=f"{table}, row {rows - 1}: t = .* absurdly far"):
+    with pytest.raises(InputError, match=f"{table}, row {rows - 1}, column t: .* absurdly far"):
         Drive.from_frames(**broken)
     (tmp_path / "drive.toml").touch()
     for name, frame in broken.items():
