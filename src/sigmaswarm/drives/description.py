@@ -68,12 +68,13 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     numbers = cast("list[Any]", value if isinstance(value, list) else [value])
     length = len(numbers) if isinstance(value, list) else 0
     plain = all(type(v) in (int, float) and abs(v) <= LARGEST for v in numbers)
-    if not plain or length not in lengths:
+    what = None
+    if not numbers or not plain or length not in lengths:
         what = f"can't be used; write for example {key} = {example}"
-    elif key == "heading_deg":
-        what = "is no angle; give degrees counter-clockwise from east, -360 to 360" * (abs(numbers[0]) > 360)
-    else:
-        what = "must be positive; leave it out where it is not known" * (length == 0 and not numbers[0] > 0)
+    elif key == "heading_deg" and abs(numbers[0]) > 360:
+        what = "is no angle; give degrees counter-clockwise from east, -360 to 360"
+    elif key != "heading_deg" and length == 0 and not numbers[0] > 0:
+        what = "must be positive; leave it out where it is not known"
     if what:
         raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")
 
