@@ -225,7 +225,7 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
             if np.abs(values - np.round(values)).max() >= EXCHANGED:
                 continue
             values = np.round(values)
-        probe = ACTIONS[repair.action](probe, tuple(values.tolist()))
+        probe = ACTIONS[repair.action](probe, *values.tolist())
     imu = proposal.columns.get("imu", {})
     corrected: dict[str, str] = {}
     for name in IMU:
