@@ -59,7 +59,7 @@ def test_one_call_for_each_job_of_the_command_line(tmp_path):
     with pytest.raises(sigmaswarm.InputError, match="exclude each other"):
         sigmaswarm.run(drive, tuning, smooth=True, bank=True)
     evaluation = sigmaswarm.evaluate(drive, tuning)
-    assert evaluation.drives[drive.name].seen  # the tuning states that it saw this drive
+    assert evaluation.drives[drive.name].record.seen_s  # the tuning states that it saw this drive
     for result in (evaluation, tuning):
         assert sigmaswarm.report(result, tmp_path / "page.html").startswith("<!doctype html>")
         assert sigmaswarm.plot(result).axes
