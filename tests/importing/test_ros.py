@@ -1,5 +1,6 @@
 """ROS 1 and ROS 2 bags and MCAP: a drive written by other libraries comes back in every column."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,13 @@ def test_storage_file_alone(tmp_path: Path):
     assert_same(imported(next(folder.glob("*.db3")), recipe=AT).drive)
     (folder / "metadata.yaml").unlink()
     assert_same(imported(folder, recipe=AT).drive)
+
+
+def test_a_number_of_messages_that_is_none(tmp_path: Path):
+    file = write(tmp_path, "mcap") / "metadata.yaml"
+    file.write_text(re.sub(r"(  - message_count: )\d+", r"\1many", file.read_text(), count=1))
+    with pytest.raises(InputError, match=r"its metadata.yaml is damaged .*; run `ros2 bag reindex`"):
+        imported(file.parent)
 
 
 def test_stamps_count_and_their_distance_is_told(tmp_path: Path):

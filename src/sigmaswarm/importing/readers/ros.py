@@ -10,7 +10,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.fields import columns_of
 from sigmaswarm.importing.readers.messages import Message, message_log
-from sigmaswarm.importing.source import Log, Table, first_bytes, library, whole
+from sigmaswarm.importing.source import Log, Table, broken, first_bytes, library, whole
 
 _FILES = (".bag", ".db3", ".mcap")
 
@@ -98,7 +98,11 @@ def _bounded(stream: Callable[[], Any], limits: Limits, path: Path) -> Callable[
 def _log(path: Path, reader: Any, limits: Limits) -> Log:
     tables: dict[str, Table] = {}
     unread: list[str] = []
-    for topic, info in reader.topics.items():
+    try:
+        topics = reader.topics
+    except TypeError as error:  # metadata.yaml has a number of messages that is none
+        raise broken(path, error, "its metadata.yaml is damaged", "run `ros2 bag reindex` on it") from None
+    for topic, info in topics.items():
         kind = info.msgtype or "several types"
         if columns := columns_of(reader.typestore, kind, limits, path):
             tables[topic] = Table(columns, kind, info.msgcount)
