@@ -10,7 +10,7 @@ import pytest
 
 from sigmaswarm import files
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import make_folder, whole_file, whole_folder, write_json, write_whole
+from sigmaswarm.files import held_folder, make_folder, whole_file, whole_folder, write_json, write_whole
 
 HIDDEN = ".x.csv.sigmaswarm-0123456789ab"
 
@@ -246,3 +246,11 @@ def test_a_killed_run_holds_nothing(tmp_path: Path):
     assert done.returncode == -9
     with files.held_folder(tmp_path):
         pass
+
+
+def test_a_run_removes_lock_files_of_killed_ones_in_folders_that_it_does_not_write(tmp_path: Path):
+    left = tmp_path / "trials" / ".trial-001.sigmaswarm-d50eb2f8a41a.lock"
+    left.parent.mkdir()
+    left.touch()
+    with held_folder(tmp_path):
+        assert not left.exists()

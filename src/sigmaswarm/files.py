@@ -80,6 +80,8 @@ def held_folder(path: Path) -> Generator[Path]:
         raise InputError(
             f"{path}: another run is filling it; wait for its end, or choose another --out"
         ) from None
+    # A run that was killed just after its last file of a folder within left a lock file that no write would find.
+    _sweep_all(path, "**/.*.lock")
     try:
         yield path
     finally:
@@ -266,8 +268,12 @@ def _flush(folder: Path) -> None:
 @cache  # once per folder and process: each process removes its own
 def _sweep(folder: Path) -> None:
     """Remove what killed runs left in a folder: hidden names of ours whose lock file is ours and not locked."""
+    _sweep_all(folder, ".*.lock")
+
+
+def _sweep_all(folder: Path, pattern: str) -> None:
     with suppress(OSError):
-        for file in folder.iterdir():
+        for file in folder.glob(pattern):
             if _LOCK.fullmatch(file.name):
                 with suppress(OSError):
                     _sweep_one(file)
