@@ -80,8 +80,10 @@ def held_folder(path: Path) -> Generator[Path]:
         raise InputError(
             f"{path}: another run is filling it; wait for its end, or choose another --out"
         ) from None
-    # A run that was killed just after its last file of a folder within left a lock file that no write would find.
-    _sweep_all(path, "**/.*.lock")
+    # A run that was killed just after its last file of a folder within left a lock file that no write would find. No
+    # run makes folders deeper than this; all of a large tree that a user named would take long.
+    for level in ("", "*/", "*/*/", "*/*/*/"):
+        _sweep_all(path, f"{level}.*.lock")
     try:
         yield path
     finally:
