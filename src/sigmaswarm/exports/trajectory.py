@@ -44,8 +44,8 @@ def write_estimate(
     origin : (latitude deg, longitude deg, altitude m), optional
         Where x = y = 0 is on the earth; the last three formats need it.
     time_origin : float
-        s at which the estimate's times are 0 on the clock of the log that it was made of, as `time_origin_of` a drive
-        says it; for bags and maps, which have their times on that clock.
+        s at which the estimate's times are 0 on the clock of its log, see `time_origin_of`; for bags and maps, whose
+        times are on that clock.
     beside : str or Path, optional
         .ros2: a ROS 2 bag whose messages are copied unchanged into the new one.
     name : str, optional
@@ -178,7 +178,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
-    """Write a MATLAB file; its format has an array's size before its numbers, so all pieces are held."""
+    """Write a MATLAB file; its format has an array's size before its numbers, so all pieces stay in memory."""
     from scipy.io import savemat
 
     parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]
