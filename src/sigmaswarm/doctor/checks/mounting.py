@@ -85,8 +85,8 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
         return
-    start = find_start(evidence.drive)
-    if isinstance(start, NoStart) or evidence.drive.heading is not None:
+    start, drive = find_start(evidence.drive), evidence.drive
+    if isinstance(start, NoStart) or drive.heading is not None or drive.gps.heading is not None:
         return
     gained = smoothed(imu.time, integral(imu.time, imu.ax), course.time - evidence.clock.late, course.span)
     speed = np.abs(course.velocity)
