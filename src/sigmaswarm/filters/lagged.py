@@ -10,7 +10,6 @@ from sigmaswarm.filters.compiled.memory import LiveArrays
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
-from sigmaswarm.filters.names import ModelName
 
 NEARLY = 1e-6
 """s: rounding error of a lag."""
@@ -30,7 +29,7 @@ class FixedLag:
         That the memory can hold.
     """
 
-    def __init__(self, model: ModelName, lag: float, *, most_steps: int) -> None:
+    def __init__(self, model: str, lag: float, *, most_steps: int) -> None:
         self._model, self._lag = model, lag
         self._state, self._width = state_rows(model), len(taped_rows(model))
         self._belief = np.zeros(TAPE + most_steps * self._width)

@@ -19,6 +19,7 @@ from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.watch import WATCHED
 from sigmaswarm.filters.divergence import Check, DivergenceMonitor, aligned_by, at_fix, steps_since
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA, require_driven_by_imu
@@ -138,7 +139,7 @@ class LiveFilter:
         require_driven_by_imu(p.model, "a live filter or filter bank")
         self.parameters = p
         self._calls = live.live_calls()
-        self._state = state_rows(p.model)
+        self._state = state_rows(p.full_model)
         self._axes = MODELS[p.model].imu
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
         self._plausible = bool(KernelArray((p,)).plausible[0])
@@ -153,7 +154,7 @@ class LiveFilter:
         belief[live.AS_RECORDED], belief[live.LATE_BY] = as_recorded, history
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
         self._memory = Memory(
-            single_step(p.model),
+            single_step(p.full_model),
             LiveArrays(
                 belief,
                 counts,
@@ -168,7 +169,9 @@ class LiveFilter:
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._monitor = DivergenceMonitor() if recover else None
         self._holds = False  # it has diverged, and the estimate is a fix, updated at each sample
-        self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=MOST_WAITING + seen + samples)
+        self._lag = (
+            None if lag is None else FixedLag(p.full_model, lag, most_steps=MOST_WAITING + seen + samples)
+        )
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample. One not after the last one is ignored, one more than 10 s ahead is held.
@@ -210,7 +213,7 @@ class LiveFilter:
         """Take a fix: x, y (m), and perhaps its velocity, m/s east and north.
 
         ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
-        needs it.
+        needs it, one with ``fix_error`` uses it.
 
         Returns
         -------
@@ -223,7 +226,8 @@ class LiveFilter:
             If the filter needs ``std`` and does not get it.
         """
         try:
-            var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
+            takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
+            var_x, var_y = _squared(std) if takes else (0.0, 0.0)
             seen = fix[0], fix[1], 0.0, 0.0, 0.0
             if velocity is not None and self._takes_velocity:
                 seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
@@ -334,7 +338,7 @@ class LiveFilter:
 
     def _estimate(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
-        mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.model)
+        mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.full_model)
         return mean[0], covariance[0]
 
     @property
@@ -382,7 +386,9 @@ class LiveFilter:
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
         """``packed``: the model's state rows, (s,)."""
         with np.errstate(all="ignore"):  # overflow is reported as failed
-            mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.model))
+            mean, covariance = (
+                of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.full_model)
+            )
         lost = self._monitor is not None and self._monitor.lost
         sound = definite and self._belief[live.OK] == 1.0 and self._plausible
         return told(time, mean, covariance, lost, sound)
@@ -429,5 +435,5 @@ def _believe(
     nothing = len(given)  # behind the model's axes come zeros
     v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]
     v[live.STOP] = new_stop()
-    v[live.DIMENSION] = len(MODELS[p.model].states)
+    v[live.DIMENSION] = len(FILTERS[p.full_model].states)
     return v

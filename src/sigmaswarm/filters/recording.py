@@ -121,7 +121,7 @@ class Recording:
         self._replay, self._array, self._samples = replay, KernelArray((parameters,)), samples
         self.initial = replay.initial
         self._rows, self._place = start_replays([replay], self._array), new_place()
-        self._state = state_rows(parameters.model)
+        self._state = state_rows(parameters.full_model)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._checks = check_times(replay.timeline) if recover else None
         if self._checks is not None:

@@ -24,7 +24,6 @@ from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
-from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
@@ -102,8 +101,8 @@ class _Forward(Recording):
         require_readable(replay, self._array)
         self.checkpoints: list[_Checkpoint] = []
         self._switches = switches(parameters)
-        self._kernel: Any = taped_kernel(parameters.model)
-        self._width = len(taped_rows(parameters.model)) + 1  # and whether it is sound
+        self._kernel: Any = taped_kernel(parameters.full_model)
+        self._width = len(taped_rows(parameters.full_model)) + 1  # and whether it is sound
         self._first, self._logged = 0, np.empty((0, self._width, 1))
         self._resets: list[tuple[int, Array]] = []
 
@@ -182,7 +181,7 @@ class Smoothing:
         recover: bool = False,
     ) -> None:
         self._line = replay.timeline
-        self._model: ModelName = parameters.model
+        self._model = parameters.full_model
         self._forward = forward = _Forward(replay, parameters, samples=samples, recover=recover)
         self._sizes: list[tuple[int, int]] = []  # samples of each piece, and how many of them are sound
         for piece in forward:
@@ -268,5 +267,6 @@ def smooth_textbook(
     mean[:, THETA] = wrap_angle(mean[:, THETA])
     failure = failure_at(line, line.end[found.failed]) if found.failed >= 0 else None
     covariance = tilts.as_angles(mean, covariance) if tilts else covariance
-    start = InitialState(found.mean[0], found.covariance[0], replay.initial.time)
-    return Estimate(line.imu_time[: len(sampled)], mean, covariance, start, failure)
+    n = parameters.n_states
+    start = InitialState(found.mean[0, :n], found.covariance[0, :n, :n], replay.initial.time)
+    return Estimate(line.imu_time[: len(sampled)], mean[:, :n], covariance[:, :n, :n], start, failure)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import Switches, switches
 
@@ -17,7 +16,7 @@ _ABSENT: dict[str, float] = {
     **dict.fromkeys(
         ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "gate"), math.inf
     ),
-    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof"), 0.0),
+    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
 """The number that stands for None in the fields that may be None."""
 
@@ -85,7 +84,7 @@ def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[NDArray[
     """Tables of the sets of each model and choice of measurements, and the indices of each table's sets."""
     if isinstance(parameter_sets, ParameterTable):
         return [(np.arange(len(parameter_sets)), parameter_sets)]
-    alike: dict[tuple[ModelName, Switches], list[int]] = {}
+    alike: dict[tuple[str, Switches], list[int]] = {}
     for i, p in enumerate(parameter_sets):
-        alike.setdefault((p.model, switches(p)), []).append(i)
+        alike.setdefault((p.full_model, switches(p)), []).append(i)
     return [(np.array(at), ParameterTable.of([parameter_sets[i] for i in at])) for at in alike.values()]

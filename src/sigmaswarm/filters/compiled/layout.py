@@ -11,7 +11,7 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.fix_error import FILTERS
 
 LANES = 16
 """Parameter sets side by side in a row; a compile-time constant, two AVX-512 or four AVX2 vectors."""
@@ -26,7 +26,7 @@ BLOCKS = 2
 def most_lanes(model: str) -> int:
     """Filters that a run takes at once: many, for they hide what each waits for, but all in a core's nearest cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
-    return LANES if MODELS[model].tilts or uncompiled else BLOCKS * LANES
+    return LANES if FILTERS[model].tilts or uncompiled else BLOCKS * LANES
 
 
 def lanes_for(n_sets: int) -> int:
@@ -38,10 +38,11 @@ LETTERS = {
     "x": "X", "y": "Y", "vx": "U", "vy": "V", "theta": "T",
     "accel_bias_x": "A", "accel_bias_y": "B", "gyro_bias_z": "W",
     "roll": "I", "pitch": "J", "gyro_bias_x": "K", "gyro_bias_y": "L",
+    "fix_error_x": "M", "fix_error_y": "N",
 }  # fmt: skip
 """One for each state of any model; two of them name an element of the covariance."""
 
-_LARGEST = max(MODELS.values(), key=lambda model: len(model.states))
+_LARGEST = max(FILTERS.values(), key=lambda model: len(model.states))
 _STATES = [LETTERS[name] for name in _LARGEST.names]
 
 MEAN = tuple(_STATES)
@@ -59,6 +60,7 @@ CONSTANTS = (
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
     "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
+    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix that states none
 )  # fmt: skip
 """Of a parameter set."""
 SUMS = (
@@ -81,6 +83,7 @@ SCRATCH = (
     "N1", "N2",  # nu
     "G11", "G12", "G22", "USE",  # the gain's G
     "FACTOR",  # by which P is stretched
+    "PHI", "GAINED_X", "GAINED_Y",  # of `fix_error`
     "ARM",  # of the lateral constraint: see `models.lateral_arm`
     # A prediction's: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
@@ -88,7 +91,7 @@ SCRATCH = (
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
     # What a smoother needs of a step: the prediction, and what moved the state. See `tape`.
-    *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(12)),
+    *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(13)),
 )  # fmt: skip
 
 _BLOCKS = {
@@ -118,8 +121,8 @@ N_STATE: int = STATE_ROWS.stop
 @cache
 def state_rows(model: str) -> NDArray[np.intp]:
     """The rows that hold a model's state: mean (n,), quaternion (4,) if any, upper triangle of the covariance."""
-    n = len(MODELS[model].states)
-    quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if MODELS[model].tilts else ()
+    n = len(FILTERS[model].states)
+    quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if FILTERS[model].tilts else ()
     return np.array([*range(n), *quaternion, *range(P0, P0 + n * (n + 1) // 2)], dtype=np.intp)
 
 

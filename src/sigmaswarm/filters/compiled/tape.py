@@ -13,6 +13,7 @@ import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import kernel
 from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, R, state_rows
+from sigmaswarm.filters.fix_error import FILTERS, own_name
 
 MOVES = {
     "planar5": (R.JEAST, R.JNORTH),
@@ -22,20 +23,31 @@ MOVES = {
         *(R.D11, R.D12, R.D13, R.D21, R.D22, R.D23, R.D31, R.D32, R.D33),
     ),
 }
-"""By model: the rows that make A beside the step's length, all in proportion to it."""
+"""By model: the rows that make A beside the step's length, all in proportion to it. Then comes phi of `fix_error`."""
+
+
+def _moves_of(model):
+    return MOVES[own_name(model)]
 
 
 def taped_rows(model):
     """The rows of a step on tape: the state behind it, the prediction, the step's length and what else makes A."""
-    state = state_rows(model)
-    return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + 1 + len(MOVES[model]))], dtype=np.intp)
+    state, n_moves = state_rows(model), 1 + len(_moves_of(model)) + FILTERS[model].fix_error
+    return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
 
-def _note_move(w, dt, *, places, moves):
+def phi_place(model):
+    """Number of phi among the rows MOVE; 0 of a model without one."""
+    return 1 + len(_moves_of(model)) if FILTERS[model].fix_error else 0
+
+
+def _note_move(w, dt, *, places, moves, phi):
     for l in range(LANES):
         w[MOVE, l] = dt
         for i in places:  # a step of no length predicts nothing: A is one
             w[MOVE + 1 + i, l] = w[moves[i], l] if dt > 0.0 else 0.0
+        if phi:
+            w[MOVE + phi, l] = 1.0  # but at a fix: see `move_fix_error`
 
 
 def _note_prior(w, *, state):
@@ -46,7 +58,12 @@ def _note_prior(w, *, state):
 
 def note_move(model):
     """The kernel that notes what makes A, right after a prediction."""
-    return kernel(_note_move, places=range(len(MOVES[model])), moves=MOVES[model])
+    return kernel(
+        _note_move,
+        places=range(len(_moves_of(model))),
+        moves=_moves_of(model),
+        phi=phi_place(model),
+    )
 
 
 def note_prior(model):
