@@ -31,7 +31,7 @@ from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.optimizers import OPTIMIZERS
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
-from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
+from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.tune import check_apart, tune_problem, tuning_folder
@@ -104,7 +104,11 @@ def compare(
     trained, tested = training.map(sensors_of), held_out.map(sensors_of)
     everywhere = [*trained, *tested]
     shared, _ = with_filter({**config}, everywhere)
-    shared |= {"objective": objective_for(everywhere, config.get("objective", "auto"), shared["model"])}
+    shared |= {
+        "objective": objective_for(
+            everywhere, config.get("objective", "auto"), shared["model"], shared["use"]
+        )
+    }
     rivals = contenders(optimizers, scales, {**shared, "prior": 0.0, "inflation": 0.0})
     problem = car_problem(training, rivals[0].config)
     test = problem.on(held_out) if len(held_out) else None
@@ -160,8 +164,7 @@ def _check_options(seeds: int, config: Mapping[str, Any]) -> None:
 
 def _problems(problem: CarProblem, rivals: Sequence[Contender]) -> dict[Contender, CarProblem]:
     """Return the problem of each contender: shared drives, and the search space of its scale."""
-    interval = usual_interval(problem.sensors)
-    spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
+    spaces = {rival.scale: car_space(rival.config, problem.sensors) for rival in rivals}
     return {rival: replace(problem, config=rival.config, space=spaces[rival.scale]) for rival in rivals}
 
 

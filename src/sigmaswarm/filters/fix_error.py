@@ -44,6 +44,10 @@ class Appended:
         return np.hstack([own, self.gain * np.eye(len(own), 2)])
 
 
+def _appended(measure: Callable[[Any, Any], Any], gain: float = 0.0) -> Callable[[Any, Any], Appended]:
+    return lambda a, b: Appended(measure(a, b), gain)
+
+
 def augmented(model: CarModel) -> CarModel:
     """A model with the states b behind its own."""
 
@@ -54,10 +58,10 @@ def augmented(model: CarModel) -> CarModel:
         model,
         states=(*model.states, *STATES),
         process=process,
-        position=lambda lever, latency: Appended(model.position(lever, latency), 1.0),
+        position=_appended(model.position, 1.0),
         velocity=Appended(model.velocity),
-        lateral=lambda yaw_rate, distance: Appended(model.lateral(yaw_rate, distance)),
-        odometer=lambda ax, delay: Appended(model.odometer(ax, delay)),
+        lateral=_appended(model.lateral),
+        odometer=_appended(model.odometer),
         rates_at_rest=Appended(model.rates_at_rest),
         tilts=_tilts(model.tilts) if model.tilts else None,
         kinds=tuple(kind for kind in model.kinds if kind in ("ukf", "ekf")),

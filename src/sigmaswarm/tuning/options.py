@@ -14,7 +14,16 @@ from sigmaswarm.filters.names import FilterKind, ModelName
 Scale = Literal["log10", "linear"]
 OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "bo", "nelder-mead", "random", "sobol"]
 Option = Literal[
-    "velocity", "lateral", "slip", "standstill", "odometer", "gate", "latency", "accuracy", "robust"
+    "velocity",
+    "lateral",
+    "slip",
+    "standstill",
+    "odometer",
+    "gate",
+    "latency",
+    "accuracy",
+    "robust",
+    "fix-error",
 ]
 
 INERTIA = 0.7298

@@ -34,7 +34,7 @@ from sigmaswarm.tuning.diagnostics import (
     said_of_scale,
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
+from sigmaswarm.tuning.prior import prior_costs, typical_variance
 from sigmaswarm.tuning.receiver import (
     FixNoise,
     fix_noise,
@@ -138,7 +138,7 @@ class CarProblem:
     @cached_property
     def _receiver_std(self) -> Array:
         """Standard deviation of each drive's receiver, shape (m, 2), m."""
-        return np.array(self.replays.dataset.map(receiver_std))
+        return np.array([one.receiver_std for one in self.sensors])
 
     @property
     def seen(self) -> Sequence[Landmarks]:
@@ -294,17 +294,21 @@ def car_problem(
     replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
     data = dataset.map(described)
     run_kernel(config.model)  # written out here, before threads start that would all wait for it
-    return CarProblem(config, space or car_space(config, usual_interval(have)), data, replays)
+    return CarProblem(config, space or car_space(config, have), data, replays)
 
 
-def car_space(config: TuneConfig, interval: float) -> SearchSpace:
-    """The search space of a configuration; ``interval``: s between two IMU samples, to which Q refers."""
-    return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
-
-
-def usual_interval(drives: Sequence[Drive | Sensors]) -> float:
-    """The drives' usual time between two IMU samples, s."""
-    return float(np.median([sensors_of(drive).interval for drive in drives]))
+def car_space(config: TuneConfig, drives: Sequence[Drive | Sensors]) -> SearchSpace:
+    """The search space of a configuration; Q refers to the drives' usual time between two IMU samples."""
+    have = [sensors_of(drive) for drive in drives]
+    return search_space(
+        config.model,
+        config.scale,
+        float(np.median([one.interval for one in have])),
+        kind=config.kind,
+        use=config.use,
+        fix_std=float(np.median([one.receiver_std for one in have])),
+        has_truth=objective_named(config.objective).needs_truth,
+    )
 
 
 def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Any, get_args
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, SENSORS, CarModel, State
 from sigmaswarm.filters.names import FilterKind, ModelName
@@ -65,11 +66,20 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
     "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
     "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
+    "fix-error": (
+        Dimension("fix_error", "fix_error", 0, 1e-3, 4.0),
+        Dimension("fix_error_time", "fix_error_time", 0, 0.5, 300.0),
+    ),
 }
+TIME = "fix_error_time"
+"""Searched with truth alone: the likelihood is flat in it, or largest at the bound."""
+LEAST_WHITE = 0.04
+"""Least R of a fix over the receiver's variance, with states for errors that last and without truth. With less,
+Student's t takes the wander for outliers."""
 ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R in addition to the stated variance of each fix."""
 NOISES = (
-    *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale"),
+    *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
     *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
 )
 LEAST = {
@@ -169,11 +179,14 @@ def search_space(
     *,
     kind: FilterKind = "ukf",
     use: Sequence[Option] = (),
+    fix_std: float = UNSTATED_GPS_STD,
+    has_truth: bool = False,
 ) -> SearchSpace:
     """Make the search space of a filter, with the paper's bounds for planar5; ``scale`` is that of the variances.
 
     All but planar5 without the lateral constraint share the noise of east and north: q_xy, q_vxy, r_xy. Bounds per
-    second are converted to ``nominal_interval``, or to 10 ms.
+    second are converted to ``nominal_interval``, or to 10 ms. With fix-error, ``fix_std`` (m) is the receiver's
+    standard deviation per axis, and ``has_truth`` is True where the objective compares with truth.
 
     Raises
     ------
@@ -198,8 +211,12 @@ def search_space(
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
     dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
+    if "fix-error" in use and not has_truth:
+        dimensions = tuple(_without_truth(dimensions, fix_std, "accuracy" in use))
     logarithmic = np.array([d.spread and scale == "log10" for d in dimensions])
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
+    if "fix-error" in use:
+        fixed["fix_std"] = fix_std
     if kind == "ekf":  # it has no sigma points
         fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
     return SearchSpace(
@@ -210,6 +227,16 @@ def search_space(
         dimensions=dimensions,
         fixed=fixed,
     )
+
+
+def _without_truth(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
+    """Dimensions with fix-error and without truth; ``weighs``: R grows with the stated variance of a fix."""
+    field, least = (
+        ("accuracy_scale", LEAST_WHITE) if weighs else ("measurement_noise", LEAST_WHITE * fix_std**2)
+    )
+    for one in dimensions:
+        if one.field != TIME:
+            yield replace(one, lowest=max(one.lowest, least)) if one.field == field else one
 
 
 def _dimensions(

@@ -46,7 +46,7 @@ from sigmaswarm.scoring.tracks import Picture, save_tracks
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import require_packages
-from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
+from sigmaswarm.tuning.problem import CarProblem, car_space
 from sigmaswarm.tuning.search import Search, Trial
 from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import ResultFolder
@@ -257,8 +257,7 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
 
 def _spaces(design: Design) -> dict[Variant, SearchSpace]:
     """Make the search space of every tuned variant, for the drives' usual IMU interval."""
-    interval = usual_interval(design.drives)
-    return {(p, m): car_space(design.tune_config(m, p), interval) for p, m in design.config.tuned}
+    return {(p, m): car_space(design.tune_config(m, p), design.drives) for p, m in design.config.tuned}
 
 
 def _tune_all(
