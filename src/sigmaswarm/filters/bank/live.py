@@ -27,10 +27,10 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, 
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
 from sigmaswarm.filters.divergence import DivergenceMonitor
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter, LiveState, told
-from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
-from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.models import GYRO_BIAS, THETA
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
@@ -64,7 +64,7 @@ class Mixture:
 
     @classmethod
     @np.errstate(all="ignore")  # a lane may fail, and does not count then
-    def of(cls, states: Array, weights: Array, model: ModelName) -> "Mixture":
+    def of(cls, states: Array, weights: Array, model: str) -> "Mixture":
         """Mix the state rows (k, s, LANES) with the weights (k, LANES) of a bank; NaN where all weights are 0."""
         mean, covariance = state_estimate(states, model)  # (k, LANES, n), (k, LANES, n, n)
         sound = np.isfinite(mean.sum(axis=2) + covariance.sum(axis=(2, 3)))
@@ -196,7 +196,7 @@ class LiveFilterBank(LiveFilter):
         self.spread = Spread(parameters)
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets * self.spread.lasting
-        self._model: ModelName = parameters.model
+        self._model = parameters.full_model
         self._settled = len(self._memory.arrays.history)  # as many samples back nothing changes any more
         self._memory = self._with_lanes(nominal_interval)
         self._belief[live.BELIEVES_TIMES] = believe_times
@@ -401,7 +401,7 @@ class LiveFilterBank(LiveFilter):
     @property
     def _biases(self) -> list[int]:
         """Indices of the biases among the model's states."""
-        return [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+        return [i for i, state in enumerate(FILTERS[self._model].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """State estimate (n,), (n, n) with the biases from before it was lost: at a fix, lanes forget them."""

@@ -27,7 +27,6 @@ from sigmaswarm.filters.compiled.swarm import (
     T_WHEELS,
 )
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
 
@@ -61,7 +60,7 @@ class Evidence:
 class Steps:
     """Steps of the log of a filter bank (k, N_TAPE), and what else `run_lanes` reads of them."""
 
-    model: ModelName
+    model: str
     rows: Array
     lever: Array
 
