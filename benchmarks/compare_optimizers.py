@@ -3,16 +3,32 @@
     python benchmarks/compare_optimizers.py OUT [--drives ../shared/drives] [--seeds 20] [--only "KITTI, truth-rmse"]
 
 Every comparison is kept in a folder of OUT, with all measures, and resumed if it is there. `--write` needs all cases.
+
+    python benchmarks/compare_optimizers.py OUT --budgets
+
+writes the table of training costs at three budgets. Every run is a line of OUT/budgets.jsonl; runs in it are not
+repeated. It takes about half an hour of one core.
 """
 
 import argparse
+import json
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
+import numpy as np
+
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
+from sigmaswarm.drives.sensors import sensors_of
+from sigmaswarm.drives.split import clip
 from sigmaswarm.experiments.comparison import COMPARED
 from sigmaswarm.reports.compare import comparison_table, save_comparison
+from sigmaswarm.tuning.config import TuneConfig, validated_config
+from sigmaswarm.tuning.defaults import settled, with_filter
+from sigmaswarm.tuning.optimizers import create_optimizer
+from sigmaswarm.tuning.problem import CarProblem, car_problem
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 BASE = ("pso", "de", "cma-es", "ga", "ga-pso", "sobol")
@@ -99,6 +115,83 @@ def comparisons(case: str, setting, out: Path, seeds: int) -> Iterator[tuple[str
         yield model, found
 
 
+BUDGETS = (300, 1500, 6000)
+AT_BUDGETS = ("pso", "de", "de-qpso", "cma-es")
+NEAR = 1.02
+"""A run counts as good if its cost is below this factor times the lowest of all runs on its task."""
+
+
+def tasks(folder: Path) -> dict[str, list[Drive]]:
+    """Parts of real drives and a simulated one, short to save time; blind ones without truth."""
+
+    def first(name: str, seconds: float) -> Drive:
+        drive = read_drive(folder / name)
+        return clip(drive, drive.imu.time[0], drive.imu.time[0] + seconds)
+
+    cars = {"colorado": first("colorado-1", 100), "kingston": first("kingston-1", 900)}
+    return {
+        "KITTI": [first("kitti-09-26-0022", 40), first("kitti-09-30-0034", 40)],
+        "simulated": [simulate("urban", run=0, duration=60, gps="white-1m")],
+        **{name: [drive] for name, drive in cars.items()},
+        **{f"{name}, blind": [replace(drive, truth=None)] for name, drive in cars.items()},
+    }
+
+
+def default_problem(drives: Sequence[Drive]) -> CarProblem:
+    """Set up the filter and the objective that `tune` takes by default."""
+    sensors = [sensors_of(drive) for drive in drives]
+    options, _ = with_filter({}, sensors)
+    return car_problem(drives, settled(validated_config(TuneConfig, options), sensors))
+
+
+def lowest_cost(problem: CarProblem, name: str, budget: int, seed: int) -> float:
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    low, high = problem.space.low, problem.space.high
+    optimizer = create_optimizer(name, low, high, population=30, budget=budget, rng=rng)
+    while len(points := optimizer.ask()):
+        optimizer.tell(problem.costs(points, None))
+    return optimizer.global_cost
+
+
+def run_budgets(folder: Path, file: Path, seeds: int) -> dict[tuple[str, str, int, int], float]:
+    """Run what is not in the file yet; return the costs by task, optimizer, budget and seed."""
+    file.parent.mkdir(exist_ok=True)
+    lines = file.read_text().splitlines() if file.exists() else []
+    costs = {tuple(key): cost for *key, cost in map(json.loads, lines)}
+    problems = {task: default_problem(drives) for task, drives in tasks(folder).items()}
+    for budget, seed, task, name in product(BUDGETS, range(seeds), problems, AT_BUDGETS):
+        key = (task, name, budget, seed)
+        if key not in costs:
+            costs[key] = lowest_cost(problems[task], name, budget, seed)
+            with file.open("a") as out:
+                out.write(json.dumps([*key, costs[key]]) + "\n")
+            print(*key, costs[key], flush=True)
+    return costs
+
+
+def budget_table(costs: Mapping[tuple[str, str, int, int], float], seeds: int) -> str:
+    """Tabulate the share of good runs and the mean over the tasks of the median relative cost, with intervals."""
+    names = sorted({task for task, *_ in costs})
+    best = {task: min(cost for key, cost in costs.items() if key[0] == task) for task in names}
+    draws = np.random.default_rng(0).integers(seeds, size=(2000, len(names), seeds))
+    rows = []
+    for name in AT_BUDGETS:
+        row = [f"`{name}`"]
+        for budget in BUDGETS:
+            each = [[costs[task, name, budget, s] / best[task] for s in range(seeds)] for task in names]
+            again = np.take_along_axis(np.array(each)[np.newaxis], draws, axis=2)
+            shares, medians = (again < NEAR).mean(axis=(1, 2)), np.median(again, axis=2).mean(axis=1)
+            share, median = np.less(each, NEAR).mean(), np.median(each, axis=1).mean()
+            ends = [*np.quantile(shares, [0.025, 0.975]), *np.quantile(medians, [0.025, 0.975])]
+            row += [
+                f"{share:.0%} [{ends[0]:.0%}, {ends[1]:.0%}]",
+                f"{median:.3f} [{ends[2]:.3f}, {ends[3]:.3f}]",
+            ]
+        rows.append(row)
+    heads = [f"{budget}: {what}" for budget in BUDGETS for what in ("within 2%", "median")]
+    return markdown(["optimizer", *heads], rows)
+
+
 Found = dict[str, dict[str, Comparison]]
 """Comparisons by case and model."""
 
@@ -182,8 +275,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--only", nargs="+")
     parser.add_argument("--write", action="store_true", help="write docs/optimizers.md")
+    parser.add_argument("--budgets", action="store_true", help="training costs at three budgets")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
+    if options.budgets:
+        costs = run_budgets(options.drives, options.out / "budgets.jsonl", options.seeds)
+        write("budgets", budget_table(costs, options.seeds))
+        return
     settings = cases(options.drives)
     chosen = {case: settings[case] for case in options.only or settings}
     if options.write and not settings.keys() <= chosen.keys() >= HELD_OUT:

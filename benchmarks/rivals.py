@@ -31,7 +31,7 @@ from sigmaswarm.filters.names import FilterKind, NetworkName
 from sigmaswarm.filters.parameters import clash
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.learned.folder import Learned, load_learned
-from sigmaswarm.learned.learn import learn
+from sigmaswarm.learned.learn import LearnConfig, learn
 from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import tracking_replay
@@ -141,7 +141,7 @@ def rows(case: Case, seed: int, search: int, done: set[tuple], networks: Sequenc
         if method in get_args(NetworkName):
             with tempfile.TemporaryDirectory() as folder:
                 out = Path(folder) / "learned"
-                learn(method, base[0], case.train, out=out, search=search, seed=seed)
+                learn(LearnConfig(method, base[0], case.train, search=search, seed=seed), out)
                 took = json.loads((out / "timings.json").read_text())["processor_s"]
                 learned = load_learned(out)
             parameters, cost, numbers = base[0], base[1] + took, base[2] + learned.record.network.numbers

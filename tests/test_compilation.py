@@ -78,13 +78,9 @@ def _process(
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
-    """A folder with a program and a full cache of it, made where every file may be read; what its process said."""
+    """A folder with a program and a full cache of it, and what the process said."""
     folder = tmp_path_factory.mktemp("sound")
-    usual = os.umask(0)
-    try:
-        return folder, run(folder, folder / "cache")
-    finally:
-        os.umask(usual)
+    return folder, run(folder, folder / "cache")
 
 
 @pytest.fixture(scope="module")
@@ -110,8 +106,13 @@ def test_that_something_is_compiled_is_told_once(first: tuple[Path, dict[str, ob
 
 
 @needs_modes
-def test_the_folder_is_open_to_nobody_else(sound: Path):
-    assert stat.S_IMODE((sound / "cache" / "sigmaswarm").stat().st_mode) == 0o700
+def test_the_folder_is_open_to_nobody_else(tmp_path: Path):
+    usual = os.umask(0)
+    try:
+        run(tmp_path, tmp_path / "made" / "cache")
+    finally:
+        os.umask(usual)
+    assert stat.S_IMODE((tmp_path / "made" / "cache" / "sigmaswarm").stat().st_mode) == 0o700
 
 
 @needs_modes

@@ -106,20 +106,11 @@ def keep_incomplete(recording: Recording, options: Options) -> None:
 
 def toml(content: dict[str, Any], table: str = "") -> str:
     """Return a dictionary of scalars, lists and tables as TOML."""
-    lines = [f"{key} = {_toml_value(v)}" for key, v in content.items() if not isinstance(v, dict)]
-    text = "\n".join(lines) + "\n"
+    # The numbers, strings and lists of JSON are TOML's as well.
+    values = ((key, v) for key, v in content.items() if not isinstance(v, dict))
+    text = "\n".join(f"{key} = {json.dumps(v, ensure_ascii=False)}" for key, v in values) + "\n"
     for key, value in content.items():
         if isinstance(value, dict):
             name = f"{table}{key}"
             text += f"\n[{name}]\n{toml(dict(value), f'{name}.')}"
     return text
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_toml_value(v) for v in value)}]"
-    return repr(value)

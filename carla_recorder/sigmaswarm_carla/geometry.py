@@ -7,8 +7,8 @@ forward-left-up) in `polar` and `axial`, and nowhere else.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Sequence
+from ctypes import c_float
 from typing import Any
 
 from .options import RecorderError
@@ -86,7 +86,7 @@ class Geodesy:
         determinant = a * d - b * c
         x = y = 0.0
         for _ in range(6):
-            x, y = _single(x), _single(y)  # the client's positions are single floats
+            x, y = c_float(x).value, c_float(y).value  # as the client's positions
             at = self._locate(x, y)
             e, f = lat - at[0], lon - at[1]
             dx, dy = (d * e - b * f) / determinant, (a * f - c * e) / determinant
@@ -106,7 +106,3 @@ class Geodesy:
             "at_0_100": self.south,
             "latitude_grows_south": self.south[0] > self.origin[0],
         }
-
-
-def _single(value: float) -> float:
-    return float(struct.unpack("<f", struct.pack("<f", value))[0])

@@ -50,6 +50,7 @@ ENVIRONMENTS = {
     "slippery": Environment(0.25, "snow", {"cloudiness": 80.0, "wetness": 30.0, "sun_altitude_angle": 30.0}),
 }
 MANEUVERS = ("cruise", "turns", "accelerate", "brake", "outages")
+NOISE = ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
 
 
 class RecorderError(Exception):
@@ -104,8 +105,7 @@ class Options:
 
     def figures(self) -> dict[str, Any]:
         """Return the options that all drives in one folder must share."""
-        names = ("seed", "accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("seed", *NOISE)}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -141,7 +141,7 @@ def options_of(arguments: Sequence[str]) -> Options:
     options = Options(**given)
     if options.runs < 1:
         raise RecorderError(f"--runs is {options.runs}; choose 1 or more")
-    for name in ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise"):
+    for name in NOISE:
         if not 0 <= getattr(options, name) < math.inf:
             raise RecorderError(f"--{name.replace('_', '-')} is {getattr(options, name)}; choose 0 or more")
     if not (options.timeout > 0 and options.patience >= 0):

@@ -92,23 +92,19 @@ def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any,
         opposite = bends[0].angle * side > 0 > bends[1].angle * side
         return quarters and opposite and bends[1].end + 40.0 + RUN_OUT < path.length
 
-    calm = {"acceleration": easy, "braking": easy}
-    if name == "turns":
-        need = Need("two turns of 90 degrees, one to each side", before + 240.0, False, fits)
-        path = find_path(town, need, rng)
-        first, second = path.turns[:2]
-        grip = min(4.0, 0.7 * friction * GRAVITY)
-        legs = [Leg(second.end + rng.uniform(30, 40), 40 * KMH, lateral=grip, **calm)]
+    sharp = name == "turns"
+    what = "two turns of 90 degrees, one to each side" if sharp else "way with two turns of 90 degrees"
+    path = find_path(town, Need(what, before + (240.0 if sharp else 320.0), False, fits), rng)
+    first, second = path.turns[:2]
+    grip = min(4.0 if sharp else 3.5, 0.7 * friction * GRAVITY)
+    if sharp:
+        legs = [Leg(second.end + rng.uniform(30, 40), 40 * KMH, easy, easy, grip)]
         target = {"left_deg": 90.0, "right_deg": -90.0, "peak_lateral_ms2": 4.0}
         return Plan(path, legs, target, first.start - 10.0)
-    need = Need("way with two turns of 90 degrees", before + 320.0, False, fits)
-    path = find_path(town, need, rng)
-    first, second = path.turns[:2]
-    grip = min(3.5, 0.7 * friction * GRAVITY)
     legs = [
-        Leg(first.end, 40 * KMH, lateral=grip, **calm),
+        Leg(first.end, 40 * KMH, easy, easy, grip),
         Leg(second.start - first.end, 55 * KMH, min(3.0, hard), min(4.5, 0.8 * hard), grip, ease=0.2),
-        Leg(path.length - RUN_OUT - second.start, 45 * KMH, lateral=grip, **calm),
+        Leg(path.length - RUN_OUT - second.start, 45 * KMH, easy, easy, grip),
     ]
     windows = [(round(rng.uniform(at, at + 1), 2), round(rng.uniform(3.0, 4.8), 2)) for at in (5.0, 15.0)]
     target = {f"outage_{i + 1}_s": long for i, (_, long) in enumerate(windows)}
@@ -120,10 +116,9 @@ def allowed_speed(plan: Plan, sway: Callable[[float], float]) -> list[list[float
     profiles: list[list[float]] = []
     end, after = plan.length, math.inf
     for leg in reversed(plan.legs):
-        start = end - leg.length
-        ways = [min(start + k * SPACING, end) for k in range(math.ceil(leg.length / SPACING) + 1)]
-        speed: list[float] = []
-        for way in ways:
+        start, speed = end - leg.length, []
+        for k in range(math.ceil(leg.length / SPACING) + 1):
+            way = min(start + k * SPACING, end)
             bend = abs(plan.path.curvature[min(round(way / SPACING), len(plan.path.x) - 1)])
             speed.append(min(leg.speed, math.sqrt(leg.lateral / max(bend, 1e-6))) * (1 + sway(way)))
         speed[-1] = 0.0 if leg.wait > 0 else min(speed[-1], after)

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import product, starmap
 from typing import Any
 
 from .brakes import sweep_brakes
@@ -64,12 +65,7 @@ def record(options: Options) -> int:
         Complete drives are in `options.out` then, and the data of an incomplete one in its folder ``incomplete``.
     """
     journal = Journal(options)
-    conditions = [
-        Condition(maneuver, environment, run)
-        for maneuver in options.maneuvers
-        for environment in options.environments
-        for run in range(options.runs)
-    ]
+    conditions = starmap(Condition, product(options.maneuvers, options.environments, range(options.runs)))
     wanted = [each for each in conditions if not (options.out / each.name).exists()]
     progress = Progress(len(wanted))
     try:

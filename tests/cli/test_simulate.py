@@ -22,6 +22,7 @@ from sigmaswarm.simulation import (
     TERRAINS,
     VEHICLES,
 )
+from sigmaswarm.simulation.scenarios import Scenario
 from support import make_drive
 
 SOME = ("--maneuver", "turns", "brake", "--environment", "rain", "slippery", "--runs", 2, "--seed", 7)
@@ -125,7 +126,7 @@ def test_workers_are_as_many_threads(sigmaswarm, here: Path, monkeypatch):
 
 def test_the_defaults_are_the_library_s():
     said = {field.name: field for field in dataclasses.fields(SimulateOptions)}
-    meant = inspect.signature(library.simulate).parameters
+    meant = inspect.signature(Scenario).parameters
     for name in ("imu", "gps", "vehicle", "seed", "duration"):
         assert said[name].default == meant[name].default, name
     assert said["runs"].default == inspect.signature(library.simulate_many).parameters["runs"].default

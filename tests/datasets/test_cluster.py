@@ -213,7 +213,7 @@ def test_a_worker_drops_what_was_used_last_and_reads_it_again(folders):
 
 
 def test_160_drives_of_ten_minutes_fit_two_workers_of_4_gb():
-    long = CachedDrive(simulate("urban", duration=600.0), []).size
+    long = 10 * CachedDrive(simulate("urban", duration=60.0), []).size
     assert BASE_MEMORY + 80 * long < USABLE_MEMORY * 4e9  # 23 MB each were measured
 
 

@@ -24,7 +24,7 @@ from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.fingerprint import START_RULE
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.errors import AlignmentError
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, make_drive, needs_shared, quickly
 
 N_SEEDS = 300
 
@@ -233,7 +233,7 @@ def test_a_car_that_never_moves_can_not_be_aligned(gps_std: float):
             r"its fixes come every 3 s.*log the receiver at 1 Hz",
         ),
         (
-            standing_then_going(1e9, duration=120.0, gps_std=15.0),
+            standing_then_going(1e9, duration=60.0, gps_std=15.0),
             r"nowhere the way that the IMU felt.*doctor",
         ),
         (standing_then_going(1e9, duration=60.0), r"never travels 20 m within 6 s.*\(12 km/h for 6 s\)"),
@@ -276,19 +276,18 @@ def test_a_start_takes_20_m_within_6_s_or_a_longer_window(speed: float, earliest
     )
 
 
-@pytest.mark.parametrize("gps_rate", [1.0, 5.0, 10.0])
-@pytest.mark.parametrize("jump", [10.0, 20.0, 30.0, 60.0, 300.0])
+JUMPS = [(jump, rate) for jump in (10.0, 20.0, 30.0, 60.0, 300.0) for rate in (1.0, 5.0, 10.0)]
+
+
+@pytest.mark.parametrize(
+    ("jump", "gps_rate"),
+    quickly(JUMPS, lambda *case: case in [(10.0, 1.0), (20.0, 5.0), (30.0, 10.0), (300.0, 5.0)]),
+)
 def test_a_jump_of_the_fixes_at_standstill_is_no_travel(jump: float, gps_rate: float):
     for gps_std in (0.05, 1.0):
         drive = standing_then_going(1e9, duration=30.0, gps_std=gps_std, gps_rate=gps_rate, jump=jump)
         with pytest.raises(AlignmentError):
             initial_state(drive)
-
-
-def test_scattered_fixes_are_not_travel():
-    drive = standing_then_going(1e9, duration=120.0, gps_std=15.0)
-    with pytest.raises(AlignmentError):
-        initial_state(drive)
 
 
 # --- What it may look at -----------------------------------------------------------------------------------
@@ -391,7 +390,7 @@ def test_the_start_is_the_imus_place_not_the_antennas():
 
 
 def test_the_first_alignment_is_the_start_and_all_are_as_good():
-    drive = make_drive(duration=60.0, seed=2)
+    drive = make_drive(duration=40.0, seed=2)
     alignments = Alignments(drive)
     found = [alignments.at(k) for k in range(len(alignments.time))]
     first = next(one for one in found if one)
@@ -399,7 +398,7 @@ def test_the_first_alignment_is_the_start_and_all_are_as_good():
     np.testing.assert_array_equal(first.mean, start.mean)
     np.testing.assert_array_equal(first.covariance, start.covariance)
     known = [one for one in found if one]
-    assert len(known) > 0.9 * (60 - start.time) * 5
+    assert len(known) > 0.9 * (40 - start.time) * 5
     for k, one in enumerate(found):
         assert one is None or one.time == alignments.time[k]
         assert one is alignments.at(k)
@@ -425,7 +424,7 @@ def test_an_alignment_is_of_the_fixes_up_to_it_alone():
 
 
 def test_the_rough_course_is_near_the_alignment_and_there_where_it_is():
-    drive = make_drive(duration=60.0, seed=5, gps_std=0.3)
+    drive = make_drive(duration=40.0, seed=5, gps_std=0.3)
     alignments = Alignments(drive)
     known = [(k, one) for k in range(len(alignments.time)) if (one := alignments.at(k))]
     off = [wrapped(alignments.course[k] - one.mean[4]) for k, one in known]

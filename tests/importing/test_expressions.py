@@ -188,6 +188,27 @@ def test_a_scale_beyond_floats_is_no_scale(text: str):
     assert integer_scale(text, ["stamp"]) is None
 
 
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("not " * 240 + "flag", [True, False]),
+        ("(" * 45 + "flag" + " and on)" * 45, [True, False]),
+        ("where(flag, 1, " * 9 + "0" + ")" * 9, [True, False]),
+        ("max(" * 6 + "flag" + ", 0)" * 6, [True, False]),
+        ("abs(" * 90 + "flag" + ")" * 90, [True, False]),
+    ],
+)
+def test_a_deep_expression_takes_a_moment(text: str, wanted: list[bool]):
+    """Each of them took twice as long as the one a level below it."""
+    assert FRAME.select(compile_expression(text, FRAME.columns).truth.alias("out"))["out"].to_list() == wanted
+
+
+@pytest.mark.parametrize("name", ["min", "max", "hypot"])
+def test_an_expression_that_would_take_years_is_refused(name: str):
+    with pytest.raises(InputError, match="nested too deeply; simplify it"):
+        compile_expression(f"{name}(" * 60 + "flag" + ", 0)" * 60, FRAME.columns)
+
+
 booleans = st.recursive(
     st.sampled_from(["flag", "on", "acc_y", "v.x", "0", "1", "acc_y > 0"]),
     lambda inner: st.one_of(

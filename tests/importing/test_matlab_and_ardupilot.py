@@ -11,7 +11,7 @@ from scipy.io import savemat
 from importing.logs import a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 
-DRIVE = a_drive()
+DRIVE = a_drive(5.0)
 IMU, GPS = DRIVE.imu, DRIVE.gps
 FORCE = np.column_stack([IMU.ax, IMU.ay, IMU.az])
 RATE = np.column_stack([IMU.gx, IMU.gy, IMU.gz])

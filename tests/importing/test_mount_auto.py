@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import sigmaswarm
 from sigmaswarm.doctor.mounting import angle_of, turned
 from sigmaswarm.importing.mounting import parse_mount
+from support import quickly
 
 
 def log_of(drive: sigmaswarm.Drive, folder: Path) -> Path:
@@ -25,10 +26,13 @@ def log_of(drive: sigmaswarm.Drive, folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("angles", [(0, -66, 0), (180, 0, 0), (12, 30, 100)])
-def test_the_mounting_is_found(tmp_path: Path, angles: tuple[float, float, float]):
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw"),
+    quickly([(0, -66, 0), (180, 0, 0), (12, 30, 100)], lambda roll, pitch, yaw: yaw == 100),
+)
+def test_the_mounting_is_found(tmp_path: Path, roll: float, pitch: float, yaw: float):
     drive = sigmaswarm.simulate("urban", duration=120, gps="white-1m", run=4)
-    rotation = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    rotation = Rotation.from_euler("xyz", (roll, pitch, yaw), degrees=True).as_matrix()
     log = log_of(replace(drive, imu=turned(drive.imu, rotation.T)), tmp_path / "log")
     with pytest.warns(sigmaswarm.SigmaswarmWarning, match="found in the log"):
         made = sigmaswarm.import_log(log / "imu.csv", gps=log / "fixes.csv", mount="auto")

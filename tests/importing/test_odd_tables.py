@@ -22,14 +22,13 @@ def tally(seeds: range, folder: Path) -> Counter[str]:
     return count
 
 
-@pytest.mark.parametrize("first", range(0, 150, 50))
-def test_a_sample(first: int, tmp_path: Path):
-    count = tally(range(first, first + 50), tmp_path)
-    assert count["right"] >= 25, count
+def test_a_sample(tmp_path: Path):
+    count = tally(range(60), tmp_path)
+    assert count["right"] >= 30, count
 
 
 @pytest.mark.long
 def test_many(tmp_path: Path):
-    count = tally(range(1000, 1000 + TABLES), tmp_path)
+    count = tally(range(60, 60 + TABLES), tmp_path)
     print(count)
     assert count["right"] >= 0.6 * TABLES, count

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Choice
 
-DRIVE = a_drive()
+DRIVE = a_drive(5.0)
 assert DRIVE.truth is not None
 SPEED = np.hypot(DRIVE.truth.vx, DRIVE.truth.vy)[::3]
 TIME = DRIVE.truth.time[::3]

@@ -18,6 +18,7 @@ from sigmaswarm.importing.look import look
 from sigmaswarm.importing.proposal import Meaning, Proposal, judged, meaning_of, proposed
 from sigmaswarm.importing.source import Choice
 from sigmaswarm.simulation.scenarios import simulate
+from support import quickly
 
 START = 1_700_000_000
 G = 9.80665
@@ -92,7 +93,9 @@ MISNAMED = {
 }
 
 
-@pytest.mark.parametrize("fault", MISNAMED)
+@pytest.mark.parametrize(
+    ("fault",), quickly(((name,) for name in MISNAMED), lambda fault: "exchanged" in fault or "az" in fault)
+)
 def test_what_is_wrong_with_the_third_axes_is_corrected_too(tmp_path: Path, fault: str):
     """The doctor only warns of most of it: planar filters do not feel it."""
     folder = write_log(tmp_path / "log", FULL)

@@ -12,7 +12,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 pytest.importorskip("pyulog", reason="pyulog is not installed")
 
-DRIVE = a_drive()
+DRIVE = a_drive(5.0)
 IMU, GPS, TRUTH = DRIVE.imu, DRIVE.gps, DRIVE.truth
 CODES = {"uint64_t": "Q", "uint8_t": "B", "int32_t": "i", "float": "f", "double": "d", "float[3]": "3f"}
 SENSORS = "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"

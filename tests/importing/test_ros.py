@@ -12,7 +12,7 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Choice
 
-DRIVE = a_drive()
+DRIVE = a_drive(5.0)
 AT = Recipe(origin=ORIGIN)
 
 

@@ -18,7 +18,7 @@ from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.learned import outages
 from sigmaswarm.learned.cells import gru, head, lstm, new_weights
-from sigmaswarm.learned.noise_gru import FEATURES, MOST_SCALE, NoiseGru, NoiseRun
+from sigmaswarm.learned.noise_gru import FEATURES, MOST_SCALE, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, untrained
 from sigmaswarm.learned.relative import Begin, Displacements, body_displacement
 from support import make_drive
@@ -207,14 +207,14 @@ def test_a_drive_without_an_axis_is_refused():
         OutageRun(replay_of(bare), parameters("planar8"), network())
 
 
-def _unlearned(units: int = 4) -> NoiseGru:
-    return NoiseGru(new_weights(np.random.default_rng(0), 3, FEATURES, units, 2))
+def _unlearned(units: int = 4) -> dict[str, np.ndarray]:
+    return new_weights(np.random.default_rng(0), 3, FEATURES, units, 2)
 
 
 def test_scales_hold_from_the_sample_behind_a_fix_and_lie_in_bounds():
-    weights = {**_unlearned().weights, "head": 9.0 * np.random.default_rng(1).normal(size=(4, 2))}
+    weights = {**_unlearned(), "head": 9.0 * np.random.default_rng(1).normal(size=(4, 2))}
     drive, p = equipped(), parameters("planar8")
-    run = NoiseRun(replay_of(drive), p, NoiseGru(weights)).finished()
+    run = NoiseRun(replay_of(drive), p, weights).finished()
     scales = np.array(run.scales)
     assert len(scales) == len(run.innovations.time)
     assert (scales >= 1 / MOST_SCALE).all()

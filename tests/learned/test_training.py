@@ -19,16 +19,17 @@ from sigmaswarm.filters.schedule import start_of
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned import noise_training, outage_training
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import exact, fit
+from sigmaswarm.learned.fitting import Lesson, Schedule, exact, fit
 from sigmaswarm.learned.folder import load_learned
-from sigmaswarm.learned.learn import LEARNERS, learn
+from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
 from sigmaswarm.learned.noise_filter import Settings, columns_of, require_supported, run
-from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru, NoiseRun
+from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
 from support import make_drive
 
 pytest.importorskip("optax", reason="JAX and Optax are not installed (extra learned)")
 
 ALL = OPTIONS["all"] | {"velocity_noise": None}
+ONE_STEP = Schedule(0.01, epochs=1, batch=1, patience=5, seed=0)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +41,7 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 5, 2)
     for head in (0.0, 0.5):
         weights["head"] = head * np.random.default_rng(1).normal(size=(5, 2))
-        compiled = NoiseRun(replay, p, NoiseGru(weights))
+        compiled = NoiseRun(replay, p, weights)
         mean = compiled.whole().mean
         with exact():
             columns, _ = columns_of(replay, p)
@@ -76,9 +77,8 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
     rng = np.random.default_rng(0)
     x = rng.normal(size=(60, 3))
     examples = (x[:40], x[:40] @ [1.0, -2.0, 0.5]), (x[40:], x[40:] @ [1.0, -2.0, 0.5])
-    options = {"learning_rate": 0.1, "epochs": 30, "batch": 8, "patience": 30, "seed": 4}
-    start = {"w": np.zeros(3)}
-    whole = fit(square, start, *examples, **options)
+    asked = Lesson(square, {"w": np.zeros(3)}, *examples), Schedule(0.1, 30, batch=8, patience=30, seed=4)
+    whole = fit(*asked)
     assert whole.best < 0.01 * whole.losses[0, 1]
 
     def stop(epoch: int, loss: float) -> None:
@@ -87,25 +87,16 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
 
     file = tmp_path / "checkpoint.npz"
     with pytest.raises(Stopped):
-        fit(square, start, *examples, **options, checkpoint=file, progress=stop)
-    again = fit(square, start, *examples, **options, checkpoint=file)
+        fit(*asked, checkpoint=file, progress=stop)
+    again = fit(*asked, checkpoint=file)
     assert again.weights["w"].tobytes() == whole.weights["w"].tobytes()
     assert again.losses.tobytes() == whole.losses.tobytes()
 
 
 def test_one_step_of_adam_is_that_of_the_paper():
     x = np.array([[1.0, 2.0]])
-    found = fit(
-        square,
-        {"w": np.array([0.5, 0.5])},
-        (x, np.array([1.7])),
-        (x, np.array([1.7])),
-        learning_rate=0.01,
-        epochs=1,
-        batch=1,
-        patience=5,
-        seed=0,
-    )
+    example = x, np.array([1.7])
+    found = fit(Lesson(square, {"w": np.array([0.5, 0.5])}, example, example), ONE_STEP)
     gradient = 2 * (1.5 - 1.7) * x[0]
     step = gradient / np.abs(gradient)  # m / sqrt(v), both corrected, after one step
     np.testing.assert_allclose(found.weights["w"], 0.5 - 0.01 * (step + 1e-4 * 0.5), rtol=1e-6)
@@ -114,10 +105,9 @@ def test_one_step_of_adam_is_that_of_the_paper():
 def test_a_step_that_is_not_finite_is_not_taken():
     x = np.array([[1.0, 2.0], [np.inf, 0.0]])
     example = (x[:1], np.array([1.7]))
-    options = {"learning_rate": 0.01, "epochs": 1, "batch": 1, "patience": 5, "seed": 0}
     start = {"w": np.array([0.5, 0.5])}
-    both = fit(square, start, (x, np.array([1.7, 0.0])), example, **options)
-    alone = fit(square, start, example, example, **options)
+    both = fit(Lesson(square, start, (x, np.array([1.7, 0.0])), example), ONE_STEP)
+    alone = fit(Lesson(square, start, example, example), ONE_STEP)
     np.testing.assert_array_equal(both.weights["w"], alone.weights["w"])
 
 
@@ -139,19 +129,20 @@ def quick(monkeypatch: pytest.MonkeyPatch):
 
 def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Path):
     p = parameters("planar8", lateral_noise=0.05)
-    learn("outage-lstm", p, drives(), out=tmp_path / "whole", search=5)
+    config = LearnConfig("outage-lstm", p, drives(), search=5)
+    learn(config, tmp_path / "whole")
 
     def stop(told) -> None:
         if (told.trial, told.epoch) == (3, 2):
             raise Stopped
 
     with pytest.raises(Stopped):
-        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, progress=stop)
+        learn(config, tmp_path / "parts", progress=stop)
     with pytest.raises(InputError, match="add --resume"):
-        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5)
+        learn(config, tmp_path / "parts")
     with pytest.raises(InputError, match="seed = 0, now asked for seed = 1"):
-        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, seed=1, resume=True)
-    found = learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, resume=True)
+        learn(replace(config, seed=1), tmp_path / "parts", resume=True)
+    found = learn(config, tmp_path / "parts", resume=True)
     for file in ("learned.toml", "weights.npz", "tuning.toml", "learned_seen.npz"):
         assert (tmp_path / "parts" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
     costs = [
@@ -165,7 +156,7 @@ def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Pa
 def test_the_noise_network_learns_downhill():
     """The gradient that it is trained by is that of the loss, by differences."""
     p = parameters("planar5", kind="ekf")
-    segments = noise_training.segments_of(drives()[:1], p, 2.0, held_back=None)
+    segments = noise_training.segments_of(drives()[:1], p, 2.0)
     batch = tuple(array[:2] for array in segments.arrays)
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 2, 2)
     weights["head"] = np.random.default_rng(1).normal(size=(2, 2))
@@ -185,17 +176,15 @@ def test_the_noise_network_learns_downhill():
 def test_the_outage_network_learns_how_fast_the_car_is():
     """On other parts of the same drives it does better than the mean; the same seed gives the same bits."""
     p = parameters("planar8", lateral_noise=0.05)
-    tracks = outage_training.tracks_of(drives(), p, held_back=None)
+    tracks = outage_training.tracks_of(drives(), p)
     examples = outage_training.examples_of(tracks, ("ax", "ay", "gz"), 6.0)
     network, lesson = outage_training.lesson(examples, ("ax", "ay", "gz"), window=6.0, units=6, seed=3)
-    given = lesson.loss, lesson.weights, lesson.examples, lesson.held_back
-    options = {"learning_rate": 0.01, "epochs": 8, "batch": 128, "patience": 15, "seed": 3}
-    found, again = fit(*given, **options), fit(*given, **options)
+    found, again = (fit(lesson, Schedule(0.01, 8, batch=128, patience=15, seed=3)) for _ in range(2))
     assert found.best < found.losses[0, 1]
     assert again.losses.tobytes() == found.losses.tobytes()
     network = replace(network, weights={**found.weights, **lesson.fixed})
-    moved, variance = network.displacements(examples.features)
-    assert moved.shape == variance.shape == examples.moved.shape
+    moved, variance = network.displacements(examples.arrays[0])
+    assert moved.shape == variance.shape == examples.arrays[1].shape
     assert (variance > 0).all()
 
 
@@ -203,12 +192,12 @@ def test_truth_is_not_looked_at():
     p = parameters("planar8", lateral_noise=0.05)
     blind = [replace(drive, truth=None) for drive in drives()]
     with_truth, without = (
-        outage_training.examples_of(outage_training.tracks_of(of, p, held_back=None), ("ax", "gz"), 4.0)
+        outage_training.examples_of(outage_training.tracks_of(of, p), ("ax", "gz"), 4.0)
         for of in (drives(), blind)
     )
-    assert with_truth.moved.tobytes() == without.moved.tobytes()
+    assert with_truth.arrays[1].tobytes() == without.arrays[1].tobytes()
     assert with_truth.held_back.any() and not with_truth.held_back.all()
-    segments = [noise_training.segments_of(of, p, 8.0, held_back=None) for of in (drives(), blind)]
+    segments = [noise_training.segments_of(of, p, 8.0) for of in (drives(), blind)]
     assert [a.tobytes() for a in segments[0].arrays] == [a.tobytes() for a in segments[1].arrays]
     assert segments[0].held_back.any() and not segments[0].held_back.all()
 
@@ -247,4 +236,4 @@ def test_the_commands(quick, sigmaswarm, tmp_path: Path):
 def test_a_missing_library_is_told_in_one_line(library: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(InputError, match=r"pip install 'sigmaswarm\[learned\]'"):
-        learn("noise-gru", parameters("planar8"), drives(), out=tmp_path / "learned")
+        learn(LearnConfig("noise-gru", parameters("planar8"), drives()), tmp_path / "learned")

@@ -60,7 +60,8 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
         return lanes(n, of, *rest)
 
     monkeypatch.setattr(run, "run_lanes", counted)
-    command.evaluate(tmp_path / "tuning.toml", [tmp_path / "monday"], out=tmp_path / "out")
+    options = command.EvaluateOptions(out=tmp_path / "out")
+    command.evaluate(tmp_path / "tuning.toml", [tmp_path / "monday"], options=options)
     assert (tmp_path / "out" / "monday-error.png").exists()
     assert (tmp_path / "out" / "monday-consistency.png").exists()
     assert (len(aligned), len(lines), len(reckoned)) == (

@@ -25,7 +25,7 @@ from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import forecast_replay
-from support import make_drive
+from support import make_drive, quickly
 
 PLANAR5 = FilterParameters(0.5, 2.0, 1.0, (1e-4, 1e-4, 1e-3, 1e-3, 1e-5), (1.2, 0.8), latency=0.05)
 PLANAR8 = FilterParameters(
@@ -134,7 +134,9 @@ def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
     np.testing.assert_allclose(np.square(found.normalized).sum(axis=1), nis, rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize(
+    "kind", quickly([(kind,) for kind in SETS], lambda kind: kind in ("planar5", "robust"))
+)
 def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
     parameters = SETS[kind]
     replay = forecast_replay(prepared(DRIVE), seed=5)

@@ -126,7 +126,7 @@ def test_filters_that_fail_cost_infinity_and_are_counted():
     tuning = tune(LOGS[0], objective="innovation-nll", **(SMALL | {"model": broken, "particles": 20}))
     assert 0 < tuning.trials[0].failures < tuning.trials[0].evaluations
     assert tuning.parameters["length"] <= 1.0
-    never = replace(PENDULUM, measurement_noise=lambda p: np.array([-p.r_angle]))
+    never = replace(PENDULUM, kind="ekf", measurement_noise=lambda p: np.array([-1.0]))  # it is not compiled
     with pytest.raises(InputError, match="no parameter set gave a finite cost"):
         tune(LOGS[0], **(SMALL | {"model": never}))
 
@@ -200,7 +200,7 @@ def refusal(call) -> str:
 
 def test_another_model_does_not_go_on_with_a_tuning(tmp_path: Path):
     interrupted(LOGS, tmp_path, 2, **SMALL)
-    other = replace(PENDULUM, h=lambda state, p: state[:1] + 0.0)
+    other = replace(PENDULUM, kind="ekf", h=lambda state, p: state[:1] + 0.0)  # it is not compiled
     message = refusal(lambda: tune(LOGS, out=tmp_path, resume=True, **(SMALL | {"model": other})))
     assert "was started with the model pendulum (" in message
     assert len(message) < 300

@@ -24,7 +24,7 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
     problem = car_problem([DRIVE, aside], CONFIG)
     rng, seen = np.random.default_rng(0), set[bool]()
     space = problem.space
-    for point in space.low + rng.random((30, len(space.low))) * (space.high - space.low):
+    for point in space.low + rng.random((12, len(space.low))) * (space.high - space.low):
         p = problem.parameters(point)
         try:
             lost = {drive.name: run_filter(drive, p).restarts for drive in (DRIVE, aside)}

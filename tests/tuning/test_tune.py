@@ -377,7 +377,9 @@ def test_validation_drives_are_scored_but_choose_nothing():
     assert checked.to_dict()["result"]["validation_drives"] == ["noisy"]
 
 
-@pytest.mark.parametrize("optimizer", ["ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"])
+@pytest.mark.parametrize(
+    "optimizer", ["ga", "ga-pso", "de", "de-qpso", "cma-es", "nelder-mead", "random", "sobol"]
+)
 def test_every_optimizer_tunes_within_the_same_budget(optimizer: str, tmp_path: Path):
     asked = {"optimizer": optimizer, "particles": 8, "generations": 6, "polish": 12, "seed": 3}
     tuning = tune(DRIVES[:1], **asked)

@@ -88,6 +88,7 @@ def learn(
 
 
 def _learn(network: NetworkName, tuning: Path, drives: list[str], options: LearnOptions) -> "LearnedRecord":
+    from sigmaswarm.learned.learn import LearnConfig
     from sigmaswarm.learned.learn import learn as train
     from sigmaswarm.tuning.record import FILE
 
@@ -99,14 +100,9 @@ def _learn(network: NetworkName, tuning: Path, drives: list[str], options: Learn
     )
     with progress_bar("learning", counted, waiting, loss="-") as show:
         learned = train(
-            network,
-            parameters,
-            read,
-            out=options.out,
-            validation=held_back,
+            LearnConfig(network, parameters, read, held_back, options.search, options.seed),
+            options.out,
             tuning=tuning / FILE if tuning.is_dir() else tuning,
-            search=options.search,
-            seed=options.seed,
             resume=options.resume,
             progress=lambda now: show(now.done, now.total, loss=f"{now.loss:.3f}"),
         )

@@ -150,13 +150,8 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     fixes = write_fixes(read, first, before, **target) if before else 0
     if truth and true:
         write_estimate(true, truth, name=f"{read.name}: truth", **target)
-    summary: dict[str, Any] = {
-        "out": str(out),
-        "estimates": len(time),
-        "start_s": first,
-        "end_s": last,
-        "restarts_s": [*found.restarts],
-    }
+    summary: dict[str, Any] = {"out": str(out), "estimates": len(time), "start_s": first, "end_s": last}
+    summary["restarts_s"] = [*found.restarts]
     summary |= _save_bank(found, out) if options.bank else {}
     return read, summary, fixes
 

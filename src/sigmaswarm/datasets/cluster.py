@@ -5,7 +5,7 @@ import json
 import logging
 import re
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -71,26 +71,22 @@ class Cluster:
     def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
         """Return an error for each worker whose versions may give other bits."""
         try:
-            answers = cast(
-                "dict[str, Any]",
-                self.client.run(versions, workers=addresses, on_error="return") if addresses else {},
-            )
+            run: Any = self.client.run
+            answers: dict[str, Any] = run(versions, workers=addresses, on_error="return") if addresses else {}
         except OSError:
             raise self.lost_scheduler() from None
         own, found = versions(), dict[str, ClusterError]()
         for address, theirs in sorted(answers.items()):
             if not isinstance(theirs, Mapping):
-                found[address] = ClusterError(
-                    f"worker {address}: sigmaswarm can't be used there ({type(theirs).__name__}: {theirs}); install it"
-                )
+                said = f"sigmaswarm can't be used there ({type(theirs).__name__}: {theirs}); install it"
+                found[address] = ClusterError(f"worker {address}: {said}")
                 continue
             for name in ("sigmaswarm", "numpy", "numba", "scipy"):
-                if theirs.get(name) != own[name]:
+                if theirs.get(name) != own[name] and address not in found:
                     found[address] = ClusterError(
                         f"worker {address}: has {name} {theirs.get(name)}, this machine {own[name]}; results would "
                         "differ, so install the same on both"
                     )
-                    break
         return found
 
     def require_same_versions(self) -> None:
@@ -129,77 +125,69 @@ def connected(address: str) -> Generator["Client"]:
         raise InputError(f"--cluster {address} needs Dask; run: pip install 'sigmaswarm[cluster]'") from None
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are reported here, in one line
-    kind, _, count = address.partition(":")
-    if kind == "local":
-        if not count.isdecimal() or int(count) < 1:
-            raise InputError(f"--cluster {address}: say how many processes, for example local:4")
-        with _local(int(count)) as client:
-            yield client
-        return
-    where: dict[str, Any] = {"address": address}
-    if "://" not in address:
-        if not Path(address).is_file():
-            raise InputError(
-                f"--cluster {address}: is no address like tcp://host:8786, no scheduler file that is there, and not "
-                "local:N"
+    with ExitStack() as stack:
+        kind, _, count = address.partition(":")
+        where: Any = stack.enter_context(_local(address, count)) if kind == "local" else _scheduler(address)
+        try:
+            client = distributed.Client(
+                where, timeout=CONNECT_TIMEOUT, set_as_default=False, name="sigmaswarm"
             )
-        where = {"address": _address_in(Path(address))}
-    elif not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
+        except Exception as error:  # of sockets, addresses, protocols
+            said = " ".join(str(error).split())[:150]
+            raise ClusterError(
+                f"--cluster {address}: no scheduler answers there ({type(error).__name__}: {said}); "
+                "start one with `dask scheduler`"
+            ) from None
+        try:
+            yield client
+        finally:
+            try:
+                client.close(timeout=5)
+            except Exception:  # the cluster is gone, which was reported
+                logging.getLogger(__name__).debug("the client did not close", exc_info=True)
+
+
+def _scheduler(address: str) -> str:
+    """The address of a scheduler, also of one that a scheduler file names."""
+    if "://" in address:
+        if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
+            raise InputError(
+                f"--cluster {address}: write it as tcp://host:8786; for a cluster with certificates make a Client in "
+                "Python, and give it as cluster="
+            )
+        return address
+    if not Path(address).is_file():
         raise InputError(
-            f"--cluster {address}: write it as tcp://host:8786; for a cluster with certificates make a Client in "
-            "Python, and give it as cluster="
+            f"--cluster {address}: is no address like tcp://host:8786, no scheduler file that is there, and not local:N"
         )
     try:
-        client = distributed.Client(**where, timeout=CONNECT_TIMEOUT, set_as_default=False, name="sigmaswarm")
-    except Exception as error:  # of sockets, addresses, protocols
-        said = " ".join(str(error).split())[:150]
-        raise ClusterError(
-            f"--cluster {address}: no scheduler answers there ({type(error).__name__}: {said}); "
-            "start one with `dask scheduler`"
-        ) from None
-    try:
-        yield client
-    finally:
-        _closed(client)
-
-
-def _address_in(file: Path) -> str:
-    """Read the address from a scheduler file."""
-    try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+        return str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(
-            f"--cluster {file}: is no scheduler file; `dask scheduler --scheduler-file` writes one"
+            f"--cluster {address}: is no scheduler file; `dask scheduler --scheduler-file` writes one"
         ) from None
 
 
 @contextmanager
-def _local(count: int) -> Generator["Client"]:
+def _local(address: str, count: str) -> Generator[Any]:
     """Start processes on this machine."""
     from tempfile import TemporaryDirectory
 
     import distributed
 
+    if not count.isdecimal() or int(count) < 1:
+        raise InputError(f"--cluster {address}: say how many processes, for example local:4")
     with TemporaryDirectory(prefix="sigmaswarm-", ignore_cleanup_errors=True) as scratch:
         local: Any = distributed.LocalCluster  # its type stubs lack dashboard_address=None
         cluster = local(
-            n_workers=count,
+            n_workers=int(count),
             threads_per_worker=1,
             host="127.0.0.1",
             dashboard_address=None,
             silence_logs=logging.CRITICAL,
             local_directory=scratch,
         )
-        client = distributed.Client(cluster, set_as_default=False)
         try:
-            yield client
+            yield cluster
         finally:
-            _closed(client)
             cluster.close(timeout=10)
-
-
-def _closed(client: "Client") -> None:
-    try:
-        client.close(timeout=5)
-    except Exception:  # the cluster is gone, which was reported
-        logging.getLogger(__name__).debug("the client did not close", exc_info=True)

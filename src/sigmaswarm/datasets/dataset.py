@@ -82,17 +82,16 @@ def datasets_of(
         )
     each = [_listed(group, cluster, takes) for group in groups]
     lists = [group for group in each if isinstance(group, list)]
-    if cluster is None:
-        made: Iterator[Dataset] = map(LocalDataset, lists)
-    else:
+    made: list[Dataset] = [LocalDataset(group) for group in lists] if cluster is None else []
+    if cluster is not None:
         from sigmaswarm.datasets.cluster import Cluster
         from sigmaswarm.datasets.remote import remote_datasets
 
         remote, warned = remote_datasets(Cluster(cluster), lists)
+        made = [*remote]
         for warning in warned:
             warnings.warn(warning, stacklevel=3)
-        made = iter(remote)
-    return [next(made) if isinstance(group, list) else group for group in each]
+    return [made.pop(0) if isinstance(group, list) else group for group in each]
 
 
 def _listed(given: Any, cluster: "Client | None", takes: str) -> "list[Any] | Dataset":

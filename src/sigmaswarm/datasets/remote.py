@@ -9,11 +9,11 @@ import threading
 import time
 import uuid
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,6 +25,8 @@ from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
+Progress = Callable[[int, int], None]
+"""Called with the number of drives that are read, and of all."""
 
 POLL_INTERVAL = 2.0
 """s between two requests to the scheduler for its workers."""
@@ -81,7 +83,7 @@ class Assignment:
     def _usable_workers(self) -> dict[str, int]:
         """Return the present workers that have the same versions; at the start, raise if one has others."""
         present = self.cluster.workers()
-        new = [address for address in present if address not in self.workers and address not in self._refused]
+        new = [address for address in present if address not in {*self.workers, *self._refused}]
         for address, error in self.cluster.version_errors(new).items():
             if not self.workers:
                 raise error
@@ -138,9 +140,10 @@ def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequenc
         if owner in threads and load[owner] + sizes[i] <= 1.05 * share * threads[owner]:
             found[i] = owner
             load[owner] += sizes[i]
-    for i in (i for i in largest_first if not found[i]):
-        found[i] = min(threads, key=lambda w: ((load[w] + sizes[i]) / threads[w], w != before[i]))
-        load[found[i]] += sizes[i]
+    for i in largest_first:
+        if not found[i]:
+            found[i] = min(threads, key=lambda w: ((load[w] + sizes[i]) / threads[w], w != before[i]))
+            load[found[i]] += sizes[i]
     return found
 
 
@@ -197,20 +200,15 @@ class RemoteDataset:
         return in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function to one drive after another, in tasks of one drive each."""
+        """Apply a function to one drive after another, in tasks of one drive each; some finish in advance."""
 
         def one(place: int) -> T:
             return self.subset([place]).map(function)[0]
 
-        ahead = 2 * sum(self.assignment.workers.values())  # finished results that may wait
+        ahead = 2 * sum(self.assignment.workers.values())
         with ThreadPoolExecutor(ahead) as pool:
-            waiting: deque[Future[T]] = deque()
-            for place in range(len(self)):
-                waiting.append(pool.submit(one, place))
-                if len(waiting) >= ahead:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
+            for begin in range(0, len(self), ahead):
+                yield from pool.map(one, range(begin, min(begin + ahead, len(self))))
 
 
 def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
@@ -218,14 +216,9 @@ def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
 
 
 def remote_dataset(
-    cluster: Cluster, sources: Iterable[Source], *, progress: Callable[[int, int], None] | None = None
+    cluster: Cluster, sources: Iterable[Source], *, progress: Progress | None = None
 ) -> tuple[RemoteDataset, list[SigmaswarmWarning]]:
     """Have the workers of a cluster read drives, and return the warnings of reading.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with the number of drives that are read, and of all.
 
     Raises
     ------
@@ -237,16 +230,17 @@ def remote_dataset(
     wanted = list(sources)
     assignment = Assignment(cluster, wanted)
     assignment.poll()
+    dataset = RemoteDataset(assignment, tuple(range(len(wanted))))
 
     def read(i: int) -> tuple[float, list[SigmaswarmWarning]] | InputError:
         try:
-            return RemoteDataset(assignment, (i,)).call(_size_and_warnings)[0][1]
+            return dataset.subset([i]).call(_size_and_warnings)[0][1]
         except InputError as error:
             return error
 
     failed, warned = list[InputError](), list[SigmaswarmWarning]()
     with ThreadPoolExecutor(2 * sum(assignment.workers.values())) as pool:
-        for i, found in enumerate(pool.map(read, range(len(wanted)))):
+        for i, found in enumerate(pool.map(read, dataset.indices)):
             if isinstance(found, InputError):
                 failed.append(found)
             else:
@@ -257,7 +251,7 @@ def remote_dataset(
     if failed:
         raise _joined_error(failed)
     assignment.assign()
-    return RemoteDataset(assignment, tuple(range(len(wanted)))), warned
+    return dataset, warned
 
 
 def _size_and_warnings(
@@ -267,22 +261,13 @@ def _size_and_warnings(
 
 
 def remote_datasets(
-    cluster: Cluster, groups: Sequence[Sequence[Any]], *, progress: Callable[[int, int], None] | None = None
+    cluster: Cluster, groups: Sequence[Sequence[Any]], *, progress: Progress | None = None
 ) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
-    """Have the workers read groups of drives, paths or URLs, all at once.
-
-    Returns
-    -------
-    datasets : list of RemoteDataset
-        One for each group.
-    warned : list of SigmaswarmWarning
-        The warnings of reading.
-    """
+    """Have the workers read groups of drives, paths or URLs, all at once: a dataset of each, and the warnings."""
     sources = [source_of(drive) for group in groups for drive in group]
     dataset, warned = remote_dataset(cluster, sources, progress=progress)
-    ends = [sum(map(len, groups[: k + 1])) for k in range(len(groups))]
-    subsets = [dataset.subset(range(end - len(group), end)) for group, end in zip(groups, ends, strict=True)]
-    return subsets, warned
+    ends = accumulate(map(len, groups), initial=0)
+    return [dataset.subset(range(begin, end)) for begin, end in pairwise(ends)], warned
 
 
 def source_of(drive: Drive | Location) -> Source:
@@ -298,8 +283,8 @@ def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
 
 def in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
     """Return the results of `apply_to_each` in the order of the drives, or raise their errors as one."""
-    pairs = [pair for places, results in answers for pair in zip(places, results, strict=True)]
-    results = [result for _, result in sorted(pairs, key=lambda pair: pair[0])]
+    found = {i: result for places, results in answers for i, result in zip(places, results, strict=True)}
+    results = [found[i] for i in sorted(found)]
     if failed := [result.error for result in results if isinstance(result, Failure)]:
         raise _joined_error(failed)
     return results

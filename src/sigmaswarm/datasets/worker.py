@@ -2,7 +2,6 @@
 
 import pickle
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -70,7 +69,7 @@ class DriveCache:
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._worker, self._memory = worker, memory
-        self._drives: OrderedDict[str, CachedDrive] = OrderedDict()
+        self._drives: dict[str, CachedDrive] = {}  # the last one was used last
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
@@ -90,12 +89,10 @@ class DriveCache:
         known |= zip(missing, (self.pool.map if self.pool else map)(_read, missing.values()), strict=True)
         needed = sum(drive.size for drive in known.values())
         with self._lock:
-            for key, drive in known.items():
-                self._drives[key] = drive
-                self._drives.move_to_end(key)
+            self._drives = {k: d for k, d in self._drives.items() if k not in known} | known
             total = sum(drive.size for drive in self._drives.values())
             while total > max(self._memory, needed):
-                total -= self._drives.popitem(last=False)[1].size
+                total -= self._drives.pop(next(iter(self._drives))).size
         if needed > self._memory:
             raise ClusterError(
                 f"worker {self._worker}: its {len(sources)} drives need about {in_gb(needed)} of memory, and it has "
@@ -135,9 +132,8 @@ def run_task(call: bytes, sources: bytes, address: str) -> Any:
     try:
         (function, arguments), wanted = pickle.loads(call), pickle.loads(sources)
     except Exception as error:  # a module that is missing here
-        return Failure(
-            ClusterError(f"worker {address}: can't run the task ({type(error).__name__}: {error})")
-        )
+        said = f"worker {address}: can't run the task ({type(error).__name__}: {error})"
+        return Failure(ClusterError(said))
     try:
         drives = cache.get(wanted)
         return None if drives is None else function(drives, cache.pool, *arguments)

@@ -11,8 +11,8 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, replace
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Unpack
@@ -65,6 +65,7 @@ class GridOptions(CompareOptions, total=False):
     optimizers: Sequence[str]
     scales: Sequence[str]
     seeds: int
+    workers: int | None
 
 
 def compare(
@@ -73,7 +74,6 @@ def compare(
     validation: "Sequence[Drive | Location] | Drive | Location | Dataset" = (),
     out: str | Path | None = None,
     resume: bool = False,
-    workers: int | None = None,
     cluster: "Client | None" = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[GridOptions],
@@ -82,16 +82,12 @@ def compare(
 
     Parameters
     ----------
-    drives : Drive or sequence of Drive
-        The training drives.
-    validation : Drive or sequence of Drive
-        Held-out drives.
+    drives, validation : Drive or sequence of Drive
+        The training drives, and held-out drives.
     out : path, optional
         Folder of all runs; a killed comparison can be resumed.
     resume : bool
         Continue with the content of ``out``; the result is the same as without interruption, but for the times.
-    workers : int, optional
-        Threads; as many as cores by default. The result does not depend on it.
     cluster : distributed.Client, optional
         A Dask cluster whose workers read the drives, given as paths or URLs too, and do the work; ``workers`` is
         then the number of tunings at a time. The result does not depend on it.
@@ -105,6 +101,8 @@ def compare(
         log10 (the default), linear or both.
     seeds : int
         Runs of each, with seeds 0, 1, ...; 20 by default.
+    workers : int, optional
+        Threads; as many as cores by default. The result does not depend on it.
     **options
         `CompareOptions`, other options of `tune`: objective, model, particles, generations, ...
 
@@ -113,49 +111,98 @@ def compare(
     InputError
         If an option, optimizer, drive or folder can't be used.
     """
+    workers = options.pop("workers", None) or (cores() if cluster is None else None)
+    grid = _grid(options, *datasets_of(drives, validation, cluster=cluster))
+    with (
+        TemporaryDirectory() as scratch,
+        held_folder(Path(scratch if out is None else out)) as folder,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        return grid.run(folder, pool, resume or out is None, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """The runs of a comparison, and the training and held-out drives."""
+
+    rivals: Sequence[Contender]
+    seeds: int
+    problem: CarProblem
+    test: CarProblem | None
+
+    def run(
+        self, out: Path, pool: Executor, resume: bool, progress: Callable[[int, int], None] | None
+    ) -> Comparison:
+        """Run all, or those that are not in the folder yet."""
+        steps_per_set = int(self.problem.steps.sum())
+        config = {
+            "compared": {c.label: c.config.model_dump(mode="json", exclude={"seed"}) for c in self.rivals},
+            "seeds": self.seeds,
+            "data": self.problem.data,
+            "test": self.test.data if self.test else [],
+            "steps_per_set": steps_per_set,
+            "versions": versions(),
+        }
+        ResultFolder(out, config, resume=resume)
+        outcomes = run_grid(
+            [(rival, seed) for seed in range(self.seeds) for rival in self.rivals],
+            self._runner(out),
+            pool,
+            progress=lambda done, total, _: progress(done, total) if progress else None,
+        )
+        return Comparison(
+            contenders=tuple(self.rivals),
+            runs={c.label: tuple(outcomes[c, seed] for seed in range(self.seeds)) for c in self.rivals},
+            budget=self.rivals[0].budget,
+            steps_per_set=steps_per_set,
+            drives=tuple(drive["name"] for drive in self.problem.data),
+            test=tuple(drive["name"] for drive in self.test.data) if self.test else (),
+        )
+
+    def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
+        """Return the function that runs a contender with a seed, or reads its outcome."""
+        interval, lock, times = usual_interval(self.problem.sensors), threading.Lock(), out / "times.csv"
+        spaces = {rival.scale: car_space(rival.config, interval) for rival in self.rivals}
+        if not times.exists():
+            write_whole(times, "optimizer,scale,seed,cpu_seconds\n")
+
+        def run(task: tuple[Contender, int], report: Report) -> Outcome:
+            rival, seed = task
+            folder = out / "runs" / f"{rival.folder}-{seed:03d}"
+            if not (folder / "run.json").exists():
+                fresh, start = not folder.exists(), time.thread_time()
+                problem = replace(self.problem, config=rival.config, space=spaces[rival.scale])
+                config = rival.config.model_copy(update={"seed": seed})
+                opened = tuning_folder(folder, problem, config, resume=True)
+                tuning = tune_problem(
+                    problem, config, folder=opened, progress=lambda _: report(0), diagnose=False
+                )
+                outcome = _outcome(tuning, self.test)
+                if fresh:  # of an interrupted run the time is unknown
+                    line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'
+                    with lock:
+                        write_whole(times, times.read_text() + line)
+                write_json(folder / "run.json", asdict(outcome))
+            return Outcome.read(folder / "run.json")
+
+        return run
+
+
+def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Grid:
+    """Check the options, and prepare contenders and drives."""
     seeds = options.get("seeds", SEEDS)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
     for name in set(REFUSED).intersection(options):
         raise InputError(f"{name}: {REFUSED[name]}")
-    training, held_out = datasets_of(drives, validation, cluster=cluster)
-    trained, tested = training.map(sensors_of), held_out.map(sensors_of)
-    rivals = _contenders(options, [*trained, *tested])
+    rivals = _contenders(options, [*training.map(sensors_of), *held_out.map(sensors_of)])
     problem = car_problem(training, rivals[0].config)
     test = problem.on(held_out) if len(held_out) else None
     if test:
         check_apart(problem, test)
     if problem.objective.warning:
-        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
-    steps_per_set = int(problem.steps.sum())
-    config = {
-        "compared": {rival.label: rival.config.model_dump(mode="json", exclude={"seed"}) for rival in rivals},
-        "seeds": seeds,
-        "data": problem.data,
-        "test": test.data if test else [],
-        "steps_per_set": steps_per_set,
-        "versions": versions(),
-    }
-    with (
-        TemporaryDirectory() as scratch,
-        held_folder(Path(scratch if out is None else out)) as place,
-        ThreadPoolExecutor(workers or (cores() if cluster is None else None)) as pool,
-    ):
-        ResultFolder(place, config, resume=resume or out is None)
-        outcomes = run_grid(
-            [(rival, seed) for seed in range(seeds) for rival in rivals],
-            _runner(problem, test, rivals, place),
-            pool,
-            progress=(lambda done, total, _: progress(done, total)) if progress else None,
-        )
-    return Comparison(
-        contenders=tuple(rivals),
-        runs={rival.label: tuple(outcomes[rival, seed] for seed in range(seeds)) for rival in rivals},
-        budget=rivals[0].budget,
-        steps_per_set=steps_per_set,
-        drives=tuple(drive.name for drive in trained),
-        test=tuple(drive.name for drive in tested),
-    )
+        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
+    return _Grid(rivals, seeds, problem, test)
 
 
 def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
@@ -196,35 +243,6 @@ def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
         own[key] = value
     config = validated_config(TuneConfig, {**shared, "optimizer": optimizer, "scale": scale, **own})
     return Contender(name, scale, config)
-
-
-def _runner(
-    problem: CarProblem, test: CarProblem | None, rivals: Sequence[Contender], out: Path
-) -> Callable[[tuple[Contender, int], Report], Outcome]:
-    """Return the function that runs a contender with a seed, or reads its outcome."""
-    lock, times = threading.Lock(), out / "times.csv"
-    spaces = {rival.scale: car_space(rival.config, problem.sensors) for rival in rivals}
-    if not times.exists():
-        write_whole(times, "optimizer,scale,seed,cpu_seconds\n")
-
-    def run(task: tuple[Contender, int], report: Report) -> Outcome:
-        rival, seed = task
-        folder = out / "runs" / f"{rival.folder}-{seed:03d}"
-        if not (folder / "run.json").exists():
-            fresh, start = not folder.exists(), time.thread_time()
-            own = replace(problem, config=rival.config, space=spaces[rival.scale])
-            config = rival.config.model_copy(update={"seed": seed})
-            opened = tuning_folder(folder, own, config, resume=True)
-            tuning = tune_problem(own, config, folder=opened, progress=lambda _: report(0), diagnose=False)
-            outcome = _outcome(tuning, test)
-            if fresh:  # of an interrupted run the time is unknown
-                line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'
-                with lock:
-                    write_whole(times, times.read_text() + line)
-            write_json(folder / "run.json", asdict(outcome))
-        return Outcome.read(folder / "run.json")
-
-    return run
 
 
 def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:

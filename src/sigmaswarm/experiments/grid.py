@@ -29,6 +29,7 @@ Report = Callable[[int], None]
 """Takes the number of finished rounds of a task; raises where the grid was interrupted."""
 POLL = 0.05
 """s between two looks at the progress of the tasks."""
+KILLED = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None
 """In a forked process: runs a task, given by its index."""
 
@@ -47,8 +48,7 @@ def run_grid(
 
     Parameters
     ----------
-    tasks : sequence
-    run : callable
+    tasks, run : sequence, callable
         Runs one task. Its second argument is a function that it calls with the number of finished rounds.
     executor : concurrent.futures.Executor
         Threads that run the tasks where there are no processes.
@@ -89,9 +89,7 @@ def run_grid(
         for future in futures.values():
             future.cancel()
         if isinstance(error, BrokenProcessPool):
-            raise SigmaswarmError(
-                "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
-            ) from None
+            raise SigmaswarmError(KILLED) from None
         raise
     finally:
         if processes:

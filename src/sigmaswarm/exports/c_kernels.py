@@ -33,7 +33,7 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
     emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
         emitter.add(measurements._take_velocity, n=n, _absorb_two=measurements._absorb_two)
-    emitter.add(measurements._keep_digits, **both, fix_error=int(model.fix_error))
+    emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
         emitter.add(measurements._stretch, n=n)
     if features["USE_ADAPTIVE"]:

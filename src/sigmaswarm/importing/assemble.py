@@ -14,9 +14,9 @@ from sigmaswarm.importing.dates import LONG_AGO, SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.mounting import parse_mount, rotate
-from sigmaswarm.importing.places import MOVING, Say, Values, course_of, fitting_angle, level, require_degrees
+from sigmaswarm.importing.places import MOVING, Say, Values, course_of, fitting_angle, level
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.source import ROLES, Role
 
 SEED = 0
 """Seed of the noise of fixes that are made from the truth."""
@@ -24,6 +24,8 @@ MOST_FIXES = 10_000_000
 """That are made of the truth."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 """Required columns of each role."""
+Origin = tuple[float, float, float]
+"""Latitude (deg), longitude (deg), altitude (m) of the local frame."""
 LONGEST_OFFSET = 4e9
 """s: 126 years, beyond which times in ns leave 64 bits."""
 
@@ -47,98 +49,70 @@ def assemble(
     InputError
         A required column is missing or implausible.
     """
-    joined: dict[Role, tuple[Nanoseconds, Values]] = {
-        role: join(parts, role, REQUIRED.get(role, ()), say, recording)
-        for role, parts in gathered.items()
-        if parts
-    }
-    seconds, zero = _seconds(joined, recipe)
-    imu = joined["imu"][1]
-    if recipe.mount:
-        imu = rotate(imu, parse_mount(recipe.mount))
+    times: dict[Role, Nanoseconds] = {}
+    values: dict[Role, Values] = {}
+    for role, parts in gathered.items():
+        times[role], values[role] = join(parts, role, REQUIRED.get(role, ()), say, recording)
+    seconds, zero = _seconds(times, recipe)
+    imu = rotate(values["imu"], parse_mount(recipe.mount)) if recipe.mount else values["imu"]
     origin = recipe.origin
     gps: Values = {}
-    if "gps" in joined:
-        gps, origin = placed_fixes(joined["gps"][1], origin, say)
+    if "gps" in values:
+        gps, origin = placed_fixes(values["gps"], origin, say)
         if "course" in gps:
             course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
             gps["course"] = fitting_angle(gps["course"], course, rows, "gps: the course", say)
     truth = None
-    if "truth" in joined:
-        values, origin = _placed_truth(joined["truth"][1], origin, gps)
-        if "lat" in gps and "lat" not in values and recipe.origin is None and origin is not None:
-            say(_assumed_origin(seconds, values, gps, origin))
-        truth = Truth(seconds["truth"], **_motion(seconds["truth"], values, gps, say))
+    if "truth" in values:
+        placed, origin = _placed_truth(values["truth"], origin, gps)
+        if "lat" in gps and "lat" not in placed and recipe.origin is None and origin is not None:
+            say(_assumed_origin(seconds, placed, gps, origin))
+        truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
+    metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
     if recipe.gps_from_truth:
         if truth is None:
             raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
-    drive = Drive(
-        name=name,
-        imu=Imu(seconds["imu"], **{k: v for k, v in imu.items() if k in {f.name for f in fields(Imu)}}),
-        gps=Gps(seconds["gps"], **gps),
-        truth=truth,
-        frame="wgs84" if "lat" in gps else "enu",
-        origin=origin,
-        metadata=_metadata(recipe, zero),
-        odometer=Odometer(seconds["odometer"], joined["odometer"][1]["speed"])
-        if "odometer" in joined
-        else None,
-    )
-    if shortage := shortage_of(drive.imu, drive.gps):
-        raise InputError(f"{name}: {_with_offset(shortage, drive)}")
-    return drive
-
-
-def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
-    """Return the keys of drive.toml from a recipe, and the second at which the times begin."""
-    metadata: dict[str, Any] = {}
-    if zero:
-        metadata["time_origin_s"] = zero
-    if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
         metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
     if recipe.gps_lever_arm_m:
         metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
-    return metadata
+    wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
+    drive = Drive(
+        name=name,
+        imu=Imu(seconds["imu"], **{f.name: imu[f.name] for f in fields(Imu) if f.name in imu}),
+        gps=Gps(seconds["gps"], **gps),
+        truth=truth,
+        frame="wgs84" if "lat" in gps else "enu",
+        origin=origin,
+        metadata=metadata,
+        odometer=wheels,
+    )
+    if shortage := shortage_of(drive.imu, drive.gps):
+        if "overlap" in shortage:
+            offset = drive.imu.time[0] - drive.gps.time[0]
+            shortage += f", with --gps-offset (were both begun together: {offset:.3f})"
+        raise InputError(f"{name}: {shortage}")
+    return drive
 
 
-def _with_offset(shortage: str, drive: Drive) -> str:
-    if "overlap" not in shortage:
-        return shortage
-    offset = drive.imu.time[0] - drive.gps.time[0]
-    return f"{shortage}, with --gps-offset (were both begun together: {offset:.3f})"
-
-
-def _seconds(
-    joined: Mapping[Role, tuple[Nanoseconds, Values]], recipe: Recipe
-) -> tuple[dict[Role, Array], int]:
+def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:
     """All times in s, with their offsets; clocks that count from long ago start with the log, at a whole second."""
-    offsets: dict[Role, float] = {
-        "imu": 0.0,
-        "gps": recipe.gps_offset_s,
-        "truth": recipe.truth_offset_s,
-        "odometer": recipe.odometer_offset_s,
-    }
-    for role, offset in offsets.items():
+    moved: dict[Role, Nanoseconds] = {}
+    for role in ROLES:
+        offset = getattr(recipe, f"{role}_offset_s", 0.0)
         if not abs(offset) < LONGEST_OFFSET:
             raise InputError(f"--{role}-offset {offset:g} can't be; give seconds")
-    moved: dict[Role, Nanoseconds] = {
-        role: time + round(offsets[role] * SECOND) for role, (time, _) in joined.items()
-    }
-    begin = min(_begin(time) for role, time in moved.items() if role in ("imu", "gps") or "gps" not in moved)
+        if role in times:
+            moved[role] = times[role] + round(offset * SECOND)
+    # a stamp years before all others is broken, and would cost them their last digits
+    begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - LONG_AGO)]) for role, t in moved.items()}
+    begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= LONG_AGO else 0
     return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
 
 
-def _begin(time: Nanoseconds) -> int:
-    """When a table begins; a stamp years before all others is broken, and would cost them their last digits."""
-    return int(time[np.searchsorted(time, time[len(time) // 2] - LONG_AGO)])
-
-
-def placed_fixes(
-    values: Values, origin: tuple[float, float, float] | None, say: Say
-) -> tuple[Values, tuple[float, float, float] | None]:
+def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Values, Origin | None]:
     """The fixes' columns as a drive has them, and the origin of the local frame."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
@@ -151,12 +125,8 @@ def placed_fixes(
     if "lat" in values and "lon" in values:
         if not len(values["lat"]):
             raise InputError("the gps: no fix is left; --show shows what the log holds")
-        altitude = values.get("alt")
-        if origin is None:
-            height = 0.0 if altitude is None else float(altitude[0])
-            origin = float(values["lat"][0]), float(values["lon"][0]), height
-        require_degrees(values, "gps")
-        values = level(values, origin[2] if altitude is None else altitude, origin)
+        origin = origin or _first_place(values)
+        values = level(values, values.get("alt", origin[2]), origin, "gps")
     elif not {"x", "y"} <= set(values):
         raise InputError(
             "the gps: nothing gives a position; map lat and lon (deg), or x and y (m east, north)"
@@ -167,26 +137,26 @@ def placed_fixes(
     return values, origin
 
 
-def _placed_truth(
-    values: Values, origin: tuple[float, float, float] | None, gps: Values
-) -> tuple[Values, tuple[float, float, float] | None]:
+def _first_place(values: Values) -> Origin:
+    return (
+        float(values["lat"][0]),
+        float(values["lon"][0]),
+        float(values["alt"][0]) if "alt" in values else 0.0,
+    )
+
+
+def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
     """The truth with x and y, m; about its own first place where no fixes have set an origin.
 
     Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand metres
     between the two would stretch one of them by 16 cm a kilometre.
     """
     if "lat" in values and "lon" in values:
-        if origin is None and not gps:
-            origin = (
-                float(values["lat"][0]),
-                float(values["lon"][0]),
-                float(values.get("alt", np.zeros(1))[0]),
-            )
-        if origin is None:
+        if origin is None and gps:
             raise InputError("the truth is in degrees and the fixes are not; give --origin lat,lon,alt")
-        require_degrees(values, "truth")
+        origin = origin or _first_place(values)
         flat = "lat" in gps and "alt" not in gps
-        values = level(values, origin[2] if flat else values.get("alt", origin[2]), origin)
+        values = level(values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth")
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(
             "the truth: nothing gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
@@ -194,37 +164,31 @@ def _placed_truth(
     return values, origin
 
 
-def _assumed_origin(
-    seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: tuple[float, float, float]
-) -> str:
+def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
     """Return the sentence on truth in metres with fixes in degrees: its origin, and how far the fixes are from it."""
     said = "truth is in metres: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
     if np.count_nonzero(inside) < 3:
         return f"{said}; state it with --origin lat,lon,alt"
-    known = [np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")]
-    error = np.array([gps["x"][inside], gps["y"][inside]]) - np.array(known)
-    mean, spread = error.mean(axis=1), error.std(axis=1) / np.sqrt(error.shape[1])
-    lat, lon, _ = enu_to_geodetic(np.array([[mean[0], mean[1], 0.0]]), origin)[0]
+    apart = [gps[n][inside] - np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")]
+    (east, north), spread = np.mean(apart, axis=1), np.std(apart, axis=1) / np.sqrt(np.count_nonzero(inside))
+    lat, lon, _ = enu_to_geodetic(np.array([[east, north, 0.0]]), origin)[0]
     state = (
         f"state it with --origin, as --origin {lat:.8f},{lon:.8f},{origin[2]:.3f}, which fits the fixes best"
     )
-    if np.all(np.abs(mean) < 5 * spread):
+    if np.all(np.abs([east, north]) < 5 * spread):
         return f"{said}; {state}"
-    return f"{said}; but the fixes lie {mean[0]:.2f} m east and {mean[1]:.2f} m north of the truth on average: {state}"
+    return f"{said}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
     """Fixes at a rate, Hz, that lie where the truth is, with white noise, m per axis."""
+    given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
-        raise InputError(
-            f"--gps-from-truth {rate:g},{noise:g} can't be; give a rate in Hz and a deviation in m, as 5,1"
-        )
+        raise InputError(f"{given} can't be; give a rate in Hz and a deviation in m, as 5,1")
     if not (truth.time[-1] - truth.time[0]) * rate <= MOST_FIXES:
-        raise InputError(
-            f"--gps-from-truth {rate:g},{noise:g} would make more than {MOST_FIXES} fixes; check the truth's times"
-        )
+        raise InputError(f"{given} would make more than {MOST_FIXES} fixes; check the truth's times")
     time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
     error = noise * np.random.default_rng(SEED).standard_normal((2, len(time)))
     x, y = (np.interp(time, truth.time, column) for column in (truth.x, truth.y))
@@ -233,15 +197,13 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
 
 def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
     """The truth's columns; velocity and heading, where the log has none, from positions and course."""
-    if "speed" in values and "course" in values and "vx" not in values:
-        values["vx"], values["vy"] = (
-            values["speed"] * np.cos(values["course"]),
-            values["speed"] * np.sin(values["course"]),
-        )
     if "forward" in values and "theta" in values:
         body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
         east_north = body * np.exp(1j * values["theta"])
         values["vx"], values["vy"] = east_north.real, east_north.imag
+    elif "speed" in values and "course" in values and "vx" not in values:
+        speed, course = values["speed"], values["course"]
+        values["vx"], values["vy"] = speed * np.cos(course), speed * np.sin(course)
     if "vx" not in values or "vy" not in values:
         say("truth: velocity taken from the positions' differences")
         values["vx"], values["vy"] = np.gradient(values["x"], time), np.gradient(values["y"], time)
@@ -251,13 +213,13 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
     else:
         course, rows = course_of(time, values["x"], values["y"])
         values["theta"] = fitting_angle(values["theta"], course, rows, "truth: the heading", say)
-    if not gps:
-        return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
-    apart = np.hypot(
-        np.median(values["x"]) - np.median(gps["x"]), np.median(values["y"]) - np.median(gps["y"])
-    )
-    if apart > 1000.0:
-        say(f"truth: lies {apart:.0f} m from the fixes on the whole; if it has another origin, give --origin")
+    if gps:
+        east, north = (float(np.median(values[n]) - np.median(gps[n])) for n in ("x", "y"))
+        apart = np.hypot(east, north)
+        if apart > 1000.0:
+            say(
+                f"truth: lies {apart:.0f} m from the fixes on the whole; if it has another origin, give --origin"
+            )
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 
 

@@ -25,6 +25,8 @@ from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
 """Most characters of an expression, to limit its nesting."""
+MOST_USES = 1000
+"""Times that polars computes a column, since functions in functions may use their arguments several times."""
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -32,7 +34,8 @@ def _number(a: pl.Expr) -> pl.Expr:
 
 
 def _truth(a: pl.Expr) -> pl.Expr:
-    return _number(a).fill_nan(None) != 0
+    """Null for NaN. ``fill_nan`` would double the work with each nesting, since it names its column twice."""
+    return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
 
 def _where(condition: pl.Expr, a: pl.Expr, b: pl.Expr) -> pl.Expr:
@@ -86,18 +89,18 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-_FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
-    **{name: (1, getattr(pl.Expr, name)) for name in ("abs", "sqrt", "exp", "log", "sin", "cos", "tan")},
-    **{name: (1, getattr(pl.Expr, name)) for name in ("radians", "degrees")},
-    "atan2": (2, pl.arctan2),
-    "hypot": (2, _hypot),
-    "ddmm": (1, _ddmm),
-    "gps_time": (2, gps_time),
-    "min": (2, _least),
-    "max": (2, _most),
-    "where": (3, _where),
+_FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
+    **{name: ((1,), getattr(pl.Expr, name)) for name in ("abs", "sqrt", "exp", "log", "sin", "cos", "tan")},
+    **{name: ((1,), getattr(pl.Expr, name)) for name in ("radians", "degrees")},
+    "atan2": ((1, 1), pl.arctan2),
+    "hypot": ((2, 2), _hypot),
+    "ddmm": ((4,), _ddmm),
+    "gps_time": ((20, 20), gps_time),
+    "min": ((3, 3), _least),
+    "max": ((3, 3), _most),
+    "where": ((2, 1, 1), _where),
 }
-"""A function of expressions: its number of arguments, and its implementation."""
+"""A function of expressions: how often it uses each argument, and its implementation."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +178,7 @@ class _Compiler:
         self.text, self.columns = text, columns
         self.used: set[str] = set()
         self.numbers: set[str] = set()
+        self.uses = 1
 
     def build(self, node: ast.AST) -> pl.Expr:
         """One node of the tree, checked against what is allowed."""
@@ -198,17 +202,25 @@ class _Compiler:
             case ast.Call(func=ast.Name(id="utc"), args=[_, *_] as args, keywords=[]):
                 return self._utc(args)
             case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
-                wanted, function = _FUNCTIONS[f]
-                if len(args) != wanted:
+                uses, function = _FUNCTIONS[f]
+                if len(args) != len(uses):
                     raise InputError(
-                        f"{f} in {quoted(self.text)} takes {wanted} value(s), not {len(args)}; mend the expression"
+                        f"{f} in {quoted(self.text)} takes {len(uses)} value(s), not {len(args)}; mend the expression"
                     )
-                return function(*(_number(self.build(a)) for a in args))
+                return function(*(_number(self._argument(a, n)) for a, n in zip(args, uses, strict=True)))
             case _:
                 raise InputError(
                     f"{quoted(ast.unparse(node))} in {quoted(self.text)} is not allowed; use columns, numbers, "
                     f"+ - * / ** %, comparisons, and {', '.join((*_FUNCTIONS, 'utc'))}"
                 )
+
+    def _argument(self, node: ast.expr, uses: int) -> pl.Expr:
+        self.uses *= uses
+        if self.uses > MOST_USES:
+            raise RecursionError
+        built = self.build(node)
+        self.uses //= uses
+        return built
 
     def _constant(self, value: float) -> pl.Expr:
         try:

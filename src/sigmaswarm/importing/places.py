@@ -58,17 +58,6 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
     return {**values, "lon": np.mod(values["lon"] + 180, 360) - 180}
 
 
-def require_degrees(values: Values, role: str) -> None:
-    """Refuse latitudes and longitudes that are no degrees."""
-    for name, most in (("lat", 90.0), ("lon", 180.0)):
-        wrong = np.abs(values[name]) > most
-        if wrong.any():
-            value = values[name][wrong][0]
-            raise InputError(
-                f"the {role}: {name} = {value:g} is no degrees; map it, for example --map {name}={name}*1e-7"
-            )
-
-
 def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]]:
     """The course (m,), rad, between places at least some metres apart, and at which rows it is the mean course."""
     if len(time) < 10:
@@ -102,7 +91,13 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     return np.asarray(wrap_angle(conventions[best][1]))
 
 
-def level(values: Values, altitude: Array | float, origin: tuple[float, float, float]) -> Values:
-    """The values with x and y, m, of latitude and longitude about an origin."""
+def level(values: Values, altitude: Array | float, origin: tuple[float, float, float], role: str) -> Values:
+    """The values with x and y, m, of latitude and longitude about an origin; these must be degrees."""
+    for name, most in (("lat", 90.0), ("lon", 180.0)):
+        wrong = values[name][np.abs(values[name]) > most]
+        if len(wrong):
+            raise InputError(
+                f"the {role}: {name} = {wrong[0]:g} is no degrees; map it, for example --map {name}={name}*1e-7"
+            )
     enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
     return {**values, "x": enu[:, 0], "y": enu[:, 1]}

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
@@ -26,14 +27,57 @@ LARGEST_GRADIENT = 1.0
 
 
 @dataclass(frozen=True, eq=False)
+class Examples:
+    """Arrays of shape (number of examples, ...), and which examples are held back (bool)."""
+
+    arrays: tuple[Array, ...]
+    held_back: NDArray[np.bool_]
+
+    def part(self, *, held_back: bool) -> tuple[Array, ...]:
+        """Return those that are held back, or the others."""
+        return tuple(array[self.held_back == held_back] for array in self.arrays)
+
+
+@dataclass(frozen=True, eq=False)
 class Lesson:
-    """A training to be done: loss, initial weights and examples of `fit`, and weights that stay fixed."""
+    """A training to be done.
+
+    Attributes
+    ----------
+    loss : callable
+    weights : mapping of str to ndarray
+        Initial ones.
+    examples, held_back : tuple of ndarray
+        Each of shape (number of examples, ...).
+    fixed : mapping of str to ndarray
+        Weights that are not trained.
+    """
 
     loss: Loss
     weights: Mapping[str, Array]
     examples: tuple[Array, ...]
     held_back: tuple[Array, ...]
     fixed: Mapping[str, Array] = field(default_factory=dict[str, Array])
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The course of a training.
+
+    Attributes
+    ----------
+    learning_rate : float
+    epochs, batch, patience : int
+        Largest number of passes over the examples, examples a step, and largest number of passes without improvement.
+    seed : int
+        Shuffles the examples: the same seed gives the same bits on the same machine.
+    """
+
+    learning_rate: float
+    epochs: int
+    batch: int
+    patience: int
+    seed: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,65 +121,49 @@ def exact() -> AbstractContextManager[Any]:
 
 
 def fit(
-    loss: Loss,
-    weights: Mapping[str, Array],
-    examples: tuple[Array, ...],
-    held_back: tuple[Array, ...],
+    lesson: Lesson,
+    schedule: Schedule,
     *,
-    learning_rate: float,
-    epochs: int,
-    batch: int,
-    patience: int,
-    seed: int,
     checkpoint: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Find the weights with the least loss on held-back examples, by Adam on the others.
 
-    Parameters
-    ----------
-    loss : callable
-    weights : mapping
-        Initial ones.
-    examples, held_back : tuple of ndarray
-        Each of shape (number of examples, ...).
-    learning_rate : float
-    epochs, batch, patience : int
-        Largest number of passes over the examples, examples a step, and largest number of passes without improvement.
-    seed : int
-        Shuffles the examples: the same seed gives the same bits on the same machine.
-    checkpoint : Path, optional
-        File of the state after each epoch, from which a killed training continues.
-    progress : callable, optional
-        Called with every epoch and the least loss so far.
+    ``checkpoint`` is the file of the state after each epoch, from which a killed training continues. ``progress`` is
+    called with every epoch and the least loss so far.
     """
     with exact():
         import jax
 
-        optimizer = _optimizer(learning_rate)
-        state = _State.start(weights, optimizer, float(jax.jit(loss)(dict(weights), held_back)))
+        optimizer, test = _optimizer(schedule.learning_rate), jax.jit(lesson.loss)
+        weights: dict[str, Any] = {name: np.asarray(w, np.float64) for name, w in lesson.weights.items()}
+        before = [[np.nan, float(test(weights, lesson.held_back))]]
+        state = _State(weights, optimizer.init(weights), weights, np.array(before))
         saved = load_checkpoint(checkpoint) if checkpoint else None
-        if checkpoint and saved:
+        if saved:
             try:
                 state = state.restored(saved[0])
             except (LookupError, ValueError):
                 raise InputError(
                     f"{checkpoint}: not a checkpoint of this training; delete it to redo the training"
                 ) from None
-        size = min(batch, len(examples[0]))
-        run = jax.jit(partial(_epoch, loss, optimizer))
-        test = jax.jit(loss)
-        while state.epoch < epochs and state.epoch - int(np.argmin(state.losses[:, 1])) < patience:
-            order = np.random.default_rng([seed, state.epoch]).permutation(len(examples[0]))
-            order = order[: len(order) // size * size].reshape(-1, size)
-            moved, moments, mean = run(state.weights, state.moments, tuple(e[order] for e in examples))
-            loss_pair = float(mean), float(test(moved, held_back))
-            moved, moments = jax.tree.map(np.asarray, (moved, moments))
-            state = state.after(moved, moments, loss_pair)
+        count = len(lesson.examples[0])
+        size = min(schedule.batch, count)
+        run = jax.jit(partial(_epoch, lesson.loss, optimizer))
+        while (epoch := len(state.losses) - 1) < schedule.epochs:
+            if epoch - int(np.argmin(state.losses[:, 1])) >= schedule.patience:
+                break
+            order = np.random.default_rng([schedule.seed, epoch]).permutation(count)
+            order = order[: count // size * size].reshape(-1, size)
+            batches = tuple(e[order] for e in lesson.examples)
+            weights, moments, mean = run(state.weights, state.moments, batches)
+            losses = float(mean), float(test(weights, lesson.held_back))
+            weights, moments = jax.tree.map(np.asarray, (weights, moments))
+            state = state.after(weights, moments, losses)
             if checkpoint:
                 save_checkpoint(checkpoint, state.arrays(), {})
             if progress:
-                progress(state.epoch, float(np.nanmin(state.losses[:, 1])))
+                progress(epoch + 1, float(np.nanmin(state.losses[:, 1])))
     return Fit(state.best, state.losses)
 
 
@@ -173,30 +201,20 @@ class _State:
     best: dict[str, Any]
     losses: Array
 
-    @classmethod
-    def start(cls, weights: Mapping[str, Array], optimizer: Any, loss: float) -> "_State":
-        own = {name: np.asarray(w, np.float64) for name, w in weights.items()}
-        return cls(own, optimizer.init(own), own, np.array([[np.nan, loss]]))
-
-    @property
-    def epoch(self) -> int:
-        return len(self.losses) - 1
-
     def after(self, weights: Any, moments: Any, losses: tuple[float, float]) -> "_State":
         train, test = (value if np.isfinite(value) else np.inf for value in losses)
-        better = test < np.min(self.losses[:, 1])
-        best = weights if better else self.best
+        best = weights if test < np.min(self.losses[:, 1]) else self.best
         return _State(weights, moments, best, np.vstack([self.losses, [train, test]]))
 
     def arrays(self) -> dict[str, Any]:
         import jax
 
         parts = {"weights": self.weights, "best": self.best}
-        named = {f"{part}/{name}": array for part, of in parts.items() for name, array in of.items()}
-        numbered = {
-            f"moments/{k}": np.asarray(array) for k, array in enumerate(jax.tree.leaves(self.moments))
+        parts["moments"] = {
+            str(k): np.asarray(array) for k, array in enumerate(jax.tree.leaves(self.moments))
         }
-        return {**named, **numbered, "losses": self.losses}
+        named = {f"{part}/{name}": array for part, of in parts.items() for name, array in of.items()}
+        return {**named, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
         """Return the saved state of a training that began as this one.
@@ -213,10 +231,11 @@ class _State:
             losses = name == "losses" and len(saved) > 1
             if saved.dtype != now.dtype or saved.shape[losses:] != now.shape[losses:]:
                 raise ValueError(f"{name} has another type or shape")
-
-        def part(name: str) -> dict[str, Any]:
-            return {key.split("/")[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}
-
         leaves, structure = jax.tree.flatten(self.moments)
         moments = structure.unflatten([arrays[f"moments/{k}"] for k in range(len(leaves))])
-        return _State(part("weights"), moments, part("best"), arrays["losses"])
+        return _State(part_of(arrays, "weights"), moments, part_of(arrays, "best"), arrays["losses"])
+
+
+def part_of(arrays: Mapping[str, Any], part: str) -> dict[str, Any]:
+    """Return the arrays named ``part/NAME``, by NAME."""
+    return {key.split("/")[1]: array for key, array in arrays.items() if key.startswith(f"{part}/")}

@@ -25,7 +25,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.learned import outage_lstm
 from sigmaswarm.learned.cells import n_weights, new_weights
-from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru, NoiseRun
+from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun
 from sigmaswarm.records import load_record
 
@@ -97,7 +97,7 @@ class Learned:
             inflation = np.inf if net.inflation is None else net.inflation
             network = OutageLstm(tuple(net.axes), net.window, self.weights, inflation, net.unsure)
             return OutageRun(replay, parameters, network, recover=recover)
-        return NoiseRun(replay, parameters, NoiseGru(self.weights), recover=recover)
+        return NoiseRun(replay, parameters, self.weights, recover=recover)
 
     def save(self, folder: Path) -> list[Path]:
         """Write learned.toml and weights.npz; their paths."""

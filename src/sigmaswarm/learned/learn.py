@@ -4,6 +4,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,7 +20,7 @@ from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned import noise_gru, outage_lstm
 from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.fitting import Fit, Lesson, exact, fit
+from sigmaswarm.learned.fitting import Fit, Lesson, Schedule, exact, fit, part_of
 from sigmaswarm.learned.folder import LEARNED_SEEN, Learned, LearnedRecord, NetworkRecord, TrainingRecord
 from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
@@ -73,16 +74,58 @@ LEARNERS: Mapping[str, type[OutageLearner] | type[NoiseLearner]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class LearnConfig:
+    """What is trained on what: saved as config.json.
+
+    Attributes
+    ----------
+    kind : {"outage-lstm", "noise-gru"}
+    parameters : FilterParameters
+        Of the tuned filter.
+    drives : sequence of Drive
+        Training drives.
+    validation : sequence of Drive
+        Held-out drives for early stopping and, for outage-lstm, calibration; by default the last quarter of each
+        drive, or for outage-lstm, of three drives or more, the last third of them.
+    search : int
+        Number of further settings (units, window, learning rate) to try; the best on the held-out data is kept.
+    seed : int
+        Same seed, same bits on the same machine.
+    """
+
+    kind: NetworkName
+    parameters: FilterParameters
+    drives: Sequence[Drive]
+    validation: Sequence[Drive] = ()
+    search: int = 0
+    seed: int = 0
+
+    def record(self) -> dict[str, Any]:
+        """Return the content of config.json."""
+        return {
+            "kind": self.kind,
+            "filter": self.parameters.to_dict(),
+            "search": self.search,
+            "seed": self.seed,
+            "data": [described(drive) for drive in self.drives],
+            "validation": [described(drive) for drive in self.validation],
+            "versions": versions() | {"jax": version("jax")},
+        }
+
+    def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
+        """Return the drives to train on, and those held back; none where the end of each drive is held back."""
+        if self.kind == noise_gru.NAME or self.validation:
+            return self.drives, self.validation
+        last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives
+        return self.drives[:last], self.drives[last:]
+
+
 def learn(
-    kind: NetworkName,
-    parameters: FilterParameters,
-    drives: Sequence[Drive],
-    *,
+    config: LearnConfig,
     out: Path,
-    validation: Sequence[Drive] = (),
+    *,
     tuning: Path | None = None,
-    search: int = 0,
-    seed: int = 0,
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> Learned:
@@ -90,22 +133,11 @@ def learn(
 
     Parameters
     ----------
-    kind : {"outage-lstm", "noise-gru"}
-    parameters : FilterParameters
-        Of the tuned filter.
-    drives : sequence of Drive
-        Training drives.
+    config : LearnConfig
     out : Path
         Folder of the results; `sigmaswarm run` and `evaluate` read it as a tuning's.
-    validation : sequence of Drive
-        Held-out drives for early stopping and, for outage-lstm, calibration; by default the last quarter of each
-        drive, or for outage-lstm, of three drives or more, the last third of them.
     tuning : Path, optional
         The tuning.toml of the parameters, to be copied.
-    search : int
-        Number of further settings (units, window, learning rate) to try; the best on the held-out data is kept.
-    seed : int
-        Same seed, same bits on the same machine.
     resume : bool
         Continue an interrupted training; the result is the same as without interruption.
     progress : callable, optional
@@ -116,71 +148,47 @@ def learn(
     InputError
         If JAX is missing, a filter or a drive is unsuitable, or the folder holds another training.
     """
-    if kind not in LEARNERS:
-        raise InputError(f"{kind!r}: no such network; choose one of {', '.join(LEARNERS)}")
-    with exact():
-        import jax  # raises at once where it is missing
-
-    began = time.process_time()
-    data, own_versions = [described(drive) for drive in drives], versions() | {"jax": jax.__version__}
-    config = {
-        "kind": kind,
-        "filter": parameters.to_dict(),
-        "search": search,
-        "seed": seed,
-        "data": data,
-        "validation": [described(drive) for drive in validation],
-        "versions": own_versions,
-    }
-    folder = ResultFolder(out, config, resume=resume)
-    shown, held_back = drives, validation
-    if kind == outage_lstm.NAME and not validation:  # its calibration needs long drives
-        last = len(drives) - len(drives) // 3
-        shown, held_back = drives[:last], drives[last:]
-    learner: Learner = LEARNERS[kind](shown, held_back, parameters, seed)
-    points, fits = _trainings(learner, folder, search, seed, progress)
-    best = int(np.argmin([_loss(one) for one in fits]))
-    settings, found = points[best], fits[best]
+    if config.kind not in LEARNERS:
+        raise InputError(f"{config.kind!r}: no such network; choose one of {', '.join(LEARNERS)}")
+    with exact():  # raises at once where JAX is missing
+        began, record = time.process_time(), config.record()
+    folder = ResultFolder(out, record, resume=resume)
+    shown, held_back = config.split()
+    learner: Learner = LEARNERS[config.kind](shown, held_back, config.parameters, config.seed)
+    settings, found = _best_training(learner, folder, config, progress)
     weights, more = learner.finish(settings, found.weights)
-    record = LearnedRecord(
-        kind=kind,
-        network=NetworkRecord(
-            units=int(settings["units"]),
-            window=settings["window"],
-            learning_rate=settings["learning_rate"],
-            numbers=n_weights(weights),
-            **more,
-        ),
-        training=TrainingRecord(
-            seed=seed,
-            search=search,
-            driven_s=float(sum(d.imu.time[-1] - d.imu.time[0] for d in drives)),
-            epochs=len(found.losses) - 1,
-            loss_before=float(found.losses[0, 1]),
-            loss=found.best,
-            held_back=", ".join(d.name for d in held_back) or "the last quarter of each drive",
-        ),
-        versions=own_versions,
-        data=[DriveRecord.model_validate(entry) for entry in data],
+    network = NetworkRecord(
+        units=int(settings["units"]),
+        window=settings["window"],
+        learning_rate=settings["learning_rate"],
+        numbers=n_weights(weights),
+        **more,
     )
-    learned = Learned(record, weights)
-    _save(learned, parameters, drives, tuning, out)
+    training = TrainingRecord(
+        seed=config.seed,
+        search=config.search,
+        driven_s=float(sum(d.imu.time[-1] - d.imu.time[0] for d in config.drives)),
+        epochs=len(found.losses) - 1,
+        loss_before=float(found.losses[0, 1]),
+        loss=found.best,
+        held_back=", ".join(d.name for d in held_back) or "the last quarter of each drive",
+    )
+    data = [DriveRecord.model_validate(entry) for entry in record["data"]]
+    kept = LearnedRecord(
+        kind=config.kind, network=network, training=training, versions=record["versions"], data=data
+    )
+    learned = Learned(kept, weights)
+    _save(learned, config, tuning, out)
     write_json(out / "timings.json", {"processor_s": time.process_time() - began})
     return learned
 
 
-def _save(
-    learned: Learned,
-    parameters: FilterParameters,
-    drives: Sequence[Drive],
-    tuning: Path | None,
-    out: Path,
-) -> None:
+def _save(learned: Learned, config: LearnConfig, tuning: Path | None, out: Path) -> None:
     with staged_files(out) as new:
         learned.save(new)
-        save_landmarks([landmarks(drive) for drive in drives], new / LEARNED_SEEN)
+        save_landmarks([landmarks(drive) for drive in config.drives], new / LEARNED_SEEN)
         if tuning is None:
-            parameters.save(new / FILE)
+            config.parameters.save(new / FILE)
         else:
             write_whole(new / FILE, tuning.read_bytes())
             if (tuning.parent / SEEN_FILE).exists():
@@ -201,43 +209,40 @@ class FinishedHistoryRecord(BaseModel):
     losses: np.ndarray[Any, np.dtype[np.float64]]
 
 
-def _trainings(
+def _best_training(
     learner: Learner,
     folder: ResultFolder,
-    search: int,
-    seed: int,
+    config: LearnConfig,
     progress: Callable[[Progress], None] | None,
-) -> tuple[list[Settings], list[Fit]]:
-    """Train with the first settings, and with those that an optimizer chooses."""
-    points, fits, total = list[Settings](), list[Fit](), (1 + search) * learner.epochs
+) -> tuple[Settings, Fit]:
+    """Train with the first settings, and with those that an optimizer chooses; return the best."""
+    found, total = list[tuple[float, Settings, Fit]](), (1 + config.search) * learner.epochs
 
     def train(settings: Settings) -> float:
-        number = len(points)
+        number = len(found)
 
         def report(epoch: int, loss: float) -> None:
             if progress:
                 progress(Progress(number, epoch, number * learner.epochs + epoch, total, loss))
 
-        points.append(settings)
-        fits.append(_trained(learner, settings, seed, folder, number, report))
-        return _loss(fits[-1])
+        trained = _trained(learner, settings, config.seed, folder, number, report)
+        cost = trained.best if np.isfinite(trained.best) else float("inf")
+        found.append((cost, settings, trained))
+        return cost
 
     train(learner.start)
-    if search:
+    if config.search:
         low, high = np.array(list(learner.box.values()), dtype=np.float64).T
-        rng = np.random.default_rng([seed, 3])
-        optimizer = create_optimizer("cma-es", low, high, population=POPULATION, budget=search, rng=rng)
+        rng, budget = np.random.default_rng([config.seed, 3]), config.search
+        optimizer = create_optimizer("cma-es", low, high, population=POPULATION, budget=budget, rng=rng)
         while len(batch := optimizer.ask()):
             costs: list[float] = []
             for point in batch:
                 settings = {name: float(2.0**value) for name, value in zip(learner.box, point, strict=True)}
                 costs.append(train(settings | {"units": round(settings["units"])}))
             optimizer.tell(np.array(costs))
-    return points, fits
-
-
-def _loss(found: Fit) -> float:
-    return found.best if np.isfinite(found.best) else float("inf")
+    _, settings, best = min(found, key=lambda each: each[0])
+    return settings, best
 
 
 def _trained(
@@ -250,23 +255,10 @@ def _trained(
 ) -> Fit:
     """Run a training, or continue or read it."""
     if (done := folder.finished(number, FinishedRecord, FinishedHistoryRecord)) is not None:
-        arrays = done[1]
-        weights = {name.split("/")[1]: array for name, array in arrays.items() if name.startswith("weights/")}
-        return Fit(weights, arrays["losses"])
+        return Fit(part_of(done[1], "weights"), done[1]["losses"])
     lesson = learner.lesson(settings, seed)
-    found = fit(
-        lesson.loss,
-        lesson.weights,
-        lesson.examples,
-        lesson.held_back,
-        learning_rate=settings["learning_rate"],
-        epochs=learner.epochs,
-        batch=learner.batch,
-        patience=learner.patience,
-        seed=seed,
-        checkpoint=folder.checkpoint(number),
-        progress=progress,
-    )
+    schedule = Schedule(settings["learning_rate"], learner.epochs, learner.batch, learner.patience, seed)
+    found = fit(lesson, schedule, checkpoint=folder.checkpoint(number), progress=progress)
     found = Fit({**found.weights, **lesson.fixed}, found.losses)
     history = {f"weights/{name}": array for name, array in found.weights.items()}
     result = {"cost": found.best, "settings": dict(settings)}

@@ -59,11 +59,8 @@ def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Arr
     """Return the steps of a replay for `run`, (k, N_COLUMNS), and their ends, (k,) s."""
     line = replay.timeline
     flags = flags_of(line, *switches(parameters))
-    fix = (
-        line.fixes[np.maximum(np.cumsum(line.absorbs | line.hides) - 1, 0)]
-        if len(line.fixes)
-        else np.zeros((1, 6))
-    )
+    fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
+    fix = fixes[np.maximum(np.cumsum(line.absorbs | line.hides) - 1, 0)]
     happens = [(flags & bit > 0).astype(np.float64) for bit in (FIX, IMU, LATERAL, STANDSTILL)]
     moved = [line.dt, line.q_scale, line.gap, line.ax, line.ay, line.gz]
     return np.column_stack([*moved, *happens, fix[:, :2], fix[:, 4:6]]), line.end
@@ -75,14 +72,13 @@ class Settings:
 
     Attributes
     ----------
-    q, r : (n,), (2,)
-        Diagonals of Q per nominal step and of R, m2.
+    q : (n,)
+        Diagonal of Q per nominal step.
     lever : (2,) m
     parameters : FilterParameters
     """
 
     q: Array
-    r: Array
     lever: Array
     parameters: FilterParameters
 
@@ -90,8 +86,7 @@ class Settings:
     def of(cls, replay: Replay, parameters: FilterParameters) -> "Settings":
         """Return those of a drive."""
         line = replay.timeline
-        q = converted(parameters, line.nominal_interval)
-        return cls(q, np.array(parameters.measurement_noise), line.lever[:2], parameters)
+        return cls(converted(parameters, line.nominal_interval), line.lever[:2], parameters)
 
 
 def _inverse(s: Any) -> Any:
@@ -154,6 +149,59 @@ def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
     return weight
 
 
+def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
+    """Update mean, covariance and number of rejected fixes with a fix, whose R is multiplied by exp(scale).
+
+    Returns these, and nu (m) and S (m2; xx, xy, yy) before the update.
+    """
+    import jax.numpy as jnp
+
+    (m, c, rejected), p = state, settings.parameters
+    cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
+    lx, ly = settings.lever
+    arm = jnp.array([cos * lx - sin * ly, sin * lx + cos * ly])
+    jacobian = jnp.zeros((2, len(m))).at[0, 0].set(1.0).at[1, 1].set(1.0)
+    jacobian = jacobian.at[0, 2].set(-p.latency).at[1, 3].set(-p.latency)
+    jacobian = jacobian.at[0, THETA].set(-arm[1]).at[1, THETA].set(arm[0])
+    nu = u[10:12] - (m[:2] - p.latency * m[2:4] + arm)
+    noise = jnp.exp(scale) * np.array(p.measurement_noise) + (p.accuracy_scale or 0.0) * u[12:14]
+    seen = jacobian @ c @ jacobian.T
+    s = seen + jnp.diag(noise)
+    nis = nu @ _inverse(s) @ nu
+    inside = (nis <= (np.inf if p.gate is None else p.gate)) | (rejected >= MOST_REJECTED)
+    rejected = jnp.where(u[6] > 0, jnp.where(inside, 0.0, rejected + 1.0), rejected)
+    weight = 1.0 if p.robust_dof is None else _weight(p.robust_dof, seen, noise, nu)
+    m, c = _update(m, c, jacobian, nu, jnp.diag(noise / weight), u[6] * inside)
+    return m, c, rejected, jnp.array([nu[0], nu[1], s[0, 0], s[0, 1], s[1, 1]])
+
+
+def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
+    """Update with a lateral velocity of zero at the rear axle."""
+    import jax.numpy as jnp
+
+    n, cos, sin = len(m), jnp.cos(m[THETA]), jnp.sin(m[THETA])
+    forward, left = cos * m[2] + sin * m[3], cos * m[3] - sin * m[2]
+    row = jnp.zeros((1, n)).at[0, 2].set(-sin).at[0, 3].set(cos).at[0, THETA].set(-forward)
+    rate, arm = u[GZ], p.rear_axle - p.tire_slip * (m[2] * m[2] + m[3] * m[3])
+    if n > GYRO_BIAS:
+        row, rate = row.at[0, GYRO_BIAS].set(arm), rate - m[GYRO_BIAS]
+    return _update(m, c, row, jnp.array([arm * rate - left]), jnp.array([[p.lateral_noise]]), u[8])
+
+
+def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
+    """Update with a velocity of zero, and with a gyro that shows its bias."""
+    import jax.numpy as jnp
+
+    n = len(m)
+    still = jnp.zeros((2, n)).at[0, 2].set(1.0).at[1, 3].set(1.0)
+    m, c = _update(m, c, still, -m[2:4], noise * jnp.eye(2), u[9])
+    if n > GYRO_BIAS:
+        row = jnp.zeros((1, n)).at[0, GYRO_BIAS].set(1.0)
+        off = jnp.array([u[GZ] - m[GYRO_BIAS]])
+        m, c = _update(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), u[9])
+    return m, c
+
+
 def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over some steps, from a mean (n,) and a covariance (n, n).
 
@@ -166,65 +214,29 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
     import jax
     import jax.numpy as jnp
 
-    p = settings.parameters
-    n = len(mean)
-    gate = np.inf if p.gate is None else p.gate
+    p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
 
     def step(state: Any, u: Any) -> Any:
         m, c, h, active, rejected, last, since = state
-        fixed, sampled, lateral, stands = u[6], u[7], u[8], u[9]
         m, c = _predict(settings.q, m, c, u, jnp.exp(active[1]))
         since = since + u[DT]
-        cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
-        # A fix.
-        lx, ly = settings.lever
-        arm = jnp.array([cos * lx - sin * ly, sin * lx + cos * ly])
-        jacobian = jnp.zeros((2, n)).at[0, 0].set(1.0).at[1, 1].set(1.0)
-        jacobian = jacobian.at[0, 2].set(-p.latency).at[1, 3].set(-p.latency)
-        jacobian = jacobian.at[0, THETA].set(-arm[1]).at[1, THETA].set(arm[0])
-        nu = u[10:12] - (m[:2] - p.latency * m[2:4] + arm)
-        noise = jnp.exp(active[0]) * settings.r + (p.accuracy_scale or 0.0) * u[12:14]
-        seen = jacobian @ c @ jacobian.T
-        s = seen + jnp.diag(noise)
-        nis = nu @ _inverse(s) @ nu
-        inside = (nis <= gate) | (rejected >= MOST_REJECTED)
-        rejected = jnp.where(fixed > 0, jnp.where(inside, 0.0, rejected + 1.0), rejected)
-        weight = 1.0 if p.robust_dof is None else _weight(p.robust_dof, seen, noise, nu)
-        m, c = _update(m, c, jacobian, nu, jnp.diag(noise / weight), fixed * inside)
-        innovation = jnp.array([nu[0], nu[1], s[0, 0], s[0, 1], s[1, 1]])
-        last = jnp.where(fixed > 0, jnp.append(innovation, since), last)
-        # The lateral velocity is zero at the rear axle.
+        m, c, rejected, innovation = _take_fix(settings, (m, c, rejected), u, active[0])
+        last = jnp.where(u[6] > 0, jnp.append(innovation, since), last)
         if p.lateral_noise is not None:
-            cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
-            forward, left = cos * m[2] + sin * m[3], cos * m[3] - sin * m[2]
-            row = jnp.zeros((1, n)).at[0, 2].set(-sin).at[0, 3].set(cos).at[0, THETA].set(-forward)
-            rate = u[GZ]
-            arm = p.rear_axle - p.tire_slip * (m[2] * m[2] + m[3] * m[3])
-            if n > GYRO_BIAS:
-                row, rate = row.at[0, GYRO_BIAS].set(arm), rate - m[GYRO_BIAS]
-            off = jnp.array([arm * rate - left])
-            m, c = _update(m, c, row, off, jnp.array([[p.lateral_noise]]), lateral)
+            m, c = _take_lateral(p, m, c, u)
         if p.standstill_noise is not None:
-            still = jnp.zeros((2, n)).at[0, 2].set(1.0).at[1, 3].set(1.0)
-            m, c = _update(m, c, still, -m[2:4], p.standstill_noise * jnp.eye(2), stands)
-            if n > GYRO_BIAS:
-                row = jnp.zeros((1, n)).at[0, GYRO_BIAS].set(1.0)
-                off = jnp.array([u[GZ] - m[GYRO_BIAS]])
-                m, c = _update(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), stands)
+            m, c = _take_standstill(p.standstill_noise, m, c, u)
         # The network sees a fix at the next sample.
-        looks = (sampled > 0) & (last[5] > 0.0)
-        after = gru(
-            jnp, weights, h, features_of(jnp, last[:2], last[2:5], m[THETA], jnp.maximum(last[5], 0.0))
-        )
-        h = jnp.where(looks, after, h)
+        looks = (u[7] > 0) & (last[5] > 0.0)
+        features = features_of(jnp, last[:2], last[2:5], m[THETA], jnp.maximum(last[5], 0.0))
+        h = jnp.where(looks, gru(jnp, weights, h, features), h)
         active = jnp.where(looks, log_scales(jnp, weights, h), active)
         since = jnp.where(looks, since - last[5], since)
-        last = jnp.where(looks, NOTHING, last)
-        return (m, c, h, active, rejected, last, since), (jnp.append(innovation, fixed), m)
+        last = jnp.where(looks, nothing, last)
+        return (m, c, h, active, rejected, last, since), (jnp.append(innovation, u[6]), m)
 
     units = weights["hidden"].shape[0]
-    NOTHING = jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
-    start = (mean, covariance, jnp.zeros(units), jnp.zeros(2), 0.0, NOTHING, 0.0)
+    start = (mean, covariance, jnp.zeros(units), jnp.zeros(2), 0.0, nothing, 0.0)
     _, (innovations, means) = jax.lax.scan(jax.checkpoint(step), start, columns)
     return innovations, means
 

@@ -8,7 +8,6 @@ It runs on the compiled filter, whose parameters change between two samples; `no
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,29 +25,6 @@ NAME = "noise-gru"
 FEATURES = 4
 MOST_SCALE = 30.0
 """Largest factor of R and Q; the smallest is its inverse."""
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseGru:
-    """A trained network.
-
-    Attributes
-    ----------
-    weights : mapping of str to ndarray
-        See `cells`.
-    """
-
-    weights: Mapping[str, Array]
-
-    @property
-    def start(self) -> Array:
-        """The state before the first fix."""
-        return np.zeros(self.weights["hidden"].shape[0])
-
-    def after(self, h: Array, features: Array) -> tuple[Array, Array]:
-        """Return the state after a fix, and the factors of R and Q, (2,)."""
-        h = gru(np, self.weights, h, features)
-        return h, np.exp(log_scales(np, self.weights, h))
 
 
 def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
@@ -86,7 +62,8 @@ class NoiseRun(Recording):
     ----------
     replay, parameters, samples, recover
         As of `Recording`.
-    network : NoiseGru
+    weights : mapping of str to ndarray
+        Of the network: see `cells`.
 
     Attributes
     ----------
@@ -99,7 +76,7 @@ class NoiseRun(Recording):
         self,
         replay: Replay,
         parameters: FilterParameters,
-        network: NoiseGru,
+        weights: Mapping[str, Array],
         *,
         samples: int = SAMPLES,
         recover: bool = False,
@@ -107,15 +84,17 @@ class NoiseRun(Recording):
         super().__init__(replay, parameters, samples=samples, recover=recover)
         self.initial = replay.initial
         self.scales: list[tuple[float, float]] = []
-        self._network, self._h = network, network.start
+        self._weights, self._h = weights, np.zeros(weights["hidden"].shape[0])
         line = replay.timeline
         self._q = slice(Q0, Q0 + parameters.n_states)
         self._own_q, self._own_r = self._rows[0, self._q].copy(), self._rows[0, [R.RX, R.RY]].copy()
-        fixes = np.cumsum(line.absorbs | line.hides)
-        self._next = next_sample(line.absorbs, line.sampled)
-        steps = np.flatnonzero(line.absorbs)
-        # Of the fixes between two samples the network sees the last.
-        self._last = {int(self._next[s]): (int(fixes[s]) - 1, float(line.end[s])) for s in steps}
+        steps, samples_at = np.flatnonzero(line.absorbs), np.flatnonzero(line.sampled)
+        seen = samples_at[np.minimum(np.searchsorted(samples_at, steps), len(samples_at) - 1)]
+        fixes = np.cumsum(line.absorbs | line.hides)[steps] - 1
+        # By the step of the next sample; of the fixes between two samples the network sees the last.
+        self._last = dict(
+            zip(seen.tolist(), zip(fixes.tolist(), line.end[steps].tolist(), strict=True), strict=True)
+        )
         self._before = line.start
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
@@ -132,12 +111,12 @@ class NoiseRun(Recording):
     def _adapt(self, step: int) -> None:
         """Run the network at the last fix before a step's end, and set the scales."""
         fix, time = self._last[step]
-        seen = self._innovations[fix]
-        theta = float(self._estimate()[0][THETA])
+        seen, theta = self._innovations[fix], float(self._estimate()[0][THETA])
         since, self._before = time - self._before, time
         features = features_of(np, seen[:2], seen[2:], theta, since)
         if np.isfinite(features).all():
-            self._h, scales = self._network.after(self._h, features)
+            self._h = gru(np, self._weights, self._h, features)
+            scales = np.exp(log_scales(np, self._weights, self._h))
             self.scales.append((float(scales[0]), float(scales[1])))
         self._scale()
 
@@ -149,9 +128,3 @@ class NoiseRun(Recording):
     def _reset(self, start: Any) -> None:
         super()._reset(start)
         self._scale()
-
-
-def next_sample(absorbs: NDArray[np.bool_], sampled: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return for each step the next one, itself included, that ends at an IMU sample, (k,)."""
-    at = np.flatnonzero(sampled)
-    return at[np.minimum(np.searchsorted(at, np.arange(len(absorbs))), len(at) - 1)]

@@ -13,7 +13,7 @@ Where that is not clearly better than the filter alone, the network is not used.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,28 @@ NAME = "outage-lstm"
 VELOCITY_Q = [R.Q_U, R.Q_V]
 LEAST_STD, MOST_STD = 0.02, 20.0
 """m: bounds of the standard deviation of a displacement over a second."""
+
+
+class Forecast(NamedTuple):
+    """The outputs of a network for a window in an outage.
+
+    Attributes
+    ----------
+    begin, first : int
+        Samples at its begin, and after the last fix.
+    age : float
+        s from ``first`` to its end.
+    moved, variance : (2,) m, m2
+    before : (2,) m
+        The displacement at ``first``.
+    """
+
+    begin: int
+    first: int
+    age: float
+    moved: Array
+    variance: Array
+    before: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,45 +92,17 @@ class OutageLstm:
         """Return the remaining share of an error after ``age`` s, (..., 2)."""
         return self.weights["kept"] * np.exp(-np.asarray(age)[..., np.newaxis] / self.weights["lasts"])
 
-    def forecasts(self, windows: Windows) -> dict[int, "Forecast"]:
+    def forecasts(self, windows: Windows) -> dict[int, Forecast]:
         """Forecast at the ends of windows, by the numbers of these samples."""
-        moved, variance = self.displacements(windows.features)
-        before, _ = self.displacements(windows.features_at_first)
-        each = zip(
-            *(windows.begin.tolist(), windows.end.tolist(), windows.first.tolist(), windows.age.tolist()),
-            *(moved, variance, before),
-            strict=True,
-        )
-        return {end: Forecast(begin, first, age, *rest) for begin, end, first, age, *rest in each}
+        begin, first, age = windows.begin.tolist(), windows.first.tolist(), windows.age.tolist()
+        outputs = *self.displacements(windows.features), self.displacements(windows.features_at_first)[0]
+        return dict(zip(windows.end.tolist(), map(Forecast, begin, first, age, *outputs), strict=True))
 
-    def corrected(self, forecast: "Forecast", velocity: Array) -> tuple[Array, Array]:
+    def corrected(self, forecast: Forecast, velocity: Array) -> tuple[Array, Array]:
         """Return a displacement (2,), m, and its variance (2,), m2, corrected by the velocity at the last fix."""
         left = self.remains(forecast.age)
         moved = forecast.moved + left * (HORIZON * velocity - forecast.before)
         return moved, self.inflation * (forecast.variance * (1.0 - left**2) + LEAST_STD**2)
-
-
-@dataclass(frozen=True, eq=False)
-class Forecast:
-    """The outputs of a network for a window in an outage.
-
-    Attributes
-    ----------
-    begin, first : int
-        Samples at its begin, and after the last fix.
-    age : float
-        s from ``first`` to its end.
-    moved, variance : (2,) m, m2
-    before : (2,) m
-        The displacement at ``first``.
-    """
-
-    begin: int
-    first: int
-    age: float
-    moved: Array
-    variance: Array
-    before: Array
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:

@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
-from sigmaswarm.learned.fitting import Lesson
+from sigmaswarm.learned.fitting import Examples, Lesson
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, outputs_of, untrained
 from sigmaswarm.learned.outages import Windows, all_windows, outage_windows
 from sigmaswarm.learned.relative import body_displacement
@@ -63,37 +62,26 @@ class Track:
     mean: Array
     held_back_from: float
 
-    @property
-    def line(self) -> Timeline:
-        """The time line with all fixes."""
-        return self.ready.timeline()
-
 
 def tracks_of(
-    drives: Sequence[Drive], parameters: FilterParameters, *, held_back: bool | None
+    drives: Sequence[Drive], parameters: FilterParameters, validation: Sequence[Drive] = ()
 ) -> list[Track]:
-    """Smooth drives to learn from; ``held_back``: all, none, or (None) the end of each."""
+    """Smooth drives to learn from; without ``validation`` the end of each is held back."""
     tracks: list[Track] = []
-    for drive in drives:
+    for drive in (*drives, *validation):
         ready = PreparedDrive(drive)
         mean = np.concatenate([p.mean[:, :5] for p in Smoothing(replay_of(ready), parameters, recover=True)])
         start, end = ready.initial.time, float(drive.imu.time[-1])
-        usual = end - HELD_BACK * (end - start)
-        tracks.append(Track(ready, mean, usual if held_back is None else -np.inf if held_back else np.inf))
+        since = end - HELD_BACK * (end - start)
+        if validation:
+            since = np.inf if len(tracks) < len(drives) else -np.inf
+        tracks.append(Track(ready, mean, since))
     return tracks
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """A drive with outages; the data after ``held_back_from`` (s) calibrate a network."""
-
-    replay: Replay
-    held_back_from: float
-
-
-def cases_of(tracks: Sequence[Track], seed: int) -> list[Case]:
-    """Place outages on held-back data, several times, where they fit."""
-    cases: list[Case] = []
+def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
+    """Place outages on held-back data, several times, where they fit; replays, and the begin of the data, s."""
+    cases: list[tuple[Replay, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
         end = float(drive.imu.time[-1])
@@ -107,39 +95,30 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[Case]:
                 start, end, rng, length=(LENGTHS[0], longest), first_after=OUTAGE_FIRST_AFTER
             )
             line = track.ready.timeline(hidden_fixes(drive.gps.time, windows))
-            cases.append(Case(Replay(line, initial, Targets.none(line)), track.held_back_from))
+            cases.append((Replay(line, initial, Targets.none(line)), track.held_back_from))
     return cases
 
 
-@dataclass(frozen=True, eq=False)
-class Examples:
-    """Inputs (k, STEPS, f), displacements (k, 2) m, and which of them are held back, (k,)."""
-
-    features: Array
-    moved: Array
-    held_back: NDArray[np.bool_]
-
-    def part(self, *, held_back: bool) -> tuple[Array, Array]:
-        """Return those that are held back, or the others."""
-        chosen = self.held_back == held_back
-        return self.features[chosen], self.moved[chosen]
+def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array, Array, Array]:
+    """Return the ends (k,) s of windows all over a drive, their features, and the displacements (k, 2) m."""
+    line = track.ready.timeline()
+    begins, ends, features = all_windows(line, axes=axes, window=window, every=EVERY)
+    return line.imu_time[ends], features, body_displacement(track.mean[begins], track.mean[ends])
 
 
 def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> Examples:
-    """Make the examples of drives, without those that span the border of the held-back data."""
-    features: list[Array] = []
-    moved: list[Array] = []
-    held: list[NDArray[np.bool_]] = []
+    """Make the examples of drives, without those that span the border of the held-back data.
+
+    The arrays are inputs (k, STEPS, f) and displacements (k, 2) m.
+    """
+    parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
-        begins, ends, seen = all_windows(track.line, axes=axes, window=window, every=EVERY)
-        end = track.line.imu_time[ends]
-        came = body_displacement(track.mean[begins], track.mean[ends])
+        end, features, moved = _windows_of(track, axes, window)
         late, clear = end > track.held_back_from, end - BORDER > track.held_back_from
-        sound = (late == clear) & np.isfinite(came).all(axis=1) & np.isfinite(seen).all(axis=(1, 2))
-        features.append(seen[sound])
-        moved.append(came[sound])
-        held.append(late[sound])
-    return Examples(np.concatenate(features), np.concatenate(moved), np.concatenate(held))
+        sound = (late == clear) & np.isfinite(moved).all(axis=1) & np.isfinite(features).all(axis=(1, 2))
+        parts.append((features[sound], moved[sound], late[sound]))
+    features, moved, held = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Examples((features, moved), held)
 
 
 def _loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
@@ -179,8 +158,7 @@ class OutageLearner:
         self._parameters, self._seed = parameters, seed
         six = all(axis is not None for d in (*drives, *validation) for axis in (d.imu.az, d.imu.gx, d.imu.gy))
         self._axes = ("ax", "ay", "gz", "az", "gx", "gy") if six else ("ax", "ay", "gz")
-        self._tracks = tracks_of(drives, parameters, held_back=False if validation else None)
-        self._tracks += tracks_of(validation, parameters, held_back=True)
+        self._tracks = tracks_of(drives, parameters, validation)
         self._examples: dict[float, Examples] = {}
 
     def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
@@ -210,11 +188,9 @@ def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
     """Fit kept exp(-t / lasts) to the autocorrelation of errors on the held-back data."""
     parts: list[Array] = []
     for track in tracks:
-        begins, ends, seen = all_windows(track.line, axes=network.axes, window=network.window, every=EVERY)
-        late = track.line.imu_time[ends] > track.held_back_from
-        came = body_displacement(track.mean[begins[late]], track.mean[ends[late]])
-        if late.any():
-            parts.append(came - network.displacements(seen[late])[0])
+        end, features, moved = _windows_of(track, network.axes, network.window)
+        if (late := end > track.held_back_from).any():
+            parts.append(moved[late] - network.displacements(features[late])[0])
     t = EVERY * np.array(LAGS)
     found = {"kept": np.zeros(2), "lasts": np.ones(2)}
     for i in range(2):
@@ -233,44 +209,47 @@ def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
     return replace(network, weights={**network.weights, **found})
 
 
-def calibrate(network: OutageLstm, cases: Sequence[Case], parameters: FilterParameters) -> OutageLstm:
+def calibrate(
+    network: OutageLstm, cases: Sequence[tuple[Replay, float]], parameters: FilterParameters
+) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
     Where the gain over the filter alone is below a standard error over the outages (of which those of one placement
     count as independent), the inflation is infinite.
     """
     windows = [
-        outage_windows(case.replay.timeline, axes=network.axes, window=network.window) for case in cases
+        outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases
     ]
 
-    def with_factors(inflation: float, unsure: float) -> OutageLstm:
-        return replace(network, inflation=inflation, unsure=unsure)
+    def losses(inflation: float, unsure: float) -> Array:
+        scaled = replace(network, inflation=inflation, unsure=unsure)
+        return forecast_losses(scaled, cases, windows, parameters)
 
-    def losses(*factors: float) -> Array:
-        return forecast_losses(with_factors(*factors), cases, windows, parameters)
-
-    alone, best, gain = losses(np.inf, 1.0), (np.inf, 1.0), 0.0
+    best, gain = (np.inf, 1.0), 0.0
+    alone = losses(*best)
     for each in product(INFLATIONS, UNSURE):
         better = alone - losses(*each)
         apart = len(better) / PLACEMENTS
         error = float(np.std(better)) / np.sqrt(apart - 1.0) if apart > 1.0 else np.inf
         if np.isfinite(better).all() and better.mean() > max(gain, error):
             best, gain = each, float(better.mean())
-    return with_factors(*best)
+    return replace(network, inflation=best[0], unsure=best[1])
 
 
 def forecast_losses(
-    network: OutageLstm, cases: Sequence[Case], windows: Sequence[Windows], parameters: FilterParameters
+    network: OutageLstm,
+    cases: Sequence[tuple[Replay, float]],
+    windows: Sequence[Windows],
+    parameters: FilterParameters,
 ) -> Array:
     """Return the mean negative log-likelihood of each outage's hidden fixes, nats: see `Score.forecast_t`."""
     losses: list[float] = []
-    for case, known in zip(cases, windows, strict=True):
-        line = case.replay.timeline
-        run = OutageRun(case.replay, parameters, network, windows=known).finished()
+    for (replay, held_back_from), known in zip(cases, windows, strict=True):
+        line = replay.timeline
+        found = OutageRun(replay, parameters, network, windows=known).finished().innovations
         fixes = line.hides | line.absorbs
-        hidden = line.hides[fixes] & (line.fix_time > case.held_back_from)
+        hidden = line.hides[fixes] & (line.fix_time > held_back_from)
         outage = np.cumsum(line.absorbs)[fixes]
-        found = run.innovations
         each = negative_log_t(found.innovation, found.covariance, FORECAST_DOF, FORECAST_SCALE)
         each = np.where(np.isfinite(each), each, np.inf)
         losses += [float(each[hidden & (outage == number)].mean()) for number in np.unique(outage[hidden])]

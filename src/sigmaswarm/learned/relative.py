@@ -11,7 +11,7 @@ independent of e_0, so that Cov(e_1, e_0) = A P_0. The columns of A are finite d
 steps, run in the lanes of the compiled kernel.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,17 +30,8 @@ GATE = 13.8
 """NIS above which a displacement is rejected: one in a thousand (chi-square, two degrees of freedom)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Begin:
-    """The state of a filter at the begin of a displacement.
-
-    Attributes
-    ----------
-    rows : (N_KEPT, lanes)
-        Its whole state.
-    place : (5,)
-        The position of its run: see `compiled.run.new_place`.
-    """
+class Begin(NamedTuple):
+    """The filter at the begin of a displacement: its state (N_KEPT, lanes), and the position of its run (5,)."""
 
     rows: Array
     place: Array
@@ -61,8 +52,7 @@ class Displacements:
         n = len(FILTERS[self._model].states)
         self._array = KernelArray((parameters,) * (n + 1))
         tilts = FILTERS[self._model].tilts
-        self._plus = tilts.plus if tilts else np.add
-        self._minus = tilts.minus if tilts else np.subtract
+        self._plus, self._minus = (tilts.plus, tilts.minus) if tilts else (np.add, np.subtract)
 
     def update(self, begin: Begin, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
         """Update with a displacement that ends before step ``stop``.

@@ -1,17 +1,17 @@
-"""`reference`: the fixes of a good receiver, smoothed with the drive's IMU, as truth that says how sure it is.
+"""`reference`: the fixes of a good receiver, smoothed with the drive's IMU, as truth with standard deviations.
 
-The filter is tuned on these fixes alone, and smoothed (`filters.smoothing`). How sure the smoother is of itself is not
-taken on trust: fixes are hidden from it for some seconds, again and again, and its deviations are stretched until they
-cover those. The receiver's own deviation is added, since its errors last: the mean of many fixes is as wrong as one.
+The filter is tuned on these fixes alone, and smoothed (`filters.smoothing`). The smoother's standard deviations are
+checked: fixes are hidden from it for some seconds, several times, and the deviations are stretched until they cover
+those. The receiver's own deviation is added, since its errors last: the mean of many fixes is as wrong as one.
 """
 
 import math
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,6 @@ from sigmaswarm.filters.tilted import rotation
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.fixes import ReceiverLog, read_fixes
 from sigmaswarm.scoring.truth_noise import share_known
-from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
@@ -49,17 +48,39 @@ SLIP = math.radians(0.1)
 """rad: added to the heading's deviation. A rear axle slips sideways by as much for seconds; fixes do not show it."""
 
 
+class ReferenceOptions(TypedDict, total=False):
+    """Keywords of `reference`."""
+
+    lever_arm: tuple[float, float, float] | None
+    offset: float
+    accuracy: float
+    fix_std: float | None
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Effective options of `reference`."""
+
+    lever_arm: tuple[float, float, float] | None = None
+    offset: float = 0.0
+    accuracy: float = ACCURACY
+    fix_std: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, value in (("accuracy", self.accuracy), ("fix_std", self.fix_std)):
+            if value is not None and not 0 < value < np.inf:
+                raise InputError(f"{name} = {value:g}: is a standard deviation in m; give a number above 0")
+
+
 def reference(
     drive: Drive,
     fixes: "str | Path | Drive | Gps",
     *,
-    lever_arm: tuple[float, float, float] | None = None,
-    offset: float = 0.0,
-    accuracy: float = ACCURACY,
-    fix_std: float | None = None,
-    seed: int = 0,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **options: Unpack[ReferenceOptions],
 ) -> Drive:
     """Make truth of the fixes of a good receiver (RTK) that drove along, and of the drive's IMU.
 
@@ -70,96 +91,102 @@ def reference(
     Parameters
     ----------
     drive : Drive
-        With the cheap receiver's fixes, which are not looked at. Truth that it has gives way.
+        Its fixes are not used, and its truth is replaced.
     fixes : path, Drive or Gps
         Of the good receiver: a log in any format that is imported (RTKLIB, NMEA, UBX, CSV ...), a drive's folder, or a
         `Gps` in the drive's own plane. Of RTKLIB, NMEA and UBX only fixed solutions are taken.
+    executor, progress
     lever_arm : (float, float, float), optional
-        m forward, left and up from the IMU to the good receiver's antenna; none by default. The drive's own is that of
-        its own antenna.
+        m forward, left and up from the IMU to the good receiver's antenna; none by default.
     offset : float
-        s to add to the fixes' times, so that both have one clock.
+        s to add to the fixes' times, so that both have one clock; 0 by default.
     accuracy : float
-        m: truth that is not known to this standard deviation on each axis is left out.
+        m: truth that is not known to this standard deviation on each axis is left out; 0.1 by default.
     fix_std : float, optional
         m per axis: the least standard deviation of a fix, whatever it states; that of fixes that state none.
     seed : int
-        Decides the tuning, and which fixes are hidden.
-    executor, progress
-        As in `tune`.
+        Decides the tuning, and which fixes are hidden; 0 by default.
 
     Returns
     -------
     Drive
-        With truth at the IMU's times, its standard deviations, and gaps where it is not known; ``metadata`` says under
-        ``reference`` what it was made of.
+        With truth at the IMU's times, its standard deviations, and gaps where it is not known; ``metadata`` has its
+        making under ``reference``.
 
     Raises
     ------
     InputError
         The fixes can't be read, share no time with the drive, state no accuracy, or are too few.
     AlignmentError
-        If the car never moves far enough while the good receiver has fixes.
+        If the car hardly moves while the good receiver has fixes.
     """
-    if not 0 < accuracy < np.inf:
-        raise InputError(f"accuracy = {accuracy:g}: is a standard deviation in m; give a number above 0")
-    if fix_std is not None and not 0 < fix_std < np.inf:
-        raise InputError(f"fix_std = {fix_std:g}: is a standard deviation in m; give a number above 0")
-    log, name = _log(fixes, drive, offset)
-    good = _taken(log, name, drive, accuracy, fix_std)
-    receiver = replace(
-        drive,
-        gps=good,
-        truth=None,
-        frame="enu",
-        metadata={"gps_lever_arm_m": list(lever_arm)} if lever_arm else {},
+    chosen = _Options(**options)
+    log, name = _log(fixes, drive, chosen.offset)
+    good = _taken(log, name, drive, chosen)
+    truth, about = _smoothed(
+        replace(drive, gps=good, truth=None, frame="enu"), name, chosen, executor, progress
     )
-    with warnings.catch_warnings():  # of a filter that nobody takes away
-        warnings.simplefilter("ignore", SigmaswarmWarning)
-        tuning = _tuned(receiver, seed, executor, progress)
+    about = {
+        "fixes": name,
+        "fixes_given": len(log.gps),
+        "fixes_taken": len(good),
+        **about,
+        "notes": [*log.notes],
+    }
+    return replace(drive, truth=truth, metadata={**drive.metadata, "reference": about})
+
+
+def _smoothed(
+    receiver: Drive,
+    name: str,
+    options: _Options,
+    executor: Executor | None,
+    progress: Callable[[Progress], None] | None,
+) -> tuple[Truth, dict[str, Any]]:
+    """Tune and smooth a filter on the fixes of the good receiver; return truth, and how it was made."""
+    arm, accuracy = options.lever_arm, options.accuracy
+    receiver = replace(receiver, metadata={"gps_lever_arm_m": list(arm)} if arm else {})
+    parameters = _tuned(receiver, options.seed, executor, progress)
     ready = PreparedDrive(receiver)
-    estimate = smooth(ready, tuning.parameters)
+    estimate = smooth(ready, parameters)
     if estimate.failure:
         raise SigmaswarmError(f"{name}: {estimate.failure}; look at the log with sigmaswarm doctor")
-    stretched = _stretch(ready, tuning.parameters, np.random.default_rng(seed))
-    truth = _truth(estimate, good, stretched, accuracy)
+    stretched = _stretch(ready, parameters, np.random.default_rng(options.seed))
+    truth = _truth(estimate, receiver.gps, stretched, accuracy)
     if truth is None:
         raise InputError(
             f"{name}: the car's place is nowhere known to {accuracy:g} m; raise --accuracy, or look at the log with "
             "sigmaswarm doctor"
         )
-    share = share_known(truth, float(drive.imu.time[0]), float(drive.imu.time[-1]))
-    about: dict[str, Any] = {
-        "fixes": name,
-        "fixes_given": len(log.gps),
-        "fixes_taken": len(good),
+    share = share_known(truth, float(receiver.imu.time[0]), float(receiver.imu.time[-1]))
+    return truth, {
         "accuracy_m": accuracy,
-        "offset_s": offset,
-        "lever_arm_m": [float(v) for v in lever_arm or (0.0, 0.0, 0.0)],
-        "filter": tuning.parameters.model,
+        "offset_s": options.offset,
+        "lever_arm_m": [float(v) for v in arm or (0.0, 0.0, 0.0)],
+        "filter": parameters.model,
         "stretched": round(stretched, 3),
         "share": round(share, 4),
-        "notes": list(log.notes),
     }
-    return replace(drive, truth=truth, metadata={**drive.metadata, "reference": about})
 
 
 def _tuned(
     receiver: Drive, seed: int, executor: Executor | None, progress: Callable[[Progress], None] | None
-) -> Tuning[FilterParameters]:
-    """The filter that suits the drive, tuned on the good receiver's fixes.
+) -> FilterParameters:
+    """Tune the filter that suits the drive on the good receiver's fixes.
 
-    Without ``standstill``, which fixes to a centimeter say better: tuned on them it is taken so strictly that one
-    standstill that is none, in an outage, puts the track off by meters and leaves the covariance small.
+    Without ``standstill``: tuned on fixes to a centimeter it is taken so strictly that one wrongly detected standstill,
+    in an outage, moves the track by meters and leaves the covariance small.
     """
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
-    asked: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
-    return tune(receiver, executor=executor, progress=progress, **asked)
+    options: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
+    with warnings.catch_warnings():  # of a filter that is not used any further
+        warnings.simplefilter("ignore", SigmaswarmWarning)
+        return tune(receiver, executor=executor, progress=progress, **options).parameters
 
 
 def _log(fixes: "str | Path | Drive | Gps", drive: Drive, offset: float) -> tuple[ReceiverLog, str]:
-    """The fixes on the drive's clock and plane, and what they are called."""
+    """Return the fixes on the drive's clock and plane, and their name."""
     if isinstance(fixes, str | Path):
         path = Path(fixes)
         return read_fixes(path, drive, offset), path.name
@@ -168,18 +195,19 @@ def _log(fixes: "str | Path | Drive | Gps", drive: Drive, offset: float) -> tupl
     return ReceiverLog(moved, np.ones(len(gps), dtype=np.bool_)), name
 
 
-def _taken(log: ReceiverLog, name: str, drive: Drive, accuracy: float, fix_std: float | None) -> Gps:
-    """The fixes that the receiver is sure of, and knows as well as is asked for."""
+def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
+    """Return the fixed solutions that the receiver states to ``accuracy``, m."""
     gps, start, end = log.gps, drive.imu.time[0], drive.imu.time[-1]
-    if gps.std_x is None or gps.std_y is None:
-        if fix_std is None:
-            raise InputError(
-                f"{name}: states no standard deviation of its fixes; give one for all of them, in m per axis, with "
-                "--fix-std"
-            )
-        gps = replace(gps, std_x=np.full(len(gps), fix_std), std_y=np.full(len(gps), fix_std))
-    elif fix_std is not None:
-        gps = replace(gps, std_x=np.maximum(gps.std_x, fix_std), std_y=np.maximum(gps.std_y, fix_std))
+    accuracy, fix_std = options.accuracy, options.fix_std
+    if (gps.std_x is None or gps.std_y is None) and fix_std is None:
+        raise InputError(
+            f"{name}: states no standard deviation of its fixes; give one for all of them, in m per axis, with "
+            "--fix-std"
+        )
+    if fix_std is not None:
+        stated = (0.0, 0.0) if gps.std_x is None or gps.std_y is None else (gps.std_x, gps.std_y)
+        std_x, std_y = (np.maximum(np.full(len(gps), fix_std), std) for std in stated)
+        gps = replace(gps, std_x=std_x, std_y=std_y)
     within = (gps.time >= start) & (gps.time <= end)
     if np.count_nonzero(within) < FEWEST_FIXES:
         there = f"t = {gps.time[0]:.1f} to {gps.time[-1]:.1f} s" if len(gps) else "nothing"
@@ -188,21 +216,18 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, accuracy: float, fix_std: 
             f"{np.count_nonzero(within)} fixes; put both on one clock with --offset"
         )
     sure = within & log.sure
-    std_x, std_y = _stated(gps)
-    known = sure & (std_x <= accuracy) & (std_y <= accuracy)
+    known = sure & np.all([std <= accuracy for std in _stated(gps)], axis=0)
     if np.count_nonzero(known) < FEWEST_FIXES:
         raise InputError(
             f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions and "
             f"{np.count_nonzero(known)} of those stated to {accuracy:g} m per axis or better, too few; raise "
             "--accuracy, or take another receiver"
         )
-    # What is not read of them would only have to be written.
-    taken = replace(gps, lat=None, lon=None, alt=None)
-    return taken.select(known)
+    return replace(gps, lat=None, lon=None, alt=None).select(known)
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """By what the smoother's deviations have to be multiplied to cover fixes that it does not see; at least 1."""
+    """Return the factor of the smoother's deviations that covers hidden fixes; at least 1."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):
@@ -222,7 +247,7 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
 
 
 def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
-    """How far hidden fixes lie from the smoothed antenna, in sigma, by axis."""
+    """Return distances of hidden fixes from the smoothed antenna, in sigma, by axis."""
     gps = gps.select((gps.time > estimate.time[0]) & (gps.time <= estimate.time[-1]))
     antenna = _antenna(estimate.mean, drive)
     variance = np.diagonal(estimate.covariance, axis1=1, axis2=2)
@@ -235,13 +260,13 @@ def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
 
 
 def _stated(gps: Gps) -> tuple[Array, Array]:
-    """Stated standard deviations of the used fixes, m east and north."""
+    """Return stated standard deviations of the used fixes, m east and north."""
     assert gps.std_x is not None and gps.std_y is not None
     return gps.std_x, gps.std_y
 
 
 def _antenna(mean: Array, drive: Drive) -> Array:
-    """Where the antenna is, (n, 2) m, of states (n, n_states)."""
+    """Return positions of the antenna, (n, 2) m, of states (n, n_states)."""
     arm = np.array([*drive.lever_arm, drive.antenna_height])
     if any(len(model.states) == mean.shape[1] and model.tilts for model in MODELS.values()):
         return mean[:, :2] + (rotation(mean) @ arm)[:, :2]
@@ -250,7 +275,7 @@ def _antenna(mean: Array, drive: Drive) -> Array:
 
 
 def _truth(estimate: Estimate, good: Gps, stretched: float, accuracy: float) -> Truth | None:
-    """The rows in which the place is known well enough, or None where there are fewer than two."""
+    """Return the rows in which the place is known well enough, or None where there are fewer than two."""
     mean, time = estimate.mean, estimate.time
     deviation = stretched * np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
     std_x, std_y = (

@@ -21,7 +21,7 @@ from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.folder import Learned, load_learned
-from sigmaswarm.learned.learn import LEARNERS, learn
+from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.score import PieceErrors
@@ -160,13 +160,10 @@ def train_all(
         out, helped = folder / training.folder, parameters[Task("honest", BESIDE, ALL, training.trial)]
         finished = (out / "timings.json").exists()  # the last file that `learn` writes
         learned = load_learned(out) if finished else None
+        seed = design.config.seed + training.trial
         learned = learned or learn(
-            training.network,
-            helped,
-            drives.shown,
-            out=out,
-            validation=drives.held_back,
-            seed=design.config.seed + training.trial,
+            LearnConfig(training.network, helped, drives.shown, drives.held_back, seed=seed),
+            out,
             resume=True,
             progress=lambda now, before=done, task=training.task: progress(before + now.epoch, task),
         )
