@@ -18,7 +18,10 @@ from typing import Any
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
 from sigmaswarm.filters.compiled.unroll import Kernel
 
-STATES = ("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y")
+STATES = (
+    *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
+    *("FIX_ERROR_X", "FIX_ERROR_Y"),
+)
 """Names of a state's places in C, in the order of the largest model."""
 PARAMETERS = {
     "w": ("InsGpsBelief *b", "Work *work"),

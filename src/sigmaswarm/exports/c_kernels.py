@@ -24,7 +24,7 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
     if features["USE_SCALAR"]:
         emitter.add(measurements._absorb_one, n=n)
     if tilted:
-        _add_tilted(emitter, features)
+        _add_tilted(emitter, features, n)
     else:
         if p.kind != "ekf":
             emitter.add(lanes.spread_of)
@@ -33,7 +33,7 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
     emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
         emitter.add(measurements._take_velocity, n=n, _absorb_two=measurements._absorb_two)
-    emitter.add(measurements._keep_digits, **both, unscented=0)
+    emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
         emitter.add(measurements._stretch, n=n)
     if features["USE_ADAPTIVE"]:
@@ -62,16 +62,16 @@ def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: i
         emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
 
 
-def _add_tilted(emitter: Emitter, features: Mapping[str, bool]) -> None:
+def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
     for function in (lanes.sinc_cos, tilted12._turn_far, tilted12._half_turn, tilted12._move, tilted12.fold):
         emitter.add(function)
-    emitter.add(tilted12.measure_fix_tilted, "measure_fix")
+    emitter.add(tilted12.measure_fix_tilted, "measure_fix", n=n)
+    along = tilted12.measure_along_tilted
     if features["USE_LATERAL"]:
-        lateral = tilted12.measure_lateral_tilted
-        emitter.add(lateral, "measure_lateral")
-        emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=lateral)
+        emitter.add(along, "measure_lateral", n=n, **tilted12.ALONG["lateral"])
+        emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=along)
     if features["USE_ODOMETER"]:
-        emitter.add(tilted12.measure_odometer_tilted, "measure_odometer")
+        emitter.add(along, "measure_odometer", n=n, **tilted12.ALONG["odometer"])
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
