@@ -16,6 +16,7 @@ from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.template import fill
 from sigmaswarm.filters import divergence, schedule
 from sigmaswarm.filters.compiled import live
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -67,6 +68,7 @@ def c99(
     features = features_of(parameters)
     fits = all(fits_float(p) for p in lanes.filters(parameters))
     features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
+    features["USE_EXP"] = features["USE_LANES"] or features["USE_FIX_ERROR"]
     features["USE_LANES_OR_NIS"] = features["USE_LANES"] or features["USE_NIS"]
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     values["KERNELS"] = kernels_of(parameters, features, values)
@@ -148,16 +150,17 @@ def _row(name: str, numbers: Iterable[float]) -> str:
 def _sigma_points(p: FilterParameters) -> tuple[float, float]:
     """alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, which place and weigh the sigma points."""
     of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
-    square = p.alpha**2 if p.alpha < 1e150 else math.inf
-    gamma_squared = in_range(square * (p.n_states + p.kappa), of)
+    square, n = p.alpha**2 if p.alpha < 1e150 else math.inf, len(FILTERS[p.full_model].states)
+    gamma_squared = in_range(square * (n + p.kappa), of)
     in_range(1 / gamma_squared if gamma_squared else math.inf, of)
-    return gamma_squared, in_range(square * (p.n_states + p.kappa - 1) + p.beta, of)
+    return gamma_squared, in_range(square * (n + p.kappa - 1) + p.beta, of)
 
 
 def fits_float(p: FilterParameters) -> bool:
     """Return True if C's float holds all numbers of a filter."""
     options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise]
     options += [p.gate, p.accuracy_scale, p.robust_dof, p.odometer_scale, p.odometer_latency]
+    options += [p.fix_error, p.fix_std**2] if p.fix_error is not None else []
     numbers = [
         *p.process_noise,
         *p.measurement_noise,
@@ -242,6 +245,13 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
             "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
             "CALM_NOTE": ": it learns what calm is" if stands else "",
             "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
+            "STD_NOTE": "; this filter goes by them"
+            if p.accuracy_scale is not None
+            else "; 0 where it states none",
+            "STD_UNUSED": "    (void)std;\n" if p.fix_error is not None and p.accuracy_scale is None else "",
+            "BELIEF_NOTE": ""
+            if p.fix_error is None
+            else " /* and the error of fixes that lasts, m east and north */",
             "GYRO_NOTE": ", and all that the gyro shows is its bias"
             if MODELS[p.model].gyro_bias is not None
             else "",

@@ -7,7 +7,7 @@ import math
 import re
 import textwrap
 import tokenize
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,8 @@ STATES = (
     *("FIX_ERROR_X", "FIX_ERROR_Y"),
 )
 """Names of a state's places in C, in the order of the largest model."""
+FIX_ERROR = STATES[-2:]
+"""Of these, the states that are appended to any model."""
 PARAMETERS = {
     "w": ("InsGpsBelief *b", "Work *work"),
     "u": ("real dt", "real steps", "const InsGpsSample *sample"),
@@ -35,7 +37,7 @@ INPUTS = {
     **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
 }
 """What stands for an element of a step, a fix and a reading."""
-CALLS = {"math.sqrt": "SQRT", "np.floor": "FLOOR", "abs": "FABS"}
+CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
 RENAMED = {"b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
 _PRECEDENCE: dict[type, int] = {ast.Add: 5, ast.Sub: 5, ast.Mult: 6, ast.Div: 6}
@@ -56,9 +58,12 @@ class Emitter:
     rows : dict
         C's text for rows that hold parameters, or a number: terms that it makes 0 are left out. None: a row that C
         does not have.
+    states : sequence of str
+        Names in C of the filter's states.
     """
 
     rows: Mapping[str, str | float | None]
+    states: Sequence[str] = STATES
     texts: list[str] = field(default_factory=list)
     results: dict[str, int] = field(default_factory=dict)  # how many numbers a function gives
     used: set[str] = field(default_factory=set)  # rows of scratch
@@ -84,11 +89,6 @@ class Emitter:
             ", ".join([*(n.lower() for n in single), *arrays]), 110, subsequent_indent=" " * 9
         )
         return f"typedef struct {{\n    real {names};\n}} Work;\n"
-
-
-def state(place: int) -> str:
-    """The name of a state's place in C."""
-    return STATES[place]
 
 
 class _Function:
@@ -270,7 +270,8 @@ class _Function:
         bound = None
         if isinstance(steps, ast.Call) and isinstance(steps.func, ast.Name) and steps.func.id == "range":
             bound = self.bound(steps.args[-1])
-            head = f"for (int {name} = 0; {name} < {bound}; {name}++) {{"
+            first = self.index(steps.args[0]) if len(steps.args) == 2 else "0"
+            head = f"for (int {name} = {first}; {name} < {bound}; {name}++) {{"
         else:
             values = list(self.evaluate(steps))
             if isinstance(steps, ast.Tuple) and not isinstance(steps.elts[0], ast.Starred):
@@ -329,6 +330,10 @@ class _Function:
         """The expression without terms that this filter's numbers make 0."""
         return _Fold(self).visit(ast.parse(ast.unparse(node), mode="eval").body)
 
+    def state(self, place: int) -> str:
+        """The name of a state's place in C."""
+        return self.emitter.states[place]
+
     def row(self, node: ast.expr) -> str | None:
         """The name of a row whose number is known."""
         try:
@@ -349,14 +354,14 @@ class _Function:
             text = self.emitter.rows[name]
             return (text if isinstance(text, str) else None), None
         if name in MEAN:
-            return f"b->mean[{state(MEAN.index(name))}]", None
+            return f"b->mean[{self.state(MEAN.index(name))}]", None
         if name in QUATERNION:
             return f"b->attitude[{QUATERNION.index(name)}]", None
         if name in COVARIANCE:
-            return self.mirrored(*(state(MEAN.index(letter)) for letter in name))
+            return self.mirrored(*(self.state(MEAN.index(letter)) for letter in name))
         self.emitter.used.add(name)
         if name[:3] in ("C1_", "C2_"):
-            return f"work->{name[:2]}[{state(MEAN.index(name[3:]))}]", None
+            return f"work->{name[:2]}[{self.state(MEAN.index(name[3:]))}]", None
         return f"work->{name.lower()}", None
 
     def place_in_loop(self, index: ast.expr) -> tuple[str | None, str | None]:
@@ -375,7 +380,7 @@ class _Function:
 
     def index(self, node: ast.expr) -> str:
         try:
-            return state(self.evaluate(node))
+            return self.state(self.evaluate(node))
         except _NOT_EVALUATED:
             return ast.unparse(node)
 
@@ -416,7 +421,7 @@ class _Function:
             case ast.Attribute():
                 value = self.evaluate(node)
                 if isinstance(value, int):
-                    return state(value), _ATOM
+                    return self.state(value), _ATOM
                 return ("INFINITY" if math.isinf(value) else f"R({value!r})"), _ATOM
             case ast.Subscript(ast.Name("w")):
                 place, _ = self.place(node)

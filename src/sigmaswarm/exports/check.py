@@ -140,7 +140,7 @@ def _replay(
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     states_accuracy, tilted = (
-        parameters.accuracy_scale is not None,
+        parameters.accuracy_scale is not None or parameters.fix_error is not None,
         MODELS[parameters.model].tilts is not None,
     )
     (_, start), *told = events
@@ -156,7 +156,7 @@ def _replay(
                 means.append(board.mean)
         elif name == "fix":
             velocity = None if len(z) < 4 or np.isnan(z[2]) else z[2:4]
-            std = {"std": z[4:6]} if states_accuracy else {}
+            std = {"std": z[4:6] or [0.0, 0.0]} if states_accuracy else {}
             board.update(time, z[:2], velocity=velocity, **std)
         elif parameters.odometer_noise is not None:
             board.odometer(time, z[0])
