@@ -26,9 +26,11 @@ from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import (
     FEW,
     NAMED,
+    correlation_of,
     drifts_of,
     may_drift_far,
     restarts_of,
+    said_of_correlation,
     said_of_drifts,
     said_of_lost,
     said_of_scale,
@@ -180,6 +182,8 @@ class CarProblem:
             known and self.objective.needs_truth
         ):  # a look at the fixes' noise takes as long as reading a drive
             found += self._prior_decided(point) or said_of_noise(parameters, self._fix_noise)
+            correlations = self.replays.of_each_prepared(partial(correlation_of, parameters=parameters))
+            found += said_of_correlation(parameters, correlations)
         return found
 
     def _lost(self, parameters: FilterParameters) -> list[str]:
