@@ -1,6 +1,7 @@
 """Fix errors that last, as states: against an EKF written down here; textbook against kernels, live and smoothed."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from filter_cases import parameters, rough, straying
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.errors import InputError
+from sigmaswarm.exports.check import check_export
+from sigmaswarm.exports.targets import export_texts, write_texts
 from sigmaswarm.filters.compiled.run import new_place
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
@@ -212,3 +216,18 @@ def test_it_is_consistent_where_errors_last_and_white_noise_is_far_too_sure():
             nees[with_error][-1] = nees[with_error][-1] if np.isfinite(nu).all() else np.inf
     assert np.mean(nees[False]) > 20.0
     assert 0.5 < np.mean(nees[True]) < 4.0
+
+
+@pytest.mark.parametrize(("model", "kind", "option"), [CASES[0], CASES[2], CASES[4], CASES[7]])
+def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: str, tmp_path: Path):
+    p = filter_of(model, kind, option, nominal_interval=0.01)
+    write_texts(export_texts(p, "c99"), tmp_path)
+    for checked in check_export(tmp_path, p, [straying()]):
+        assert checked.double.state < 1e-11
+        assert checked.single is not None and checked.single.position < 1e-3
+
+
+@pytest.mark.parametrize("target", ["filterpy", "robot_localization"])
+def test_other_exports_refuse_it_in_one_line(target: str):
+    with pytest.raises(InputError, match=f"{target} has no fix-error; tune without it"):
+        export_texts(filter_of(nominal_interval=0.01), target)

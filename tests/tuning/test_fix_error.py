@@ -9,6 +9,7 @@ from sigmaswarm import run_batch, tune
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.defaults import WITH_FIX_ERROR, objective_for
+from sigmaswarm.tuning.diagnostics import correlation_warnings
 from sigmaswarm.tuning.prior import prior_costs
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.space import search_space
@@ -58,6 +59,15 @@ def test_prior_counts_the_white_and_the_lasting_variance_together(r: float, g: f
     assert prior_costs([white], std)[0, 0] == pytest.approx(0.5 * min(np.log10(r) / 0.5, 0.0) ** 2)
 
 
+def test_correlated_innovations_are_reported_where_the_option_would_explain_them():
+    p = FilterParameters(1.0, 0.0, 0.0, (1e-6,) * 8, (1.0, 1.0), "planar8", kind="ekf")
+    (said,) = correlation_warnings(p, [0.9, 0.5, np.nan, 0.1])
+    assert "(lag 1: 0.50)" in said
+    for other in (replace(p, fix_error=0.5), replace(p, kind="fuzzy-ukf")):
+        assert correlation_warnings(other, [0.9]) == []
+    assert correlation_warnings(p, [0.9, 0.2, 0.1]) == correlation_warnings(p, [np.nan]) == []
+
+
 def wandering(seed: int):
     """Fixes of a receiver that states 1 m and errs by a Gauss-Markov process of 1 m and 10 s, hardly by white noise."""
     drive, rng = make_drive(duration=90.0, gps_std=0.05, seed=seed), np.random.default_rng(seed)
@@ -81,6 +91,9 @@ def test_without_truth_it_is_honest_where_white_noise_is_not(tmp_path):
     assert saved == tuning.parameters
     assert (saved.fix_std, saved.fix_error_time) == (1.0, 5.0)
     assert saved.fix_error is not None and saved.fix_error > 0.2
+    advice = "TO DO: add fix-error to --use"
+    assert [w.startswith(advice) for w in white.warnings].count(True) == 1
+    assert not any(w.startswith(advice) for w in tuning.warnings)
     with_error, without = (
         score.mean_nees for (score,) in run_batch([drive], [saved, white.parameters]).scores
     )

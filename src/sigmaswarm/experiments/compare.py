@@ -161,8 +161,8 @@ class _Grid:
 
     def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
         """Return the function that runs a contender with a seed, or reads its outcome."""
-        interval, lock, times = usual_interval(self.problem.sensors), threading.Lock(), out / "times.csv"
-        spaces = {rival.scale: car_space(rival.config, interval) for rival in self.rivals}
+        lock, times = threading.Lock(), out / "times.csv"
+        spaces = {rival.scale: car_space(rival.config, self.problem.sensors) for rival in self.rivals}
         if not times.exists():
             write_whole(times, "optimizer,scale,seed,cpu_seconds\n")
 

@@ -6,18 +6,19 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sigmaswarm.exports.c_emitter import STATES, Emitter
-from sigmaswarm.filters.compiled import lanes, measurements, planar5, planar8, tilted12
+from sigmaswarm.exports.c_emitter import FIX_ERROR, STATES, Emitter
+from sigmaswarm.filters.compiled import fix_error, lanes, measurements, planar5, planar8, tilted12
 from sigmaswarm.filters.compiled.layout import MEAN
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.parameters import FilterParameters
 
 
 def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
     """The prediction and the measurements of a filter, in C."""
-    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features))
-    model = MODELS[p.model]
+    model = FILTERS[p.kernel]
     n, tilted = len(model.states), int(model.tilts is not None)
+    states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)
+    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features), states)
     emitter.add(lanes._series, "sine_series")
     emitter.add(lanes._near, "sine_cosine_near")
     emitter.add(lanes.sincos, "sine_cosine")
@@ -29,6 +30,8 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
         if p.kind != "ekf":
             emitter.add(lanes.spread_of)
         _add_planar(emitter, p.model, features, n)
+    if model.fix_error:
+        _add_fix_error(emitter, n, features)
     both = {"n": n, "tilted": tilted}
     emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
@@ -60,6 +63,14 @@ def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: i
         emitter.add(measurements.absorb_lateral, tilted=0, measure_lateral=along)
     if features["USE_ODOMETER"]:
         emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
+
+
+def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> None:
+    if not features["USE_TILTED"]:
+        emitter.add(fix_error.carry, "carry_fix_error", n=n, biases=int(features["USE_BIASES"]))
+    emitter.add(fix_error.age_fix_error)
+    emitter.add(fix_error.move_fix_error, n=n, noted=0)
+    emitter.add(fix_error.see_fix_error, n=n)
 
 
 def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
@@ -100,6 +111,7 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",
         "FORGETTING": "FORGETTING",
         "OK": "b->failed",
+        **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
         **dict.fromkeys(("FACED", "FACED_ALL"), "b->faced" if turns_along else None),
         **dict.fromkeys(("TINY", "GRAVITY")),
     }

@@ -12,6 +12,7 @@ import tomli_w
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError, SigmaswarmWarning, first_mistake
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
@@ -135,7 +136,7 @@ class FilterParameters:
     robust_dof: Positive | None = _option(None)
     fix_error: Positive | None = _option(None)
     fix_error_time: Positive = _option(5.0)
-    fix_std: Positive = _option(2.1)
+    fix_std: Positive = _option(UNSTATED_GPS_STD)
 
     def __post_init__(self) -> None:
         n = self.n_states

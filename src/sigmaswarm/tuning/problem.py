@@ -25,7 +25,7 @@ from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
-from sigmaswarm.tuning.diagnostics import loss_warnings, scale_warnings
+from sigmaswarm.tuning.diagnostics import correlation_of, correlation_warnings, loss_warnings, scale_warnings
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs
 from sigmaswarm.tuning.receiver import (
@@ -184,6 +184,9 @@ class CarProblem(Problem[FilterParameters]):
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             found += decided or noise_warnings(parameters, noise)
+            found += correlation_warnings(
+                parameters, replays.of_each_prepared(partial(correlation_of, parameters=parameters))
+            )
         return found
 
 

@@ -19,7 +19,7 @@ def carry(w, u, *, n, biases):
     h = 0.5 * dt
     for l in range(LANES):
         ke, kn = w[R.JEAST, l], w[R.JNORTH, l]
-        for j in (n - 2, n - 1):
+        for j in range(n - 2, n):
             ub, vb, tb = w[at(R.U, j), l], w[at(R.V, j), l], w[at(R.T, j), l]
             u1, v1 = ub + ke * tb, vb + kn * tb
             if biases:
@@ -46,12 +46,11 @@ def move_fix_error(w, *, n, noted):
     """Take b from the last fix to this one; ``noted``: number of phi among the rows of `tape`, 0 without one."""
     for l in range(LANES):
         phi = w[R.PHI, l]
-        for j in (n - 2, n - 1):
+        for j in range(n - 2, n):
             w[j, l] *= phi
-            for i in range(n - 2):
+            for i in range(n):
                 w[at(i, j), l] *= phi
-            for i in range(n - 2, j + 1):
-                w[at(i, j), l] *= phi * phi
+            w[at(j, j), l] *= phi
         w[at(n - 2, n - 2), l] += w[R.GAINED_X, l]
         w[at(n - 1, n - 1), l] += w[R.GAINED_Y, l]
         if noted:
