@@ -68,6 +68,7 @@ def c99(
     features = features_of(parameters)
     fits = all(fits_float(p) for p in lanes.filters(parameters))
     features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
+    features["USE_EXP"] = features["USE_LANES"] or features["USE_FIX_ERROR"]
     features["USE_LANES_OR_NIS"] = features["USE_LANES"] or features["USE_NIS"]
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     values["KERNELS"] = kernels_of(parameters, features, values)

@@ -73,10 +73,10 @@ def _moved_tilted12(move, p, ap, n):
             ap[a, c] = p[a, c]
 
 
-def _moved_unscented(move, p, ap, *, first):
+def _moved_unscented(move, p, ap, n, *, first):
     """A P, of the error: what makes it are the rows D and the slopes."""
     h = 0.5 * move[0]
-    for c in range(12):
+    for c in range(n):
         vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
         vy = p[3, c] - move[3] * p[5, c] - move[4] * p[6, c]
         e, n, up = p[8, c], p[9, c], p[4, c]
