@@ -39,6 +39,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from doctor.faults import FAULTS, MORE, THIRD_AXES, codes_of
 
 GPS = ("white-1m", "ublox-m8", "f9p-rtk")
+LONGEST = 180.0
+"""s, of a recording: its middle."""
 LENGTH = 60.0
 """s, of a window."""
 
@@ -47,7 +49,9 @@ def sound_drives(folder: Path, simulated: int) -> Iterator[Drive]:
     """Recordings below a folder, without those that are as recorded, and simulated drives of all IMU grades."""
     for about in sorted(folder.glob("*/drive.toml")):
         if not about.parent.name.endswith("as-recorded"):
-            yield read_drive(about.parent)
+            drive = read_drive(about.parent)
+            middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
+            yield clip(drive, middle - LONGEST / 2, middle + LONGEST / 2)
     grades = [name for name in IMU_GRADES if name not in ("ideal", "carla")]
     for run in range(simulated):
         yield simulate(

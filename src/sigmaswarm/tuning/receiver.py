@@ -67,7 +67,7 @@ def noise_warnings(
 
     ``use``: the measurements of the filter, to which the remedy adds.
     """
-    if parameters.accuracy_scale is not None or not drives:
+    if parameters.accuracy_scale is not None or parameters.fix_error is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
