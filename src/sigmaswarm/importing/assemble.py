@@ -91,9 +91,7 @@ def assemble(
     return drive
 
 
-def assemble_imu(
-    parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None
-) -> Imu:
+def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
     """Make the IMU's table alone from gathered columns; parameters as of `assemble`."""
     time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
     return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)

@@ -16,7 +16,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.importing.convert import import_imu, request_of
-from sigmaswarm.noise.allan import allan_deviation
+from sigmaswarm.noise.allan import allan_deviation, model_parts
 from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL, AxisNoise, Noise
 from sigmaswarm.noise.spectrum import Fit, Interval, fit, spectrum_of
 from sigmaswarm.noise.static import AXES, COARSE, Stretches, fault_of, find_stretches, step_of
@@ -30,6 +30,10 @@ STATIC = 0.95
 """Share of a static log that is at rest."""
 UNLIKELY = 0.1
 """Relative error of gravity above which the unit is doubtful."""
+MANY = 30.0
+"""Averages of a stretch of which the Allan deviation is sure,"""
+MISFIT = 1.5
+"""and its ratio to the model, or the inverse, that is reported."""
 TREND = 4.0
 """Standard deviations by which a trend exceeds the fitted processes."""
 TUNED = (
@@ -51,7 +55,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Returns
     -------
     Noise
-        White noise, bias instability and rate random walk of each axis, with intervals of 95%; ``print(noise.table())``.
+        White noise, bias instability and rate random walk of each axis with 95% intervals; ``table()`` shows them.
 
     Raises
     ------
@@ -109,7 +113,9 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
         white = {"ax": accel, "ay": accel, **{a: q[state] for a, state in angles.items() if state in q}}
         walks = {f"{s.bias_of[0]}{s.name[-1]}": q[s.name] for s in model.states if s.bias_of}
     axes = [
-        AxisNoise(a, _exact(white[a]), _exact(0.0), _exact(walks.get(a, 0.0)), math.inf, 0.0, *np.zeros((2, 0)))
+        AxisNoise(
+            a, _exact(white[a]), _exact(0.0), _exact(walks.get(a, 0.0)), math.inf, 0.0, *np.zeros((2, 0))
+        )
         for a in AXES
         if a in white
     ]
@@ -162,6 +168,15 @@ def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[s
             "a sensor does that warms up: log it after half an hour of running"
         )
     tau, deviation = allan_deviation(values, interval)
+    parts = model_parts(tau, found.white.value, found.instability.value, found.walk.value, found.time)
+    ratio = deviation / np.sqrt(np.sum(np.square(parts), axis=0))
+    sure = tau <= duration / MANY  # longer averages scatter
+    worst = int(np.argmax(np.abs(np.log(ratio[sure])))) if sure.any() else 0
+    if not 1 / MISFIT < ratio[worst] < MISFIT:
+        remarks.append(
+            f"{axis}: the Allan deviation at {tau[worst]:.2g} s is {ratio[worst]:.2g} times the model, as with "
+            "vibration or a sensor's filter: the model describes the slow noise, which a navigation filter integrates"
+        )
     return AxisNoise(axis, found.white, found.instability, found.walk, found.time, trend, tau, deviation)
 
 
@@ -189,11 +204,13 @@ def _remarks_on(stretches: Stretches, lengths: list[float]) -> list[str]:
     total, longest = sum(lengths), max(lengths)
     remarks: list[str] = []
     if stretches.gaps:
-        remarks.append(f"{counted(stretches.gaps, 'gap')} in the log: the parts between are used as stretches")
+        remarks.append(
+            f"{counted(stretches.gaps, 'gap')} in the log: the parts between are used as stretches"
+        )
     if stretches.share < STATIC:
         remarks.append(
-            f"the log moves or is disturbed in {100 * (1 - stretches.share):.0f}% of its time; "
-            f"{counted(len(lengths), 'standstill')}, {total:.0f} s in all, are used: an engine's vibration counts as noise"
+            f"the log moves or is disturbed in {100 * (1 - stretches.share):.0f}% of its time; used: "
+            f"{counted(len(lengths), 'standstill')}, {total:.0f} s in all; an engine's vibration counts as noise"
         )
     if longest < LONG:
         remarks.append(

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK
 from sigmaswarm.noise.spectrum import Interval
 from sigmaswarm.tables import Column, Table
 
-Sensor = Literal["accel", "gyro"]
 HOUR = 3600.0
 """s"""
 DEG_PER_SQRT_HOUR = math.degrees(1) * 60
@@ -23,7 +22,7 @@ MPS_PER_SQRT_HOUR = 60.0
 """From m/s2/sqrt(Hz)."""
 MGAL = 1e5
 """From m/s2."""
-SENSORS: dict[Sensor, tuple[str, str]] = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
+SENSORS = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
 """Axes and unit of each sensor."""
 
 
@@ -99,7 +98,7 @@ class Noise:
         """Length of the longest stretch, s; an hour, where there is none."""
         return max((length for _, length in self.stretches), default=HOUR)
 
-    def of(self, sensor: Sensor, value: Callable[[AxisNoise], float]) -> list[float]:
+    def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
         """Return a value of the three axes of a sensor; an unknown axis gets the root mean square of the others."""
         known = {a.axis: value(a) for a in self.axes}
         axes = SENSORS[sensor][0].split()
@@ -107,13 +106,19 @@ class Noise:
         usual = math.sqrt(float(np.mean(np.square(there)))) if there else 0.0
         return [known.get(a, usual) for a in axes]
 
-    def mean(self, sensor: Sensor, value: Callable[[AxisNoise], float]) -> float:
+    def mean(self, sensor: str, value: Callable[[AxisNoise], float]) -> float:
         """Return the root mean square over the axes of a sensor."""
         return math.sqrt(float(np.mean(np.square(self.of(sensor, value)))))
 
     def table(self) -> Table:
         """Return the table of all axes, in the units of data sheets."""
-        columns = (Column("axis"), Column("noise"), Column("value"), Column("95%", joined=True), Column("unit"))
+        columns = (
+            Column("axis"),
+            Column("noise"),
+            Column("value"),
+            Column("95%", joined=True),
+            Column("unit"),
+        )
         rows = [
             (axis.axis, name, scale * one.value, (scale * one.low, scale * one.high), unit)
             for axis in self.axes

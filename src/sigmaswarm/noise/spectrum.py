@@ -32,11 +32,11 @@ TAPER = 1.5
 """Neighboring frequencies that count as one, as the sine taper correlates them."""
 CERTAIN = 5.5
 """Deviance of the points of a 95% interval above the smallest one: chi-square, one degree of freedom."""
-POINTS = 17
+POINTS = 11
 """Values of a parameter at which its profile is computed in each pass."""
 PASSES = 3
 """Passes that close in on an end of an interval."""
-TIMES = 12
+TIMES = 8
 """Finite correlation times that are tried."""
 STEPS = 15
 """Fisher's scoring has converged after so many."""
@@ -82,13 +82,13 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
     highest = min(0.5, max(BAND, ENOUGH * interval / duration)) / interval
     frequencies, densities = list[Array](), list[Array]()
     for part in parts:
-        n = prev_fast_len(len(part), real=True)
+        n = int(prev_fast_len(len(part), real=True) or 1)
         time = np.arange(n) - (n - 1) / 2
         values = part[:n] - np.mean(part[:n])
         values -= time * (np.dot(time, values) / np.dot(time, time))
         values *= np.sin(np.pi * (np.arange(n) + 0.5) / n)
         last = int(min(highest * n * interval, (n - 1) // 2))
-        power = np.abs(rfft(values)[FIRST : last + 1]) ** 2
+        power = np.abs(np.asarray(rfft(values))[FIRST : last + 1]) ** 2
         frequencies.append(np.arange(FIRST, last + 1) / (n * interval))
         densities.append(power * interval * 2 / n)
     frequency, density = np.concatenate(frequencies), np.concatenate(densities)
@@ -109,8 +109,8 @@ def fit(spectrum: Spectrum, duration: float) -> Fit:
     variances, deviance = _smallest(s, np.zeros((len(rates), 1)), shapes)
     best = int(np.argmin(deviance))
     limit = float(deviance[best]) + CERTAIN
-    found = [_interval(s, shapes, k, float(variances[best, k]), limit) for k in range(3)]
-    return Fit(*found, math.inf if deviance[0] <= limit else 1 / float(rates[best]))
+    white, instability, walk = (_interval(s, shapes, k, float(variances[best, k]), limit) for k in range(3))
+    return Fit(white, instability, walk, math.inf if deviance[0] <= limit else 1 / float(rates[best]))
 
 
 def _walk(angle: Array, interval: float, rate: float) -> Array:
@@ -127,6 +127,7 @@ def _smallest(s: Spectrum, known: Array, shapes: Array) -> tuple[Array, Array]:
     sets = [list(c) for m in range(1, shapes.shape[-2] + 1) for c in combinations(range(shapes.shape[-2]), m)]
     size = np.sqrt(np.mean(shapes**2, axis=-1, keepdims=True))
     shapes = shapes / size
+    variances = np.zeros(0)
     model = np.broadcast_to(s.density, np.broadcast_shapes(known.shape, shapes[..., 0, :].shape))
     for step in range(STEPS):
         weighted = shapes * (s.count / model**2)[..., None, :]

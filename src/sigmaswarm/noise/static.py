@@ -83,7 +83,9 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
 
 
-def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _calm_blocks(
+    imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Return which blocks are as quiet as the quietest, with the means of their neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
@@ -150,5 +152,7 @@ def fault_of(values: Sequence[Array]) -> str | None:
         follows = -inward * max(float(np.max(-inward * v)) for v in inner if len(v))
         at_end, at_next = (sum(int(np.count_nonzero(v == x)) for v in values) for x in (end, follows))
         if at_end > max(PILED * at_next, LEAST_PILED * count, 5):
-            return f"saturated: {100 * at_end / count:.2g}% of the samples are {end:.6g}, the end of its range"
+            return (
+                f"saturated: {100 * at_end / count:.2g}% of the samples are {end:.6g}, the end of its range"
+            )
     return None
