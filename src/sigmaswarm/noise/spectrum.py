@@ -30,8 +30,9 @@ PER_DECADE = 24
 """Bands of frequencies that are averaged."""
 TAPER = 1.5
 """Neighboring frequencies that count as one, as the sine taper correlates them."""
-CERTAIN = 5.5
-"""Deviance of the points of a 95% interval above the smallest one: chi-square, one degree of freedom."""
+CERTAIN = 5.99
+"""Deviance of the points of a 95% interval above the smallest one: chi-square with two degrees of freedom, since the
+unknown correlation time widens the others' intervals. They cover 93 to 100% (benchmarks/imu_noise.py)."""
 POINTS = 11
 """Values of a parameter at which its profile is computed in each pass."""
 PASSES = 3

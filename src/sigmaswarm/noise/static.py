@@ -143,7 +143,7 @@ def fault_of(values: Sequence[Array]) -> str | None:
     """Return why the samples of an axis do not show its noise, or None."""
     low, high = min(np.min(v) for v in values), max(np.max(v) for v in values)
     if low == high:
-        return f"constant at {low:.6g}: dead, or quantized in steps that are larger than its noise"
+        return f"constant at {low + 0.0:.6g}: dead, or quantized in steps that are larger than its noise"
     step, count = step_of(np.concatenate(values)), sum(map(len, values))
     if high - low <= 2.5 * step:
         return f"quantized in steps of {step:.3g}, which hide its noise"

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.noise.allan import model_parts
 from sigmaswarm.noise.records import DEG_PER_HOUR, MGAL, AxisNoise, Noise
-from sigmaswarm.reports.figures import Chart, curve, figure_of
+from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, NO_LINE, ORANGE, PURPLE, Look
 
 _SLOPES = (
@@ -55,7 +55,9 @@ def _draw(ax: Axes, axis: AxisNoise) -> None:
     slopes = white, flicker, scale * axis.walk.value * np.sqrt(tau / 3)
     for values, (name, look) in zip(slopes, _SLOPES, strict=True):
         curve(ax, tau, np.where((values >= low) & (values <= high), values, np.nan), look, name)
-    ax.set(xscale="log", yscale="log", xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}")
+    logarithmic(ax.xaxis)
+    logarithmic(ax.yaxis)
+    ax.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}")
     ax.set_ylim(low, high)
     if math.isfinite(axis.correlation_time):
         ax.text(
