@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.tables import Imu
+from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
@@ -226,6 +227,10 @@ ERRORS = {
     "few": (lambda log: log.select(slice(0, 20)), "20 samples"),
     "moves": (lambda log: replace(log, gz=0.5 * np.sin(log.time)), "moves: no 10 s of standstill"),
     "dead": (lambda log: Imu(log.time, 0 * log.ax, 0 * log.ax, 0 * log.ax), "no axis shows its noise"),
+    "nan": (
+        lambda log: replace(log, ay=np.where(log.time < 1, np.nan, log.ay)),
+        "ay has values that are no numbers",
+    ),
     "backwards": (lambda log: replace(log, time=log.time[::-1]), "increasing"),
 }
 
@@ -235,6 +240,14 @@ def test_a_log_without_noise_is_refused(case):
     change, expected = ERRORS[case]
     with pytest.raises(InputError, match=expected):
         imu_noise(change(static_log("mpu-6050", 60.0)))
+
+
+def test_settings_of_an_import_are_for_logs_of_other_formats(tmp_path):
+    write_drive(make_drive(duration=20.0), tmp_path / "drive")
+    with pytest.raises(InputError, match="no settings of an import"):
+        imu_noise(tmp_path / "drive", time="stamp")
+    with pytest.raises(InputError, match="no setting of an import is called 'tim'"):
+        imu_noise(tmp_path, tim="stamp")
 
 
 def test_step_of_finds_steps_and_none_in_floats():

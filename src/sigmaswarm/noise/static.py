@@ -27,8 +27,6 @@ ROUGH = 0.3
 """m/s2: and always where an accelerometer's exceeds this."""
 FIX_SPEED = 0.5
 """m/s: speed of a straight line through a stretch's fixes that shows motion."""
-COARSE = 0.5
-"""Step over deviation above which a quantized axis is reported."""
 SAMPLE = 100_000
 """Samples that show the step."""
 PILED = 3.0
@@ -57,6 +55,9 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):
         raise InputError(f"{len(imu)} samples with increasing times are no log; give {SHORTEST:g} s at least")
+    columns = [axis for axis in AXES if getattr(imu, axis) is not None]
+    if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
+        raise InputError(f"{wrong[0]} has values that are no numbers; leave these samples out")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), 5)
     begins = np.concatenate([[0], np.flatnonzero(gaps_before(imu.time) > 0)])
