@@ -86,7 +86,7 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
     p, dt = parameters, parameters.nominal_interval
     if dt is None:
         raise InputError(
-            "the filter does not say which IMU interval its process noise refers to; add nominal_interval (s), for "
+            "the filter does not state the IMU interval of its process noise; add nominal_interval (s), for "
             "example nominal_interval = 0.01, to [filter] in its file"
         )
     model = MODELS[p.model]
