@@ -23,6 +23,8 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "heading_deg": ((0,), "90.0"),
     "accel_noise_density": ((0,), "0.004"),
     "gyro_noise_density": ((0,), "0.0001"),
+    "accel_bias_walk": ((0,), "0.0001"),
+    "gyro_bias_walk": ((0,), "0.00001"),
 }
 """Keys of drive.toml that filters use: the allowed numbers of elements (0: a plain number), and an example."""
 
