@@ -26,6 +26,7 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 needs_clang = pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not installed")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
 SANITIZERS = (
+    "-O0",  # the optimizer takes four fifths of the build, and removes what the sanitizers look for
     "-g",
     "-fsanitize=address,undefined,float-divide-by-zero,float-cast-overflow",
     "-fno-sanitize-recover",
