@@ -78,7 +78,9 @@ def _require_one_clock(columns: Wanted, path: Path) -> None:
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)
-        raise InputError(f"{path}: the comment on {kind} names no {_CLOCK}, as others do; correct the comment")
+        raise InputError(
+            f"{path}: the comment on {kind} names no {_CLOCK}, as others do; correct the comment"
+        )
 
 
 def _guess(columns: Wanted) -> Guess:
