@@ -95,7 +95,7 @@ class TableFile:
         names = [
             name.strip().split("_duplicated_")[0] for name in cells.columns
         ]  # as polars calls a second one
-        if twice := next((name for name in names if names.count(name) > 1), None):
+        if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
             raise DriveError(
                 f"{path}, row 1: column {quoted(twice)} appears twice; delete or rename one of them"
             )
