@@ -11,6 +11,7 @@ from sigmaswarm.exports.features import features_of, in_range, values_of
 from sigmaswarm.exports.template import fill
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.robot_localization import PLACES
 from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
@@ -23,8 +24,6 @@ DEFAULT_PROCESS_NOISE = (
 )
 """Its defaults, per second: x, y, z; roll, pitch, yaw; their rates; accelerations (filter_base.cpp, reset)."""
 _X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
-PLACES = (_X, _Y, _VX, _VY, _YAW, 12, 13, 11)
-"""Places of the states of the model robot-localization among the 15."""
 SMALL, FIRST_FIX = 1e-6, 1.0
 """Variances at the start: of states that stay at 0; the least of x and y, m2."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)

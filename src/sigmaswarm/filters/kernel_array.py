@@ -275,7 +275,7 @@ def _values(of: Callable[[str], Any], model: ModelName) -> dict[int, Any]:
     rx, ry = np.transpose(of("measurement_noise"))
     width_ratio, width_trend = np.transpose(of("fuzzy_widths"))
     gain_r, gain_q = np.transpose(of("fuzzy_gains"))
-    r_gyro, r_accel = np.transpose(of("imu_noise"))
+    r_gyro, r_accel, *r_left = np.transpose(of("imu_noise"))
     measures = MODELS[model].measures_imu
     return {
         R.R_RATE: r_gyro if measures else STANDSTILL_RATE_NOISE,
@@ -295,7 +295,7 @@ def _values(of: Callable[[str], Any], model: ModelName) -> dict[int, Any]:
         R.GAIN_Q: gain_q,
         R.R_VELOCITY: r_accel if measures else of("velocity_noise"),
         R.R_LATERAL: of("lateral_noise"),
-        R.R_STANDSTILL: of("standstill_noise"),
+        R.R_STANDSTILL: r_left[0] if r_left else of("standstill_noise"),
         R.R_ODOMETER: of("odometer_noise"),
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),

@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Any, get_args
+
+import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
@@ -88,6 +90,19 @@ class SearchSpace(Box):
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
+
+    def point_of(self, parameters: FilterParameters) -> Array:
+        """Return the point of a filter in search coordinates, (d,), within the bounds.
+
+        Values that the filter does not have are in the middle of their bounds.
+        """
+        own, here = parameters.nominal_interval, self.fixed["nominal_interval"]
+        if own and here:
+            noise = tuple(here / own * variance for variance in parameters.process_noise)
+            parameters = replace(parameters, process_noise=noise)
+        values = np.array([*self.values_of(parameters).values()], dtype=np.float64)  # None becomes NaN
+        point = self._encode(np.clip(values, self.lowest, self.highest))
+        return np.where(np.isfinite(values), np.clip(point, self.low, self.high), (self.low + self.high) / 2)
 
     def values_of(self, parameters: FilterParameters) -> dict[str, float]:
         """Return the value of every dimension in a filter."""
