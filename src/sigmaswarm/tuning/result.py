@@ -302,6 +302,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     yield from t.warnings
     if factor != 1.0:
         inflated = f"all process noises are {factor:.3g}"
+        if car and MODELS[car.model].measures_imu:
+            inflated = f"the noises of position, velocity and acceleration are {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
             inflated = (
