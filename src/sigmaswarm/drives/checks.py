@@ -98,7 +98,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
     """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
 
-    Nothing here stops work, so each check stays silent in doubt.
+    Nothing here stops work, so a check that is uncertain reports nothing.
     """
     if spoiled := spoiled_times(imu, gps):
         return spoiled

@@ -154,7 +154,7 @@ def _first_place(values: Values) -> Origin:
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
     """The truth with x and y, m; about its own first place where no fixes have set an origin.
 
-    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand metres
+    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand meters
     between the two would stretch one of them by 16 cm a kilometre.
     """
     if "lat" in values and "lon" in values:
@@ -171,7 +171,7 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    """Return the sentence on truth in metres with fixes in degrees: its origin, and how far the fixes are from it."""
+    """Return the sentence on truth in meters with fixes in degrees: its origin, and how far the fixes are from it."""
     said = "truth is in metres: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])

@@ -34,7 +34,7 @@ class Request:
     time : expression of the time, in every table of the source
     choice : tables and times
     limits : how much is read
-    part : which recording, from 1, where a clock starts anew within a table
+    part : which recording, from 1, where a clock restarts within a table
     definitions : files or folders of ROS messages' definitions, .msg, for bags without them
     """
 

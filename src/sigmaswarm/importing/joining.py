@@ -29,7 +29,7 @@ TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
 def join(
     parts: Sequence[Gathered], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> tuple[Nanoseconds, Values]:
-    """One table of a role's parts: at the first part's times, the others interpolated between their neighbours.
+    """One table of a role's parts: at the first part's times, the others interpolated linearly.
 
     Parameters
     ----------

@@ -179,7 +179,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """The wheels' way, bent as the gyro says, over the fixes', and how far the latter went, m; as the crow flies."""
+    """Ratios of the odometer's displacement, turned by the gyro, to that of the fixes; the latter in m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

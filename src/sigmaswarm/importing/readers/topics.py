@@ -159,7 +159,7 @@ class Topics:
         return {"imu_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Fixes: NavSatFix in degrees, or a pose in metres east and north; deviations where they are stated."""
+        """Fixes: NavSatFix in degrees, or a pose in meters east and north; deviations where they are stated."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
