@@ -70,6 +70,9 @@ def test_inputs_are_those_that_it_fuses(tmp_path: Path):
     found = load(tmp_path, USUAL | wheels | {"imu0_config": entries(11)})
     assert found.imu_noise == (1e-4, NOT_FUSED)
     assert found.odometer_noise is not None and found.lateral_noise is not None
+    limits = {"imu0_twist_rejection_threshold": 3.0, "imu0_linear_acceleration_rejection_threshold": 5.0}
+    assert load(tmp_path, USUAL | limits).imu_gate == (9.0, 25.0)
+    assert load(tmp_path, USUAL | {"odom0_pose_rejection_threshold": 1e308}).gate is None
     text = (
         "imu0_config: ["
         + ", ".join(["true"] * 15)

@@ -1,5 +1,6 @@
 """FilterParameters: all parameters of a filter, as one frozen record."""
 
+import math
 import re
 import warnings
 from collections.abc import Collection
@@ -25,6 +26,7 @@ def _as_tuple(value: Any) -> Any:
 
 Real = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Limit = Annotated[float, Field(gt=0)]
 Gain = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
 
@@ -68,6 +70,8 @@ class FilterParameters:
     imu_noise : tuple of float, length 2 or 3
         robot-localization: variances that the IMU's messages state: of gz, (rad/s)2, ax, (m/s2)2, and, where ay is
         fused, of ay.
+    imu_gate : tuple of float, length 2
+        robot-localization: the largest NIS of gz and of ax that is used; infinite without a limit.
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None
@@ -114,6 +118,7 @@ class FilterParameters:
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
     imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option((1e-4, 1e-2))
+    imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
     rear_axle: Real = _option(0.0)
@@ -294,6 +299,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "odometer_scale": "reading over true speed",
         "odometer_latency": "s",
         "gate": "NIS, dimensionless",
+        "imu_gate": ["NIS, dimensionless"] * 2,
         "latency": "s",
         "accuracy_scale": "of the stated variance, dimensionless",
         "robust_dof": "dimensionless",

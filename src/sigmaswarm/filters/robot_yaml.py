@@ -7,7 +7,7 @@ The file has process noise, thresholds and the fused entries. The variances of m
 import math
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -53,7 +53,8 @@ def read_configuration(path: Path) -> FilterParameters:
     """
     block = _chosen(_loaded(path), path)
     inputs = {found[1]: _entries(block[key], path, key) for key in block if (found := _CONFIG.fullmatch(key))}
-    imu = [entries for name, entries in inputs.items() if name.startswith("imu")]
+    inertial = [name for name in inputs if name.startswith("imu")]
+    imu = [inputs[name] for name in inertial]
     other = {name: entries for name, entries in inputs.items() if not name.startswith("imu")}
     fixes = next((name for name, entries in other.items() if entries[_X]), None)
     gyro, accel = (any(entries[k] for entries in imu) for k in (_VYAW, _AX))
@@ -67,7 +68,11 @@ def read_configuration(path: Path) -> FilterParameters:
     return replace(
         usual,
         imu_noise=(*r_imu, r_accel) if any(entries[_AY] for entries in imu) else r_imu,
-        gate=_threshold(block, fixes, path),
+        gate=_threshold(block, path, fixes and [f"{fixes}_pose", fixes]),
+        imu_gate=(
+            _threshold(block, path, [f"{name}_twist" for name in inertial]) or math.inf,
+            _threshold(block, path, [f"{name}_linear_acceleration" for name in inertial]) or math.inf,
+        ),
         lateral_noise=BY_HAND["odometer_noise"] if no_slip else None,
         odometer_noise=BY_HAND["odometer_noise"] if wheels else None,
     )
@@ -132,11 +137,9 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
     return noise
 
 
-def _threshold(block: Block, name: str | None, path: Path) -> float | None:
-    """The squared Mahalanobis distance up to which an input is used; None if there is no limit."""
-    keys = [
-        key for key in (f"{name}_pose_rejection_threshold", f"{name}_rejection_threshold") if key in block
-    ]
+def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
+    """The squared Mahalanobis distance of the first threshold that is there; None if there is no limit."""
+    keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
     try:

@@ -42,6 +42,10 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
         Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
     ),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
+    "imu_gate": (
+        Dimension("gate_gyro", "imu_gate", 1, 4.0, 100.0),
+        Dimension("gate_accel", "imu_gate", 1, 4.0, 100.0),
+    ),
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
     "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
     "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
@@ -63,6 +67,8 @@ IMU_DIMENSIONS = (
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
+ONE_NOISE = ("lateral", "odometer")
+"""Options of which robot-localization has the noise alone: its twists are those of the IMU, in m/s, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -156,7 +162,7 @@ def search_space(
         raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
     if reason := clash(kind, use):
         raise InputError(reason)
-    kinds, options = MODELS[model].kinds, MODELS[model].options or OPTIONS
+    kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu_gate"]
     lacking = [option for option in use if option not in options]
     if lacking:
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
@@ -206,4 +212,4 @@ def _dimensions(
     for option in OPTIONS:
         if option in use:
             wanted = OPTION_DIMENSIONS[option]
-            yield from wanted[:1] if described.measures_imu else wanted  # its twist is at the IMU
+            yield from wanted[:1] if described.measures_imu and option in ONE_NOISE else wanted
