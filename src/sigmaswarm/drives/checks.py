@@ -145,7 +145,7 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
     if not unit:
         return None
     power = f"{TIME_UNITS[unit]:.0e}".replace("+0", "")
-    remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import say so with --time or --map, as in "
+    remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import use --time or --map, as in "
     return Remark("time-unit", file, "t", what, f"{remedy}t=stamp*1e-{power[2:]}")
 
 

@@ -147,7 +147,7 @@ def check_target(path: Path, origin: Origin | None = None, beside: str | Path | 
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
-            f"{path}: can't tell the format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
+            f"{path}: unknown format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
         )
     if beside and path.suffix != BAG:
         raise InputError(f"{path}: --beside copies a bag's messages into a bag; end the name in {BAG}")
@@ -159,7 +159,7 @@ def check_target(path: Path, origin: Origin | None = None, beside: str | Path | 
         raise InputError(f"{path.parent}: no such folder; make it first")
     if path.suffix in MAPS and origin is None:
         raise InputError(
-            f"{path}: a map needs degrees, and the drive does not say where on the earth its x = y = 0 is; give "
+            f"{path}: a map needs degrees, and the drive has no origin on the earth; give "
             "--origin LAT,LON, or origin in its drive.toml, or write .csv, .mat, .tum, .kitti or .ros2"
         )
 

@@ -376,7 +376,9 @@ class LiveFilter:
             If no ``lag`` was given.
         """
         if self._lag is None:
-            raise InputError("a live filter without lag has no smoothed state; make it with lag=2.0, say")
+            raise InputError(
+                "a live filter without lag has no smoothed state; make it with a lag, for example lag=2.0"
+            )
         return self._state_at(*self._lag.smoothed(self._memory.arrays), True)
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:

@@ -205,7 +205,7 @@ def _require_sensors(recipe: Recipe, request: Request, logs: Mapping[Path, Log],
             there = there or "what can be decoded"
             raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
         raise InputError(
-            f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (--show proposes it)"
+            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show proposes it)"
         )
 
 

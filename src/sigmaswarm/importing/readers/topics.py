@@ -89,7 +89,7 @@ class Topics:
             t for t, table in self.tables.items() if "Odometry" in table.kind and t != fixes
         ):
             self.notes.append(
-                f"{names_shown(poses)} not taken as truth, since no name says so; choose one with --truth-topic"
+                f"{names_shown(poses)} not taken as truth, since no name shows it; choose one with --truth-topic"
             )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
@@ -173,7 +173,7 @@ class Topics:
         found = self._named(topic, _POSITION)
         if "pose.covariance[0]" in columns:
             found |= {"std_x": "sqrt(pose.covariance[0])", "std_y": "sqrt(pose.covariance[7])"}
-        self.notes.append(f"{topic} taken as metres east and north")
+        self.notes.append(f"{topic} taken as meters east and north")
         return found
 
     def _motion(self, topic: str) -> dict[str, str]:
@@ -210,5 +210,5 @@ class Topics:
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):
             self.notes.append(
-                f"{topic} is in the frame {name!r}, axes as REP-103 has them unless --mount says more"
+                f"{topic} is in the frame {name!r}, axes as in REP-103 unless --mount gives others"
             )
