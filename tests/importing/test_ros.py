@@ -280,7 +280,7 @@ def test_transforms_that_lead_nowhere_place_nothing(tmp_path: Path, broken: str)
     got = imported(mounted("sqlite3", tmp_path, message), recipe=AT)
     assert got.recipe.mount == {"ring": "0,0,0", "zero": "", "no antenna": "0,0,90"}[broken]
     assert "gps_lever_arm_m" not in got.drive.metadata
-    assert any("does not say where gps is; state it with --lever-arm" in n for n in got.notes) == (
+    assert any("has no position of gps; state it with --lever-arm" in n for n in got.notes) == (
         broken != "zero"
     )
 

@@ -67,11 +67,10 @@ def run(
     """Run a tuned filter over a drive and write its estimates.
 
     The file's ending names the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
-    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder, with
-    innovations, NIS and a layout for Foxglove). A filter
-    that was tuned without preprocessing runs without it. Smoothing ends and restarts at a reset. The bank adapts to
-    changes of sensors or surroundings; with NAME.csv it also writes NAME.swarm.csv, a log of the bank each second, and
-    NAME.swarm.toml, its last filter.
+    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder). The bag
+    has innovations, NIS and a layout for Foxglove. A filter that was tuned without preprocessing runs without it.
+    Smoothing ends and restarts at a reset. The bank adapts to changes of sensors or surroundings; with NAME.csv it also
+    writes NAME.swarm.csv, a log of the bank each second, and NAME.swarm.toml, its last filter.
 
     Examples:
 

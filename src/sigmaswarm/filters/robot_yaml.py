@@ -63,7 +63,7 @@ def read_configuration(path: Path) -> FilterParameters:
     if left := "; ".join(_left_out(block, inputs)):
         warnings.warn(f"{path}: {left}", SigmaswarmWarning, stacklevel=4)
     usual = FilterParameters(1.0, 0.0, 0.0, noise, (1.0, 1.0), model=NAME, kind="ekf", nominal_interval=1.0)
-    r_gyro, r_accel = usual.imu_noise
+    r_gyro, r_accel = usual.imu_noise[:2]
     r_imu = (r_gyro if gyro else NOT_FUSED, r_accel if accel else NOT_FUSED)
     return replace(
         usual,

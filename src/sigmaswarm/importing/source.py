@@ -57,7 +57,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a log says the IMU and the antenna are.
+    """Mounting of the IMU and lever arm that a log states.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Placement:
     frames: tuple[str, str, str]
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe what an import with this mounting and lever arm takes from it."""
+        """Describe the parts of it that an import with a mounting and a lever arm has."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
@@ -79,7 +79,7 @@ class Placement:
             x, y, z = self.lever_arm
             yield f"lever arm {x:.4g},{y:.4g},{z:.4g} m taken from tf_static, from {imu} to {antenna} in {base}"
         elif not self.lever_arm:
-            yield f"tf_static does not say where {antenna or 'the antenna'} is; state it with --lever-arm"
+            yield f"tf_static has no position of {antenna or 'the antenna'}; state it with --lever-arm"
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Guess:
     downward : a sentence where the IMU's vertical axis points down, if its mounting is not given
     fixed : expression over the fixes' first table: where carrier phases are fixed; empty where not stated
     faults : reasons not to use columns unchanged, unless the user maps them
-    placed : where the log says that IMU and antenna are
+    placed : mounting and lever arm that the log states
     """
 
     roles: Mapping[Role, tuple[Part, ...]]
