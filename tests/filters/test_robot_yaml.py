@@ -111,7 +111,7 @@ def test_what_is_no_configuration_is_refused_in_one_line(tmp_path: Path, content
 def test_variances_are_those_that_the_messages_state(tmp_path: Path):
     load(tmp_path, USUAL)
     file = tmp_path / "ekf.yaml"
-    stated = replace(DRIVE, metadata={"imu_noise": [2e-4, 0.3], "gps_std_m": 1.5})
+    stated = replace(DRIVE, metadata={"imu_stated_noise": [2e-4, 0.3], "gps_std_m": 1.5})
     found = filter_for(file, LocalDataset([stated]))
     assert (found.imu_noise, found.measurement_noise) == ((2e-4, 0.3, 0.3), (2.25, 2.25))
     gps = replace(DRIVE.gps, std_x=np.ones(len(DRIVE.gps)), std_y=np.ones(len(DRIVE.gps)))

@@ -309,9 +309,9 @@ def test_the_variances_that_the_imu_states_are_kept(tmp_path: Path):
                 message.linear_acceleration_covariance = np.diag([0.04, 1.0, 1.0]).ravel()
             yield topic, time, message
 
-    assert imported(write_ros(tmp_path / "a", stating()), recipe=AT).drive.metadata["imu_noise"] == [
+    assert imported(write_ros(tmp_path / "a", stating()), recipe=AT).drive.metadata["imu_stated_noise"] == [
         2e-4,
         0.04,
     ]
     unknown = imported(write_ros(tmp_path / "b", messages(DRIVE)), recipe=AT).drive.metadata
-    assert "imu_noise" not in unknown
+    assert "imu_stated_noise" not in unknown

@@ -23,7 +23,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "heading_deg": ((0,), "90.0"),
     "accel_noise_density": ((0,), "0.004"),
     "gyro_noise_density": ((0,), "0.0001"),
-    "imu_noise": ((2,), "[1e-4, 1e-2]"),
+    "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
 """Keys of drive.toml that filters use: the allowed numbers of elements (0: a plain number), and an example."""
 

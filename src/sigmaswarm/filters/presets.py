@@ -119,7 +119,7 @@ def as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
     """The variances of gz and ax that the messages of the log stated, else those of ``p``."""
-    return tuple(map(float, drive.metadata.get("imu_noise", p.imu_noise)))
+    return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 
 def _planar(drive: Drive) -> FilterParameters:

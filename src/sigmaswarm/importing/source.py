@@ -203,7 +203,7 @@ def roles_of(
     return roles
 
 
-EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
+EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
 """Packages of the extras, by their names for pip."""
 
 

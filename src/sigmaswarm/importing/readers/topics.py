@@ -156,7 +156,7 @@ class Topics:
             return {}
         stated = [getter(column)(message[2]) for column in columns]
         known = all(value is not None and 0 < value < math.inf for value in stated)
-        return {"imu_noise": [float(value) for value in stated]} if known else {}
+        return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
         """Fixes: NavSatFix in degrees, or a pose in meters east and north; deviations where they are stated."""
