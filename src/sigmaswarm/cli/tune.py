@@ -66,7 +66,8 @@ def tune(
     validation
         Drives that the search does not see, to measure the result on others.
     start
-        A filter from which the search starts: a tuning, or the ekf.yaml of robot_localization.
+        A filter from which the search starts: a tuning, or the ekf.yaml of robot_localization. Its inputs do not count;
+        --use chooses them.
     paper
         Use the paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
     resume

@@ -94,22 +94,24 @@ def _loaded(path: Path) -> Any:
 
 def _chosen(content: Any, path: Path) -> Block:
     """The parameters of the node that fuses fixes, else of the first filter node."""
-    blocks = [*_blocks(content)]
+    blocks = [*_blocks(content, set())]
     if not blocks:
         raise InputError(
             f"{path}: has neither process_noise_covariance nor a setting like imu0_config; name the ekf.yaml of "
             "robot_localization"
         )
-    return max(blocks, key=lambda block: any("gps" in str(v) for k, v in block.items() if k[-1].isdigit()))
+    return max(blocks, key=lambda block: any("gps" in str(v) for k, v in block.items() if k[-1:].isdigit()))
 
 
-def _blocks(content: Any) -> Iterator[Block]:
-    if isinstance(content, dict):
+def _blocks(content: Any, seen: set[int]) -> Iterator[Block]:
+    """Mappings with settings of a filter, at any depth; aliases may repeat a mapping without end."""
+    if isinstance(content, dict) and id(content) not in seen:  # pyright: ignore[reportUnknownArgumentType]
+        seen.add(id(content))  # pyright: ignore[reportUnknownArgumentType]
         block = {str(key): value for key, value in cast("dict[Any, Any]", content).items()}
         if any(_BLOCK.fullmatch(key) for key in block):
             yield block
         for inner in block.values():
-            yield from _blocks(inner)
+            yield from _blocks(inner, seen)
 
 
 def _entries(value: Any, path: Path, key: str) -> list[bool]:
