@@ -1,5 +1,6 @@
 """FilterParameters: all parameters of a filter, as one frozen record."""
 
+import math
 import re
 import warnings
 from collections.abc import Collection
@@ -28,6 +29,7 @@ def _as_tuple(value: Any) -> Any:
 
 Real = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Limit = Annotated[float, Field(gt=0)]
 Gain = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
 
@@ -68,8 +70,11 @@ class FilterParameters:
         At least 1: largest factors and divisors of R and Q by a fuzzy filter's rules.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
-    imu_noise : tuple of float, length 2
-        robot-localization: variances that the IMU's messages state, (rad/s)2 and (m/s2)2.
+    imu_noise : tuple of float, length 2 or 3
+        robot-localization: variances that the IMU's messages state: of gz, (rad/s)2, ax, (m/s2)2, and, where ay is
+        fused, of ay.
+    imu_gate : tuple of float, length 2
+        robot-localization: the largest NIS of gz and of ax that is used; infinite without a limit.
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None
@@ -122,7 +127,8 @@ class FilterParameters:
     fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
-    imu_noise: tuple[Positive, Positive] = _option((1e-4, 1e-2))
+    imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option((1e-4, 1e-2))
+    imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
     rear_axle: Real = _option(0.0)
@@ -154,9 +160,7 @@ class FilterParameters:
             raise ValueError(reason)
         known = MODELS[self.model].options
         for field in (
-            ()
-            if known is None
-            else ("velocity_noise", "standstill_noise", "odometer_noise", "robust_dof", "fix_error")
+            () if known is None else ("velocity_noise", "standstill_noise", "robust_dof", "fix_error")
         ):
             if getattr(self, field) is not None:
                 raise ValueError(f"{self.model} has no {field}; leave it out")
@@ -216,7 +220,7 @@ class FilterParameters:
 
     @classmethod
     def load(cls, path: str | Path) -> "FilterParameters":
-        """Read the ``[filter]`` table of a parameter file or of a tuning.toml.
+        """Read the ``[filter]`` table of a parameter file or of a tuning.toml, or an ekf.yaml of robot_localization.
 
         Raises
         ------
@@ -229,6 +233,10 @@ class FilterParameters:
             If a tuning was written by a version with other filters.
         """
         path = Path(path)
+        if path.suffix in YAML:
+            from sigmaswarm.filters.robot_yaml import read_configuration  # which makes such parameters
+
+            return read_configuration(path)
         if path.is_dir():
             from sigmaswarm.drives.reader import has_table  # slow to import
 
@@ -282,6 +290,8 @@ _SCALED = (
     "fix_error",
 )
 """Variances, or factors of them, besides Q and R."""
+YAML = (".yaml", ".yml")
+"""Endings of configurations of robot_localization."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
@@ -312,7 +322,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "fuzzy_widths": "of ratio and trend, both within -1 and 1",
         "fuzzy_gains": "of R and Q, dimensionless",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
-        "imu_noise": ["rad2/s2", "m2/s4"],
+        "imu_noise": ["rad2/s2", "m2/s4", "m2/s4"][: len(parameters.imu_noise)],
         "velocity_noise": "m2/s2",
         "lateral_noise": "m2/s2",
         "rear_axle": "m",
@@ -322,6 +332,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "odometer_scale": "reading over true speed",
         "odometer_latency": "s",
         "gate": "NIS, dimensionless",
+        "imu_gate": ["NIS, dimensionless"] * 2,
         "latency": "s",
         "accuracy_scale": "of the stated variance, dimensionless",
         "robust_dof": "dimensionless",
