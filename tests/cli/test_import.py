@@ -54,7 +54,6 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
     assert "tuesday: no such bag" in ended.err
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     drive = simulated()
     write_ros(here / "bag", messages(drive))
@@ -99,7 +98,6 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "monday" in ended.out
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_show_writes_nothing_and_its_recipe_can_be_used(sigmaswarm: Command, here: Path):
     write_mcap(here / "log.mcap", messages(a_drive()))
     ended = sigmaswarm("import", "log.mcap", "--show")

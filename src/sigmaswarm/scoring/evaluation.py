@@ -23,6 +23,7 @@ from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.fixes_alone import FixesAlone, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined
+from sigmaswarm.filters.robot_yaml import filter_for
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
@@ -66,8 +67,9 @@ class Options:
 
     Attributes
     ----------
-    against : FilterParameters, optional
-        Another tuning or filter, of any model; it is the first row of every table.
+    against : FilterParameters or path, optional
+        Another tuning or filter, of any model, or a file of one, also an ekf.yaml of robot_localization; it is the
+        first row of every table.
     outage_length : float
         s, of the shorter outages; the longer ones last 30 s.
     outage_seed : int
@@ -335,10 +337,12 @@ def evaluate(
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    chosen = Options(**options)
     (dataset,) = datasets_of(drives, cluster=cluster)
     if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
+    if (other := options.pop("against", None)) is not None:
+        other = filter_for(other, dataset)
+    chosen = Options(other, **options)
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
     found: dict[str, Evaluated] = {}
     for drive, each, marks in dataset.imap(one):
@@ -347,7 +351,6 @@ def evaluate(
         found[name] = each if name == drive else each.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
             found[name] = found[name].seen_in(overlap)
-    other = chosen.against
     also = (*([OWN] if other else []), *chosen.further(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
