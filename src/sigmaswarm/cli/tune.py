@@ -145,6 +145,8 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         on = counted(len(tuning.validation.drives), "validation drive")
         yield f"cost {tuning.validation.cost:.4f} on {on}: {said}"
+    if tuning.forecasts:
+        yield f"drift without fixes: {', '.join(map(str, tuning.forecasts))}"
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:

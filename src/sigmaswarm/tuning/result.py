@@ -1,7 +1,7 @@
 """`Tuning`: the result of a tuning, and its file."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Generic
 
@@ -13,13 +13,14 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import SCALE_FREE
+from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord, seen_by
 from sigmaswarm.tuning.search import Trial, saved_trials
@@ -98,6 +99,10 @@ class Tuning(Generic[P]):
     validation : Validation or None
     inflation_factor : float
         Factor of the process-noise inflation, see `tuning.inflation`; 1 without it.
+    fixes_alone : MotionNoise or None
+        Noises of a constant-velocity filter of the fixes alone, of the largest likelihood on the training drives.
+    forecasts : tuple of Forecast
+        Drift over outages of 1, 5 and 30 s on the training drives, compared with that filter and the baseline.
     """
 
     parameters: P
@@ -117,6 +122,8 @@ class Tuning(Generic[P]):
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
     inflation_factor: float = 1.0
+    fixes_alone: MotionNoise | None = None
+    forecasts: tuple[Forecast, ...] = ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -177,6 +184,8 @@ class Tuning(Generic[P]):
                 for s in self.sensitivities
             },
             "config": self.config.model_dump(mode="json", exclude_none=True),
+            **({"fixes_alone": asdict(self.fixes_alone)} if self.fixes_alone else {}),
+            **({"forecasts": [asdict(each) for each in self.forecasts]} if self.forecasts else {}),
             "versions": versions(),
             "data": self.data,
         }
@@ -211,6 +220,7 @@ class Tuning(Generic[P]):
         if v := self.validation:
             on = counted(len(v.drives), "validation drive")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
+        lines += [f"drift without fixes: {', '.join(map(str, self.forecasts))}"] if self.forecasts else []
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
@@ -289,6 +299,8 @@ class Tuning(Generic[P]):
             sensitivities=sensitivities,
             validation=validation,
             inflation_factor=result.inflation_factor,
+            fixes_alone=record.fixes_alone,
+            forecasts=tuple(record.forecasts),
         )
 
 
