@@ -181,7 +181,7 @@ def test_evaluate_says_the_same_as_the_library(sigmaswarm, drives: Path, tuned: 
     ended = sigmaswarm("evaluate", tuned, drives, "--json")
     said = json.loads(ended.out)
     read = [read_drive(drives / f"urban-clear-0{i}") for i in range(2)]
-    assert said == library.evaluate(read, FilterParameters.load(tuned)).to_dict()
+    assert said == library.evaluate(read, library.Tuning.load(tuned)).to_dict()
     assert list(said["drives"]) == ["urban-clear-00", "urban-clear-01"]
     assert list(said["mean"]) == METHODS
     assert list(here.iterdir()) == []

@@ -75,7 +75,7 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         data-sheet values alone.
     """
     if like is None:
-        return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD,) * 2)
+        return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
     plain = _planar(drive, receiver_std(drive), MODEL_NOISE)
     if MODELS[like.model].measures_imu:
         return _robot_localization(drive, like, plain)
