@@ -60,10 +60,10 @@ class EvaluationView:
         """True if no drive has truth."""
         return all(drive.has_truth is False for drive in self.setup.data)
 
-    @property
-    def rival(self) -> str:
-        """The method to beat: the user's own filter where it was compared, else the baseline."""
-        return OWN if OWN in self.scores.mean else UNTUNED
+    def best_untuned(self, measure: str) -> str | None:
+        """The method without tuning that has the lowest mean of a measure, if any has one."""
+        known = {m: v for m in ("raw_gps", FIXES, UNTUNED) if (v := self.scores.mean_of(m, measure))}
+        return min(known, key=known.__getitem__, default=None)
 
     # ---- tables ----
 
@@ -140,10 +140,10 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            others = {m: v for m in (OWN, "raw_gps", FIXES, UNTUNED) if (v := mean_of(m, measure))}
-            best = min((m for m in others if m != OWN), key=others.__getitem__, default=OWN)
-            rivals = [m for m in others if m in (OWN, best)]  # a gain over a worse one would flatter
-            each = [_compared(tuned, others[m], self.names[m]) for m in rivals]
+            rivals = (OWN, self.best_untuned(measure))  # a gain over a worse one would flatter
+            each = [
+                _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
+            ]
             spread = self.scores.drift_said(measure)
             said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
             return f"{': '.join([said, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"

@@ -13,7 +13,7 @@ degrees, where the sigma points' spread, and with it the mean, follows the scale
 therefore measured.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -81,6 +81,11 @@ class Forecast:
         beaten = "" if self.tuned_m < self.fixes_alone_m else ": NOT BEATEN"
         others = f"fixes alone {self.fixes_alone_m:.3g} m{beaten}, baseline {self.untuned_m:.3g} m"
         return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
+
+
+def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
+    """Return the drifts as one sentence, or none."""
+    return [f"drift without fixes: {', '.join(map(str, forecasts))}"] if forecasts else []
 
 
 def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Replays) -> Iterator[Forecast]:

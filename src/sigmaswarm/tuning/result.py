@@ -20,7 +20,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast
+from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast, said_of_forecasts
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord, seen_by
 from sigmaswarm.tuning.search import Trial, saved_trials
@@ -220,7 +220,7 @@ class Tuning(Generic[P]):
         if v := self.validation:
             on = counted(len(v.drives), "validation drive")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
-        lines += [f"drift without fixes: {', '.join(map(str, self.forecasts))}"] if self.forecasts else []
+        lines += said_of_forecasts(self.forecasts)
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
