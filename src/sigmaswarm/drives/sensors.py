@@ -29,7 +29,7 @@ fixes show what it is; of one that errs by less nothing is known."""
 
 @dataclass(frozen=True)
 class SuggestedFilter:
-    """A filter for some logs: its model, the measurements besides positions, and the sensors that suggest it."""
+    """A filter for some logs: its model, the measurements in addition to positions, and the sensors that suggest it."""
 
     model: str
     use: tuple[str, ...]

@@ -199,7 +199,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-        "STD_NOTE": "; this filter goes by them" if weighs else "; 0 where it states none",
+        "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
         "BELIEF_NOTE": " /* and the error of fixes that lasts, m east and north */" if lasting else "",
         "GYRO_NOTE": gyro_note,
