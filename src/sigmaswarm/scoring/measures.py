@@ -58,8 +58,8 @@ def how_untuned(tuned: str) -> str:
             "and 0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
         )
     return (
-        "The baseline is the tuned filter's model with noises from data sheets: R from the stated accuracy of the "
-        "fixes (else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
+        "The baseline is the tuned filter's model without tuning: R from the accuracy of the fixes, stated or shown "
+        "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's) and usual errors of the model"
     )
 
 
