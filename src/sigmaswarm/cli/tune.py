@@ -141,6 +141,7 @@ def _is_part(drive: "Drive") -> bool:
 
 
 def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
+    from sigmaswarm.tuning.diagnostics import said_of_forecasts
 
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
@@ -156,6 +157,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         on = counted(len(tuning.validation.drives), "validation drive")
         yield f"cost {tuning.validation.cost:.4f} on {on}: {said}"
+    yield from said_of_forecasts(tuning.forecasts)
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
