@@ -203,6 +203,22 @@ def test_each_fault_of_a_log_gets_a_remark():
     assert not [remark for remark in noise.remarks if "gz" in remark]
 
 
+@pytest.mark.parametrize("grade", ["mpu-6050", "adis16405"])
+def test_a_day_at_rest_is_one_stretch(grade):
+    log = static_log(grade, 86_400.0, 0.2)
+    (part,) = find_stretches(log).parts
+    assert len(log) - 20 <= part.stop - part.start
+
+
+def test_a_gyro_in_degrees_gets_a_remark():
+    log = replace(static_log("mpu-6050", 60.0, 0.05), az=None, gx=None, gy=None)
+    assert not [r for r in imu_noise(log).remarks if "unit" in r]
+    degrees = replace(log, gz=np.degrees(log.gz - np.mean(log.gz)))
+    assert [
+        r for r in imu_noise(degrees).remarks if r.startswith("the noise of gz is that of a gyro in deg/s")
+    ]
+
+
 def test_gaps_part_a_log():
     log = static_log("mpu-6050", 90.0)
     kept = (log.time < 30) | (log.time > 47)

@@ -21,6 +21,8 @@ STATIC = 0.95
 """Share of a static log that is at rest."""
 UNLIKELY = 0.1
 """Relative error of gravity above which the unit is doubtful."""
+ROUGH_GYRO = 3e-3
+"""rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise that no sensor of a vehicle has, but many have it in deg/s."""
 MANY = 30.0
 """Averages of a stretch of which the Allan deviation is sure,"""
 MISFIT = 1.5
@@ -62,6 +64,17 @@ def on_gravity(imu: Imu, part: slice) -> list[str]:
     return [
         f"the accelerometer measures {force:.3g} m/s2 at rest instead of {GRAVITY:.3g}: the unit looks wrong (1 is g); "
         'correct it with --map "ax=acc_x*9.80665"'
+    ]
+
+
+def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
+    """Return a remark where the gyro's noise is that of other units."""
+    rough = [a.axis for a in axes if a.axis[0] == "g" and a.white.value > ROUGH_GYRO]
+    if not rough:
+        return []
+    return [
+        f"the noise of {', '.join(rough)} is that of a gyro in deg/s: the unit looks wrong; correct it with "
+        '--map "gz=radians(gyro_z)"'
     ]
 
 
