@@ -141,6 +141,7 @@ def test_what_a_log_shows_has_an_interval_above_zero():
     found = mixed(1e-3, 0.0, 1e-3, math.inf, 0)
     assert 0.5e-3 < found.walk.low < 1e-3 < found.walk.high < 2e-3
     assert math.isinf(found.time)
+    assert found.white.high / found.white.low < 1.1  # 3600 frequencies
 
 
 def test_a_drive_uses_its_standstills_and_says_what_they_show():
