@@ -158,7 +158,7 @@ def evaluate(
     parameters : FilterParameters, Tuning, or the path of a tuning
         A `Tuning` also states which drives it saw: the evaluation warns where they overlap.
     against : the same, optional
-        A second filter, of any model.
+        A second filter, of any model; also the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
         ``cluster``.
@@ -181,7 +181,7 @@ def evaluate(
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
     if isinstance(parameters, Tuning):
         options = {"seen": parameters.seen or None} | options
-    other = None if against is None else filter_of(against)
+    other = filter_of(against) if isinstance(against, Tuning) else against
     return evaluation.evaluate(drives, filter_of(parameters), against=other, **options)
 
 

@@ -59,9 +59,10 @@ def assemble(
     gps: Values = {}
     if "gps" in values:
         gps, origin = placed_fixes(values["gps"], origin, say)
-        if "course" in gps:
-            course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
-            gps["course"] = fitting_angle(gps["course"], course, rows, "gps: the course", say)
+        course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
+        for angle in ("course", "heading"):
+            if angle in gps:
+                gps[angle] = fitting_angle(gps[angle], course, rows, f"gps: the {angle}", say)
     truth = None
     if "truth" in values:
         placed, origin = _placed_truth(values["truth"], origin, gps)

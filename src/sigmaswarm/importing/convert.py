@@ -202,7 +202,11 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
     if request.recipe.gps_from_truth:
         roles.pop("gps", None)
     origins = [request.recipe.origin, *(g.origin for g in guesses.values())]
-    return replace(request.recipe, roles=roles, origin=next((o for o in origins if o is not None), None))
+    recipe = replace(request.recipe, roles=roles, origin=next((o for o in origins if o is not None), None))
+    if (placed := guesses[request.source].placed) is None:
+        return recipe
+    lever = recipe.gps_lever_arm_m or (None if request.gps else placed.lever_arm)
+    return replace(recipe, mount=recipe.mount or placed.mount, gps_lever_arm_m=lever)
 
 
 def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]:
@@ -224,7 +228,13 @@ def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list
     """The sentences of the readers; on an axis that points down only if the mounting is not given."""
     downward = [g.downward for g in guesses.values() if g.downward and not recipe.mount]
     remarks = [remark for log in logs.values() for remark in log.remarks]
-    return [*(note for g in guesses.values() for note in g.notes), *downward, *remarks]
+    placed = [
+        note
+        for g in guesses.values()
+        if g.placed
+        for note in g.placed.notes(recipe.mount, recipe.gps_lever_arm_m)
+    ]
+    return [*(note for g in guesses.values() for note in g.notes), *placed, *downward, *remarks]
 
 
 def _require_sensors(
