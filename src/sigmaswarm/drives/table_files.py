@@ -200,8 +200,7 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
         raise DriveError(f"{path}: {what}; leave out what a drive does not need")
     if rows * columns > MOST_CELLS:
         raise DriveError(
-            f"{path}: states {rows} rows of {columns} columns, more than {MOST_CELLS} cells; "
-            "split the drive"
+            f"{path}: states {rows} rows of {columns} columns, more than {MOST_CELLS} cells; split the drive"
         )
 
 
