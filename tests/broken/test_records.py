@@ -21,7 +21,7 @@ from sigmaswarm.reports.folders import read_report
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.tuning.record import History, TuningRecord
-from sigmaswarm.tuning.store import finished_trial
+from sigmaswarm.tuning.store import ResultFolder, finished_trial
 from support import make_drive
 
 TEXTS: dict[str, bytes] = {
@@ -249,3 +249,53 @@ def test_weights_of_another_shape_are_named(name: str, how: str, tmp_path: Path)
     np.savez(tmp_path / "weights.npz", **arrays)
     with pytest.raises(InputError, match=r"weights\.npz: not .*; repeat the command that made the folder"):
         load_learned(tmp_path)
+
+
+LONG = "x" * 9000
+CONFIGS = {
+    "a long version": {"versions": {"numba": LONG}},
+    "versions of other types": {"versions": {"numba": [1], "sigmaswarm": {}}},
+    "a version of two lines": {"versions": {"sigmaswarm": "0.4.0\n", "a\nb": "\x1b[31m"}},
+    "no versions": {"versions": [LONG]},
+    "a long key": {LONG: 1},
+    "a key of two lines": {"a\nb": 1},
+    "a value of two lines": {"seed": "a\nb"},
+    "drives of two lines": {"data": [{"name": "a\nb", "sha256": "\r" * 9}]},
+    "a long drive": {"data": [{"name": LONG, "sha256": LONG}] * 99},
+    "a long model": {"model": {"name": LONG, "sha256": "\n"}},
+    "nested": {"seed": json.loads('{"a":' * 400 + "1" + "}" * 400)},
+}
+
+
+@pytest.mark.parametrize("how", CONFIGS)
+def test_a_damaged_config_of_a_tuning_is_one_line(how: str, tmp_path: Path):
+    config = {"seed": 1, "versions": {"numba": "1"}, "data": [], "model": "planar5"}
+    (tmp_path / "config.json").write_text(json.dumps(config | CONFIGS[how]))
+    with pytest.raises(InputError, match=r"config\.json: ") as raised:
+        ResultFolder(tmp_path, config, resume=True)
+    assert str(raised.value).isprintable()
+    assert len(str(raised.value)) < 1000
+
+
+FILTERS = {
+    "a long value": f'kind = "{LONG}"',
+    "a long key": f"{LONG} = 1",
+    "a key of two lines": '"a\\nb" = 1',
+    "a long list": f"process_noise = [{'1,' * 5000}]",
+    "a text of two lines": 'alpha = "1\\n2"',
+    "many digits": f"alpha = {'9' * 4000}",
+}
+
+
+@pytest.mark.parametrize("how", FILTERS)
+def test_a_damaged_filter_is_one_line(how: str, tmp_path: Path):
+    FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5, (1.0, 1.0)).save(tmp_path / "t.toml")
+    text = (tmp_path / "t.toml").read_text()
+    key = FILTERS[how].split(" ")[0]
+    kept = [line for line in text.splitlines() if not line.startswith(f"{key} =")]
+    at = kept.index("[filter]") + 1
+    (tmp_path / "t.toml").write_text("\n".join([*kept[:at], FILTERS[how], *kept[at:]]))
+    with pytest.raises(InputError, match=r"t\.toml: ") as raised:
+        FilterParameters.load(tmp_path / "t.toml")
+    assert str(raised.value).isprintable()
+    assert len(str(raised.value)) < 1000
