@@ -2,7 +2,9 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +13,13 @@ import pytest
 from fuzzing.records import record_network
 from sigmaswarm import FilterParameters, evaluate, tune
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.comparison import Outcome
+from sigmaswarm.experiments.compare import compare
+from sigmaswarm.experiments.comparison import Comparison, Outcome
 from sigmaswarm.exports.targets import export_filter
-from sigmaswarm.files import staged_files, write_whole
+from sigmaswarm.files import staged_files, whole_file, write_whole
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.records import load_record
+from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
@@ -299,3 +303,59 @@ def test_a_damaged_filter_is_one_line(how: str, tmp_path: Path):
         FilterParameters.load(tmp_path / "t.toml")
     assert str(raised.value).isprintable()
     assert len(str(raised.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    "how", ["another tuning", "fewer trials", "more trials", "other costs", "a cut table"]
+)
+def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
+    drive, options = make_drive(duration=20.0), {"particles": 3, "generations": 2, "trials": 2}
+    file = tmp_path / "a" / "convergence.csv"
+    History.of(tune(drive, out=tmp_path / "a", **options).trials).save(file)
+    read_report(tmp_path / "a")
+    lines = file.read_text().splitlines()
+    if how == "another tuning":
+        other = History.of(tune(drive, seed=1, **options).trials)
+        lines = other.save(tmp_path / "other.csv").read_text().splitlines()
+    elif how == "fewer trials":
+        lines = [line for line in lines if not line.startswith("1,")]
+    elif how == "more trials":
+        lines += ["2" + line[1:] for line in lines if line.startswith("1,")]
+    elif how == "other costs":
+        lines = [*lines[:-1], "1,2,3.0,3.0"]
+    else:
+        lines = [*lines[:-1], "1,1,7.0,7.0"]
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=r"convergence\.csv: does not belong to tuning\.toml"):
+        read_report(tmp_path / "a")
+
+
+@pytest.mark.parametrize(
+    "fails_at", ["comparison.md", "comparison.png", "comparison.csv", "runs.csv", "curves.csv"]
+)
+def test_a_comparison_over_an_older_one_is_whole(
+    fails_at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compared: Comparison
+):
+    save_comparison(compared, tmp_path)
+    before = listing(tmp_path)
+    other = replace(compared, contenders=compared.contenders[::-1])
+    write = whole_file.__wrapped__
+
+    @contextmanager
+    def full(path: Path) -> Iterator[object]:
+        if path.name == fails_at:
+            raise InputError(f"{path}: can't be written (No space left on device)")
+        yield from write(path)
+
+    monkeypatch.setattr("sigmaswarm.files.whole_file", full)
+    monkeypatch.setattr("sigmaswarm.reports.figures.whole_file", full)
+    with pytest.raises(InputError, match=fails_at):
+        save_comparison(other, tmp_path)
+    assert listing(tmp_path) == before
+
+
+@pytest.fixture(scope="module")
+def compared() -> Comparison:
+    """Two optimizers on a short drive."""
+    drive = make_drive(duration=20.0)
+    return compare(drive, optimizers=("pso", "de"), seeds=2, particles=3, generations=2, model="planar5")
