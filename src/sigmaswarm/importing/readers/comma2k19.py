@@ -92,7 +92,7 @@ def _pose(folder: Path) -> pl.DataFrame:
     w, x, y, z = quaternion.T
     # the first column of the rotation: where the device's forward axis points
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-    east, north, _ = pymap3d.ecef2enuv(*forward, lat, lon)
-    vx, vy, _ = pymap3d.ecef2enuv(*velocity.T, lat, lon)
+    east, north, _ = pymap3d.ecef2enuv(*forward, lat0=lat, lon0=lon)
+    vx, vy, _ = pymap3d.ecef2enuv(*velocity.T, lat0=lat, lon0=lon)
     columns = {"t": time[:, 0], "lat": lat, "lon": lon, "alt": alt, "vx": vx, "vy": vy}
     return pl.DataFrame({**columns, "theta": np.arctan2(north, east)})
