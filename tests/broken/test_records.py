@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuzzing.check import limited
 from fuzzing.records import record_network
 from sigmaswarm import FilterParameters, evaluate, tune
+from sigmaswarm.cli.simulate import _require_made_with  # pyright: ignore[reportPrivateUsage]
+from sigmaswarm.datasets.cluster import _scheduler  # pyright: ignore[reportPrivateUsage]
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import Comparison, Outcome
+from sigmaswarm.experiments.study.timings import _content  # pyright: ignore[reportPrivateUsage]
 from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.files import staged_files, whole_file, write_whole
 from sigmaswarm.learned.folder import load_learned
@@ -359,3 +363,41 @@ def compared() -> Comparison:
     """Two optimizers on a short drive."""
     drive = make_drive(duration=20.0)
     return compare(drive, optimizers=("pso", "de"), seeds=2, particles=3, generations=2, model="planar5")
+
+
+NESTED = {
+    "objects": b'{"a":' * 100_000,
+    "lists": b"[" * 100_000,
+    "both": b'[{"a":' * 50_000,
+    "an address": b'{"address":' * 50_000,
+    "closed": b"[" * 100_000 + b"]" * 100_000,
+}
+
+
+@pytest.mark.parametrize("how", NESTED)
+def test_a_damaged_scheduler_file_is_one_line(how: str, tmp_path: Path):
+    (tmp_path / "scheduler").write_bytes(NESTED[how])
+    with pytest.raises(InputError, match="is no scheduler file"):
+        _scheduler(str(tmp_path / "scheduler"))
+
+
+@pytest.mark.parametrize("how", NESTED)
+def test_damaged_timings_are_taken_anew(how: str, tmp_path: Path):
+    (tmp_path / "timings.json").write_bytes(NESTED[how])
+    assert _content(tmp_path / "timings.json") == {}
+
+
+DRIVES = {
+    "lists": b"a = " + b"[" * 3000,
+    "tables": b"a = " + b"{a=" * 3000,
+    "both": b"a = " + b"[{a=" * 3000,
+    "closed": b"scenario = " + b"[" * 3000 + b"]" * 3000,
+    "a long key": b"a" + b".a" * 200_000 + b" = 1",
+}
+
+
+@pytest.mark.parametrize("how", DRIVES)
+def test_simulate_into_a_damaged_drive_is_one_line(how: str, tmp_path: Path):
+    (tmp_path / "drive.toml").write_bytes(DRIVES[how])
+    with limited(2), pytest.raises(InputError, match="is no drive that simulate wrote"):
+        _require_made_with(tmp_path / "drive.toml", {"duration": None})
