@@ -22,10 +22,11 @@ Option = Literal[
     "standstill",
     "odometer",
     "gate",
-    "imu_gate",
+    "imu-gate",
     "latency",
     "accuracy",
     "robust",
+    "fix-error",
 ]
 
 INERTIA = 0.7298
