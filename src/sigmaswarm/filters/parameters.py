@@ -14,12 +14,13 @@ from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, Validation
 from pydantic.dataclasses import dataclass
 
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
-from sigmaswarm.errors import InputError, SigmaswarmWarning, first_mistake
+from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.records import read_content
+from sigmaswarm.wording import first_mistake, shown
 
 
 def _as_tuple(value: Any) -> Any:
@@ -259,7 +260,7 @@ class FilterParameters:
         except ValidationError as error:
             first = first_mistake(error)
             key = ".".join(part for part in ("filter", first.key) if part)
-            value = "" if isinstance(first.value, dict) else f" (is {first.value!r})"
+            value = f" (is {first.value})" if first.value else ""
             known = {
                 "unexpected_keyword_argument": "unknown key",
                 "tuple_type": "should be a list of variances",
@@ -361,8 +362,8 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {version}, whose filters used stale fixes, took gaps in the IMU as "
-            "ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
+            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, took gaps in the IMU "
+            "as ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

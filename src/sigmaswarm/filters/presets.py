@@ -59,8 +59,9 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
     The receiver's accuracy is `drives.sensors.stated_std`; the IMU's densities are ``accel_noise_density``
-    (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml. Values without a data sheet are in
-    `BY_HAND`.
+    (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, and the random walks of their biases
+    ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures.
+    Values without a data sheet are in `BY_HAND`.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         return _robot_localization(drive, like, plain)
     dt, gyro = drive.nominal_interval, plain.process_noise[THETA]
     beyond = MODELS[like.model].states[len(plain.process_noise) :]
-    walks = (BIAS_WALKS[state.bias_of] * dt if state.bias_of else gyro for state in beyond)
+    walks = (_bias_walk(drive, state.bias_of) * dt if state.bias_of else gyro for state in beyond)
     return replace(
         plain,
         model=like.model,
@@ -85,6 +86,12 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         rear_axle=HALF_A_WHEELBASE if like.lateral_noise is not None else 0.0,
         **{name: value for name, value in BY_HAND.items() if getattr(like, name) is not None},
     )
+
+
+def _bias_walk(drive: Drive, sensor: str) -> float:
+    """Growth of the variance of a sensor's bias per second: as drive.toml states it, or a usual one."""
+    stated = drive.metadata.get(f"{sensor}_bias_walk")
+    return BIAS_WALKS[sensor] if stated is None else float(stated) ** 2
 
 
 def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:

@@ -11,6 +11,7 @@ import polars as pl
 
 from sigmaswarm import notebook
 from sigmaswarm.datasets.dataset import datasets_of
+from sigmaswarm.doctor.diagnose import findings_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
@@ -48,6 +49,7 @@ from sigmaswarm.scoring.targets import (
 )
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.scoring.truth_noise import share_known
+from sigmaswarm.scoring.truth_offset import truth_offset
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 
@@ -107,7 +109,8 @@ class Evaluated:
 
     Scores, times of resets (s), and drifts with the number of outages are by method or measure. Consistency and
     innovations are those of the tuned filter. ``tracks`` are those of tracks.npz, ``picture`` has more points, for
-    print. ``frozen`` counts stale fixes, which no filter used.
+    print. ``frozen`` counts stale fixes, which no filter used. ``findings`` are the doctor's, ``truth_offset`` is a
+    sentence on a constant offset between fixes and truth.
     """
 
     scores: Mapping[str, Score]
@@ -119,6 +122,8 @@ class Evaluated:
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     frozen: int = 0
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
+    findings: tuple[str, ...] = ()
+    truth_offset: str = ""
 
     def called(self, name: str) -> "Evaluated":
         """The same under another name, where two drives have one."""
@@ -243,6 +248,8 @@ class Evaluation:
             versions=versions(),
             data=[found.record for found in self.drives.values()],
             against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
+            findings={name: list(found.findings) for name, found in self.drives.items() if found.findings},
+            truth_offsets={n: found.truth_offset for n, found in self.drives.items() if found.truth_offset},
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -393,6 +400,8 @@ def _evaluated(
         restarts=passed.restarts,
         frozen=int(ready.frozen.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
+        findings=findings_of(drive),
+        truth_offset=truth_offset(drive),
     )
     return drive.name, found, marks
 
