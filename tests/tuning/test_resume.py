@@ -16,6 +16,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
 from sigmaswarm.tuning.search import Progress
@@ -316,3 +317,11 @@ def test_the_configuration_says_what_was_asked(started: Path):
     config = json.loads((started / "config.json").read_text())
     assert OPTIONS.items() <= config.items()
     assert [d["name"] for d in config["data"]] == ["d0", "d1"]
+
+
+def test_a_search_from_a_start_is_resumed_with_the_same_bits(tmp_path: Path):
+    options = {**OPTIONS, "trials": 1, "start": replace(DEFAULTS, nominal_interval=0.01)}
+    tune(DRIVES, out=tmp_path / "whole", **options)
+    interrupted(DRIVES, tmp_path / "killed", 2, **options)
+    tune(DRIVES, out=tmp_path / "killed", resume=True, **options)
+    assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
