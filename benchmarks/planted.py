@@ -23,6 +23,7 @@ from sigmaswarm import (
     Diagnosis,
     Drive,
     FilterParameters,
+    Gps,
     SigmaswarmError,
     diagnose,
     read_drive,
@@ -158,10 +159,9 @@ def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np
     time = drive.gps.time
     wrong = time + offset + drift * (time - np.mean(time)) + jitter * rng.standard_normal(len(time))
     order = np.argsort(wrong, kind="stable")
-    gps = drive.gps.select(order)
-    return replace(
-        drive, gps=replace(gps, time=np.maximum.accumulate(wrong[order]) + 1e-6 * np.arange(len(time)))
-    )
+    columns = {name: None if v is None else v[order] for name, v in vars(drive.gps).items()}
+    columns["time"] = np.maximum.accumulate(wrong[order]) + 1e-6 * np.arange(len(time))
+    return replace(drive, gps=Gps(**columns))
 
 
 def forecasts(drive: Drive, parameters: FilterParameters) -> np.ndarray | None:
