@@ -103,6 +103,8 @@ class Tuning(Generic[P]):
         Noises of a constant-velocity filter of the fixes alone, of the largest likelihood on the training drives.
     forecasts : tuple of Forecast
         Drift over outages of 1, 5 and 30 s on the training drives, compared with that filter and the baseline.
+    start_cost : float or None
+        The objective of the filter that the search started from, with the same inputs; None without a start.
     """
 
     parameters: P
@@ -124,6 +126,7 @@ class Tuning(Generic[P]):
     inflation_factor: float = 1.0
     fixes_alone: MotionNoise | None = None
     forecasts: tuple[Forecast, ...] = ()
+    start_cost: float | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -162,6 +165,8 @@ class Tuning(Generic[P]):
             }
         if self.inflation_factor != 1.0:
             result["inflation_factor"] = self.inflation_factor
+        if self.start_cost is not None:
+            result["start_cost"] = self.start_cost
         result |= {
             "touched_bounds": [str(touched) for touched in self.touched_bounds],
             "unidentified": self.unidentified,
@@ -301,6 +306,7 @@ class Tuning(Generic[P]):
             inflation_factor=result.inflation_factor,
             fixes_alone=record.fixes_alone,
             forecasts=tuple(record.forecasts),
+            start_cost=result.start_cost,
         )
 
 
@@ -311,6 +317,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     yield from t.warnings
     if factor != 1.0:
         inflated = f"all process noises are {factor:.3g}"
+        if car and MODELS[car.model].measures_imu:
+            inflated = f"the noises of position, velocity and acceleration are {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
             inflated = (
@@ -340,6 +348,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield to_do("search longer, with more trials, or polish", why)
     if car and "truth" in objective:
         yield OF_THESE_SENSORS
+    if t.start_cost is not None:
+        yield f"the filter that the search started from costs {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:
         yield NOT_VALIDATED
     elif not np.isfinite(t.validation.cost):
