@@ -35,8 +35,7 @@ class EvaluateOptions:
     Attributes
     ----------
     against
-        A second tuning to compare with, a file with your own parameters in a table [filter], or the ekf.yaml of
-        robot_localization.
+        A second tuning to compare with, your own parameters in a table [filter], or an ekf.yaml of robot_localization.
     out
         Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` needs.
     outage_length

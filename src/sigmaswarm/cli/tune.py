@@ -66,8 +66,7 @@ def tune(
     validation
         Drives that the search does not see, to measure the result on others.
     start
-        A filter from which the search starts: a tuning, or the ekf.yaml of robot_localization. Its inputs do not count;
-        --use chooses them.
+        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization; --use chooses the inputs.
     paper
         Use the paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
     resume

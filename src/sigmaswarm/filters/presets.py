@@ -66,8 +66,9 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
 
     The receiver's accuracy is that of `drives.sensors.receiver_std`: as stated, else as the fixes show it. The IMU's
     densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml,
-    and `MODEL_NOISE` is added. The random walks of their biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and
-    ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Other values are in `BY_HAND`.
+    and `MODEL_NOISE` is added; the random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and
+    ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values without a data sheet are in
+    `BY_HAND`.
 
     Parameters
     ----------
@@ -124,7 +125,9 @@ def as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
-    variances: dict[str, Any] = {"measurement_noise": baseline(drive).measurement_noise}
+    variances: dict[str, Any] = {
+        "measurement_noise": tuple(std**2 for std in stated_std(drive) or (UNSTATED_GPS_STD,) * 2)
+    }
     if drive.gps.std_x is not None and drive.gps.std_y is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None

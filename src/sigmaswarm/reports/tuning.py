@@ -209,7 +209,12 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
     if not path.exists() or file.result is None:
         return ()
     best, costs = file.result.best_trial, file.result.trial_costs
-    chart = _convergence_chart(History.load(path), best, file.result.objective)
+    history = History.load(path)
+    if not np.array_equal([trial.best[-1] for trial in history.trials], costs):
+        raise InputError(
+            f"{path}: does not belong to {FILE} next to it; repeat the command, or take the file from where it came"
+        )
+    chart = _convergence_chart(history, best, file.result.objective)
     charts = (replace(chart, title="Cost over generations"),)
     if len(costs) == 1:
         return (Section("Convergence", charts=charts),)

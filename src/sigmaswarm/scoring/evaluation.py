@@ -256,9 +256,9 @@ class Evaluation:
             versions=versions(),
             data=[found.record for found in self.drives.values()],
             against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
-            fixes_alone=self.fixes_alone,
             findings={name: list(found.findings) for name, found in self.drives.items() if found.findings},
             truth_offsets={n: found.truth_offset for n, found in self.drives.items() if found.truth_offset},
+            fixes_alone=self.fixes_alone,
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -102,12 +102,12 @@ class EvaluationRecord(BaseModel):
     versions: dict[str, str]
     data: list[DriveRecord]
     against: AgainstRecord | None = None
-    fixes_alone: MotionNoise | None = None
-    """Noises of the filter of the fixes alone, as tuned; None: those of each drive."""
     findings: dict[str, list[str]] = Field(default_factory=dict)
     """By drive: serious findings and warnings of the doctor, as sentences; empty before 0.4.0."""
     truth_offsets: dict[str, str] = Field(default_factory=dict)
     """By drive: a sentence on a constant offset between fixes and truth."""
+    fixes_alone: MotionNoise | None = None
+    """Noises of the filter of the fixes alone, as tuned; None: those of each drive."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files that belong to the evaluation, by name; empty before 0.4.0."""
 

@@ -52,7 +52,6 @@ REMEDY = (
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given. Medians of three seeds of filters tuned without
 truth: -0.05 and 0.12 on drives with white errors, 0.15 with a simulated u-blox M8, 0.33 to 0.91 with real receivers."""
-CORRELATION_REMEDY = "add fix-error to --use"
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not depend on the covariance."""
 SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
@@ -154,8 +153,13 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
         return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
 
 
-def correlation_warnings(parameters: FilterParameters, found: Iterable[float]) -> list[str]:
-    """Warn where the innovations of most drives are correlated, and states for lasting errors would explain it."""
+def correlation_warnings(
+    parameters: FilterParameters, found: Iterable[float], use: Sequence[str] = ()
+) -> list[str]:
+    """Warn where the innovations of most drives are correlated, and states for lasting errors would explain it.
+
+    ``use``: the measurements of the filter, to which the remedy adds.
+    """
     known = [value for value in found if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
     supported = parameters.kind in ("ukf", "ekf") and augmented in FILTERS
@@ -165,7 +169,7 @@ def correlation_warnings(parameters: FilterParameters, found: Iterable[float]) -
         f"the innovations are correlated from fix to fix (lag 1: {np.median(known):.2f}), so errors of the fixes last, "
         "and the stated covariance is too small"
     )
-    return [to_do(CORRELATION_REMEDY, why)]
+    return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
 
 
 def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:

@@ -209,7 +209,9 @@ class CarProblem(Problem[FilterParameters]):
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             found += decided or noise_warnings(parameters, noise, self.config.use)
             found += correlation_warnings(
-                parameters, replays.of_each_prepared(partial(correlation_of, parameters=parameters))
+                parameters,
+                replays.of_each_prepared(partial(correlation_of, parameters=parameters)),
+                self.config.use,
             )
         return found
 

@@ -99,12 +99,12 @@ class Tuning(Generic[P]):
     validation : Validation or None
     inflation_factor : float
         Factor of the process-noise inflation, see `tuning.inflation`; 1 without it.
+    start_cost : float or None
+        The objective of the filter that the search started from, with the same inputs; None without a start.
     fixes_alone : MotionNoise or None
         Noises of a constant-velocity filter of the fixes alone, of the largest likelihood on the training drives.
     forecasts : tuple of Forecast
         Drift over outages of 1, 5 and 30 s on the training drives, compared with that filter and the baseline.
-    start_cost : float or None
-        The objective of the filter that the search started from, with the same inputs; None without a start.
     """
 
     parameters: P
@@ -124,9 +124,9 @@ class Tuning(Generic[P]):
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
     inflation_factor: float = 1.0
+    start_cost: float | None = None
     fixes_alone: MotionNoise | None = None
     forecasts: tuple[Forecast, ...] = ()
-    start_cost: float | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -304,9 +304,9 @@ class Tuning(Generic[P]):
             sensitivities=sensitivities,
             validation=validation,
             inflation_factor=result.inflation_factor,
+            start_cost=result.start_cost,
             fixes_alone=record.fixes_alone,
             forecasts=tuple(record.forecasts),
-            start_cost=result.start_cost,
         )
 
 
