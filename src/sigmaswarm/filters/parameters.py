@@ -1,5 +1,6 @@
 """FilterParameters: all parameters of a filter, as one frozen record."""
 
+import math
 import re
 import warnings
 from collections.abc import Collection
@@ -12,11 +13,14 @@ import tomli_w
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from sigmaswarm.errors import InputError, SigmaswarmWarning, first_mistake
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
+from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.records import read_content
+from sigmaswarm.wording import first_mistake, shown
 
 
 def _as_tuple(value: Any) -> Any:
@@ -25,6 +29,7 @@ def _as_tuple(value: Any) -> Any:
 
 Real = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Limit = Annotated[float, Field(gt=0)]
 Gain = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
 
@@ -65,8 +70,11 @@ class FilterParameters:
         At least 1: largest factors and divisors of R and Q by a fuzzy filter's rules.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
-    imu_noise : tuple of float, length 2
-        robot-localization: variances that the IMU's messages state, (rad/s)2 and (m/s2)2.
+    imu_noise : tuple of float, length 2 or 3
+        robot-localization: variances that the IMU's messages state: of gz, (rad/s)2, ax, (m/s2)2, and, where ay is
+        fused, of ay.
+    imu_gate : tuple of float, length 2
+        robot-localization: the largest NIS of gz and of ax that is used; infinite without a limit.
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None
@@ -91,6 +99,13 @@ class FilterParameters:
     accuracy_scale : float or None
         s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the receiver
         reports. None: ``measurement_noise`` alone.
+    fix_error : float or None
+        g: variance of the error of fixes that lasts, over the variance that the receiver states of a fix, or
+        ``fix_std`` squared: see `filters.fix_error`. None: errors of fixes are independent.
+    fix_error_time : float
+        s: time constant of that error.
+    fix_std : float
+        m per axis: standard deviation of the fixes of a receiver that states none, for ``fix_error``.
     robust_dof : float or None
         Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
         Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; smaller for more outliers. None: Gaussian errors.
@@ -112,7 +127,8 @@ class FilterParameters:
     fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
-    imu_noise: tuple[Positive, Positive] = _option((1e-4, 1e-2))
+    imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option((1e-4, 1e-2))
+    imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
     rear_axle: Real = _option(0.0)
@@ -125,6 +141,9 @@ class FilterParameters:
     latency: Real = _option(0.0)
     accuracy_scale: Positive | None = _option(None)
     robust_dof: Positive | None = _option(None)
+    fix_error: Positive | None = _option(None)
+    fix_error_time: Positive = _option(5.0)
+    fix_std: Positive = _option(UNSTATED_GPS_STD)
 
     def __post_init__(self) -> None:
         n = self.n_states
@@ -141,10 +160,14 @@ class FilterParameters:
             raise ValueError(reason)
         known = MODELS[self.model].options
         for field in (
-            () if known is None else ("velocity_noise", "standstill_noise", "odometer_noise", "robust_dof")
+            () if known is None else ("velocity_noise", "standstill_noise", "robust_dof", "fix_error")
         ):
             if getattr(self, field) is not None:
                 raise ValueError(f"{self.model} has no {field}; leave it out")
+        if self.kernel not in FILTERS:
+            raise ValueError(
+                f"fix_error does not go with {self.model} as {self.kind}; take ekf, or leave it out"
+            )
         if known is not None and self.latency:
             raise ValueError(f"{self.model} has no latency; set smooth_lagged_data where fixes are late")
 
@@ -152,6 +175,11 @@ class FilterParameters:
     def n_states(self) -> int:
         """Number of the model's states."""
         return len(MODELS[self.model].states)
+
+    @property
+    def kernel(self) -> str:
+        """Name in `fix_error.FILTERS` of the kernel, and of the model with all states that the filter has."""
+        return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":
         """Multiply all variances by a factor, which scales the covariance and hardly changes the estimates.
@@ -192,7 +220,7 @@ class FilterParameters:
 
     @classmethod
     def load(cls, path: str | Path) -> "FilterParameters":
-        """Read the ``[filter]`` table of a parameter file or of a tuning.toml.
+        """Read the ``[filter]`` table of a parameter file or of a tuning.toml, or an ekf.yaml of robot_localization.
 
         Raises
         ------
@@ -205,6 +233,10 @@ class FilterParameters:
             If a tuning was written by a version with other filters.
         """
         path = Path(path)
+        if path.suffix in YAML:
+            from sigmaswarm.filters.robot_yaml import read_configuration  # which makes such parameters
+
+            return read_configuration(path)
         if path.is_dir():
             from sigmaswarm.drives.reader import has_table  # slow to import
 
@@ -229,7 +261,7 @@ class FilterParameters:
         except ValidationError as error:
             first = first_mistake(error)
             key = ".".join(part for part in ("filter", first.key) if part)
-            value = "" if isinstance(first.value, dict) else f" (is {first.value!r})"
+            value = f" (is {first.value})" if first.value else ""
             known = {
                 "unexpected_keyword_argument": "unknown key",
                 "tuple_type": "should be a list of variances",
@@ -247,10 +279,19 @@ class FilterParameters:
         return parameters
 
 
-_EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof"}
+_EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof", "fix-error": "fix_error"}
 """Options that exclude others, and the fields that switch them on."""
-_SCALED = ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "accuracy_scale")
+_SCALED = (
+    "velocity_noise",
+    "lateral_noise",
+    "standstill_noise",
+    "odometer_noise",
+    "accuracy_scale",
+    "fix_error",
+)
 """Variances, or factors of them, besides Q and R."""
+YAML = (".yaml", ".yml")
+"""Endings of configurations of robot_localization."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
@@ -263,6 +304,8 @@ def clash(kind: str, use: Collection[str]) -> str | None:
         return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
     if "accuracy" in use and kind == "adaptive-ukf":
         return "accuracy does not go with adaptive-ukf, which finds R by itself; take another kind, or leave it out"
+    if "fix-error" in use and kind not in ("ukf", "ekf"):
+        return f"fix-error does not go with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
     return None
 
 
@@ -279,7 +322,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "fuzzy_widths": "of ratio and trend, both within -1 and 1",
         "fuzzy_gains": "of R and Q, dimensionless",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
-        "imu_noise": ["rad2/s2", "m2/s4"],
+        "imu_noise": ["rad2/s2", "m2/s4", "m2/s4"][: len(parameters.imu_noise)],
         "velocity_noise": "m2/s2",
         "lateral_noise": "m2/s2",
         "rear_axle": "m",
@@ -289,9 +332,13 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "odometer_scale": "reading over true speed",
         "odometer_latency": "s",
         "gate": "NIS, dimensionless",
+        "imu_gate": ["NIS, dimensionless"] * 2,
         "latency": "s",
         "accuracy_scale": "of the stated variance, dimensionless",
         "robust_dof": "dimensionless",
+        "fix_error": "of the stated variance, dimensionless",
+        "fix_error_time": "s",
+        "fix_std": "m",
     }
     stated = parameters.to_dict()
     return {k: v for k, v in known.items() if k in stated} | {"states": [s.name for s in states]}
@@ -316,8 +363,8 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {version}, whose filters used stale fixes, took gaps in the IMU as "
-            "ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
+            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, took gaps in the IMU "
+            "as ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

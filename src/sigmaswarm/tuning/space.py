@@ -2,13 +2,17 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Any, get_args
 
+import numpy as np
+
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters, clash
@@ -40,10 +44,23 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
         Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
     ),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
+    "imu_gate": (
+        Dimension("gate_gyro", "imu_gate", 1, 4.0, 100.0),
+        Dimension("gate_accel", "imu_gate", 1, 4.0, 100.0),
+    ),
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
     "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
     "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
+    "fix-error": (
+        Dimension("fix_error", "fix_error", 0, 1e-3, 4.0),
+        Dimension("fix_error_time", "fix_error_time", 0, 0.5, 300.0),
+    ),
 }
+TIME = "fix_error_time"
+"""Searched with truth alone: the likelihood is flat in it, or largest at the bound."""
+LEAST_WHITE = 0.04
+"""Least R of a fix over the receiver's variance, with states for errors that last and without truth. With less,
+Student's t takes the wander for outliers."""
 ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R in addition to the stated variance of each fix."""
 LEAST = {
@@ -61,6 +78,8 @@ IMU_DIMENSIONS = (
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
+ONE_NOISE = ("lateral", "odometer")
+"""Options of which robot-localization has the noise alone: its twists are those of the IMU, in m/s, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -88,6 +107,19 @@ class SearchSpace(Box):
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
+
+    def point_of(self, parameters: FilterParameters) -> Array:
+        """Return the point of a filter in search coordinates, (d,), within the bounds.
+
+        Values that the filter does not have are in the middle of their bounds.
+        """
+        own, here = parameters.nominal_interval, self.fixed["nominal_interval"]
+        if own and here:
+            noise = tuple(here / own * variance for variance in parameters.process_noise)
+            parameters = replace(parameters, process_noise=noise)
+        values = np.array([*self.values_of(parameters).values()], dtype=np.float64)  # None becomes NaN
+        point = self._encode(np.clip(values, self.lowest, self.highest))
+        return np.where(np.isfinite(values), np.clip(point, self.low, self.high), (self.low + self.high) / 2)
 
     def values_of(self, parameters: FilterParameters) -> dict[str, float]:
         """Return the value of every dimension in a filter."""
@@ -121,11 +153,14 @@ def search_space(
     *,
     kind: FilterKind = "ukf",
     use: Sequence[Option] = (),
+    fix_std: float = UNSTATED_GPS_STD,
+    has_truth: bool = False,
 ) -> SearchSpace:
     """Make the search space of a filter, with the paper's bounds for planar5; ``scale`` is that of the variances.
 
     All but planar5 without the lateral constraint share the noise of east and north: q_xy, q_vxy, r_xy. Bounds per
-    second are converted to ``nominal_interval``, or to 10 ms.
+    second are converted to ``nominal_interval``, or to 10 ms. With fix-error, ``fix_std`` (m) is the receiver's
+    standard deviation per axis, and ``has_truth`` is True where the objective compares with truth.
 
     Raises
     ------
@@ -141,17 +176,33 @@ def search_space(
         raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
     if reason := clash(kind, use):
         raise InputError(reason)
-    kinds, options = MODELS[model].kinds, MODELS[model].options or OPTIONS
+    kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu_gate"]
     lacking = [option for option in use if option not in options]
     if lacking:
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
+    if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
+        raise InputError(f"fix-error does not go with {model} as {kind}; take ekf, or leave it out")
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
+    if "fix-error" in use:
+        fixed["fix_std"] = fix_std
     if kind == "ekf":  # it has no sigma points
         fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
     dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
+    if "fix-error" in use and not has_truth:
+        dimensions = tuple(_without_truth(dimensions, fix_std, "accuracy" in use))
     return SearchSpace(dimensions, scale, fixed)
+
+
+def _without_truth(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
+    """Dimensions with fix-error and without truth; ``weighs``: R grows with the stated variance of a fix."""
+    field, least = (
+        ("accuracy_scale", LEAST_WHITE) if weighs else ("measurement_noise", LEAST_WHITE * fix_std**2)
+    )
+    for one in dimensions:
+        if one.field != TIME:
+            yield replace(one, lowest=max(one.lowest, least)) if one.field == field else one
 
 
 def _dimensions(
@@ -175,6 +226,8 @@ def _dimensions(
         if described.tilts:  # `tuning.inflation` states the measurements behind these numbers
             least = scale * LEAST.get(name, 0.0)
             inflation = 1.0 if alike[0].bias_of else 0.0 if alike[0].unit == "rad" else 0.5
+        elif described.measures_imu and alike[0].unit.startswith("rad"):
+            inflation = 0.0
         yield Dimension(f"q_{name}", "process_noise", len(alike), *box, inflation=inflation, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
@@ -189,4 +242,4 @@ def _dimensions(
     for option in OPTIONS:
         if option in use:
             wanted = OPTION_DIMENSIONS[option]
-            yield from wanted[:1] if described.measures_imu else wanted  # its twist is at the IMU
+            yield from wanted[:1] if described.measures_imu and option in ONE_NOISE else wanted
