@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import polars as pl
@@ -21,7 +21,7 @@ from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import ROLES, Log, Role
+from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import numbers_of, time_of
 
 SAMPLE = 5000
@@ -57,7 +57,8 @@ class Look:
     """Content of the logs of a request, the recipe that would be used, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``unread``:
-    by table, the columns that neither would read.
+    by table, the columns that neither would read. ``faults``: reasons not to read a column unchanged. ``rows``: the
+    first rows of each table.
     """
 
     tables: tuple[Glance, ...]
@@ -65,6 +66,10 @@ class Look:
     notes: tuple[str, ...]
     proposal: str = ""
     evidence: str = ""
+    faults: tuple[Fault, ...] = ()
+    rows: Mapping[str, pl.DataFrame] = field(
+        default_factory=dict[str, pl.DataFrame], repr=False, compare=False
+    )
 
     @property
     def unread(self) -> dict[str, tuple[str, ...]]:
@@ -106,7 +111,9 @@ def look(request: Request) -> Look:
         ]
     notes += notes_of(logs, guesses, recipe)
     proposal, evidence = _proposal(request, recipe, first)
-    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), proposal, evidence)
+    faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
+    rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
+    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), proposal, evidence, faults, rows)
 
 
 def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> tuple[str, str]:

@@ -82,6 +82,13 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
         raise unreadable(path) from None
 
 
+def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the options of the tuning in a folder, as `tune` takes them, and its data: to resume it."""
+    config = _with_current_names(read_content(path / "config.json", "not written by a tuning", infinite=True))
+    config.pop("versions", None)
+    return config, config.pop("data", [])
+
+
 def unreadable(checkpoint: Path) -> InputError:
     """Create the error for a checkpoint that can't be read."""
     return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")

@@ -58,7 +58,7 @@ class RunOptions(TypedDict, total=False):
     resume: bool
     paper: bool
     executor: Executor | None
-    progress: Callable[[Progress], None] | None
+    progress: Callable[[Progress], object] | None
 
 
 class CarOptions(RunOptions, TuneOptions):
@@ -88,7 +88,7 @@ def tune(
     out: str | Path | None = None,
     executor: Executor | None = None,
     cluster: "Client | None" = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], object] | None = None,
     **options: Any,
 ) -> Tuning[Any]:
     """Tune a filter on drives.
@@ -106,7 +106,8 @@ def tune(
     cluster : distributed.Client, optional
         A Dask cluster whose workers read the drives and do the work. The result's bits do not depend on it.
     progress : callable, optional
-        Called with a `Progress` after every generation.
+        Called with a `Progress` after every generation, which has the best parameters so far. The tuning stops where it
+        returns False.
     **options
         ``resume=True`` continues the run in ``out``, with the same bits as without interruption. ``paper=True`` takes
         the paper's setting, `PAPER`, and refuses options that contradict it. The others are fields of `TuneConfig`:
@@ -121,6 +122,8 @@ def tune(
         parameter set gave a finite cost.
     AlignmentError
         If a drive never moves far enough to start a filter.
+    TuningStopped
+        If ``progress`` returned False.
     ClusterError
         If the cluster can't do the work: its scheduler is gone, a worker has other versions, the drives don't fit.
     """
@@ -193,7 +196,7 @@ def tune_problem(
     *,
     held_back: Problem[P] | None = None,
     folder: ResultFolder | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], object] | None = None,
     diagnose: bool = True,
 ) -> Tuning[P]:
     """Run, resume or read the trials of a tuning, and write its tuning.toml.
