@@ -18,17 +18,9 @@ SPAN = 2.0
 RATE = 10.0
 """Hz of the smoothed specific force."""
 FINDINGS = {
+    "timing": ("imu-gap", "imu-rate", "imu-repeats", "gps-gap", "gps-rate", "clock-jump", "logger", "time"),
+    "turning": ("gyro", "clock", "unseen-clock", "unseen-yaw", "reverse"),
     "gravity": ("gravity", "mounting", "accelerometer-up", "accelerometer-unit", "gyro-tilt"),
-    "turning": (
-        "gyro",
-        "clock",
-        "unseen-clock",
-        "unseen-yaw",
-        "reverse",
-        "imu-gap",
-        "imu-rate",
-        "imu-repeats",
-    ),
     "forward": ("accelerometer", "unseen-ax"),
     "sideways": ("unseen-ay", "unseen-tilt"),
     "speed": ("speed", "velocity", "odometer"),
@@ -43,7 +35,8 @@ class Agreement:
 
     Attributes
     ----------
-    key : {"gravity", "turning", "forward", "sideways", "speed", "course"}
+    key : str
+        A key of `FINDINGS`.
     title, unit : str
     measured, expected : mapping of label to (time (n,) s, values (n,) in ``unit``)
     """
@@ -68,7 +61,12 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     drive : Drive
         Its truth is not used.
     """
-    return (_gravity(drive), *_of_motion(drive))
+    steps = {
+        name: (table.time[1:], np.diff(table.time))
+        for name, table in (("IMU", drive.imu), ("fixes", drive.gps))
+    }
+    timing = Agreement("timing", "Time from one sample to the next", "s", steps, {})
+    return (_gravity(drive), *_of_motion(drive), timing)
 
 
 def _gravity(drive: Drive) -> Agreement:

@@ -1,0 +1,265 @@
+"""Step 1: what is in a log, and how it becomes a drive."""
+
+import asyncio
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from nicegui import run, ui
+from nicegui.events import MultiUploadEventArguments
+
+import sigmaswarm
+from sigmaswarm import Drive, InputError
+from sigmaswarm.doctor.agreements import Agreement, agreements
+from sigmaswarm.importing.look import Look
+from sigmaswarm.importing.mounting import find_mount
+from sigmaswarm.workbench import columns
+from sigmaswarm.workbench.mounting_panel import MountingPanel
+from sigmaswarm.workbench.parts import button, card, command, link, message, start, text
+from sigmaswarm.workbench.plots import agreement_plot, fixes_of, map_plot
+from sigmaswarm.workbench.state import MOST_UPLOADED, NAME, Workbench, attempt
+from sigmaswarm.workbench.table_panel import show_table
+
+SHOWN_FIRST = ("gravity", "turning", "forward")
+
+
+class LogPage:
+    """The open log: a look at it, the choices made, and the drive that they give."""
+
+    def __init__(self, bench: Workbench) -> None:
+        self.bench = bench
+        self.look: Look | None = None
+        self.drive: Drive | None = None
+        self.found: tuple[Agreement, ...] = ()
+        self.wrong = self.waiting = self.done = ""
+        self.mounting = MountingPanel(self)
+        self._opened, self._asked = None, 0
+
+    @ui.refreshable_method
+    def content(self) -> None:
+        """Show the step."""
+        self._pick()
+        if self.bench.log is None:
+            return
+        if self._opened != self.bench.log and not self.waiting:
+            self.reread()
+        message(self.waiting, "wait")
+        message(self.wrong, "bad")
+        message(self.done, "good")
+        if self.look:
+            self._tables(self.look)
+        if self.look:
+            self.mounting.show()
+        if self.drive:
+            self._agreement(self.drive)
+        if self.look:
+            self._finish()
+
+    def _pick(self) -> None:
+        """Choose a log, or drop one."""
+        sources = {str(path): self._named(path) for path in self.bench.sources}
+        with card():
+            if sources:
+                chosen = self.bench.choices.get("log")
+                with ui.element("div").classes("row"):
+                    options = {"": "choose a log", **sources}
+                    pick = ui.select(options, label="Log", value=chosen if chosen in sources else "").classes(
+                        "grow"
+                    )
+                    pick.on_value_change(lambda event: self.open(event.value))
+                    further = {"": "in the same log", **sources}
+                    for role, label in (("gps", "Fixes"), ("truth", "Truth, if any")):
+                        value = self.bench.log_choices.get(role, "") if self.bench.log else ""
+                        other = ui.select(further, label=label, value=value if value in further else "")
+                        other.classes("grow").on_value_change(partial(self._other_log, role))
+            else:
+                text("h2", "Begin with a log")
+                text(
+                    "p",
+                    "CSV, Parquet, a ROS bag, MCAP, u-blox, NMEA, PX4, a phone's export: the format is detected.",
+                )
+            drop = ui.upload(
+                multiple=True,
+                auto_upload=True,
+                max_total_size=MOST_UPLOADED,
+                on_multi_upload=self._dropped,
+                on_rejected=lambda: ui.notify("too large: name the log on the command line"),
+                label="Drop files here, all files of one log at once, or press +",
+            )
+            drop.classes("drop").props('flat aria-label="Drop a log"')
+
+    def _named(self, path: Path) -> str:
+        """The log's name, within its folder."""
+        inside = path.parent in self.bench.named or path.parent.parent == self.bench.folder / "logs"
+        return f"{path.parent.name} / {path.name}" if inside else path.name
+
+    async def _dropped(self, event: MultiUploadEventArguments) -> None:
+        """Save the files of one drop: a single file as it is, several as a folder."""
+        files = [file for file in event.files if NAME.fullmatch(file.name)]
+        if len(files) < len(event.files) or not files:
+            self.wrong = "a dropped file has a name that can't be used; rename it to letters, digits, - and _"
+            self.content.refresh()
+            return
+        name = self.bench.free("logs", Path(files[0].name).stem)
+        folder = self.bench.path("logs", name)
+        folder.mkdir()
+        for file in files:
+            await file.save(folder / file.name)
+        self.open(str(folder / files[0].name if len(files) == 1 else folder))
+
+    def open(self, path: str) -> None:
+        """Open another log."""
+        self.bench.choices["log"] = path
+        self.bench.save()
+        self.look = self.drive = self._opened = None
+        self.wrong = self.done = ""
+        self.content.refresh()
+
+    def _other_log(self, role: str, event: Any) -> None:
+        self.choose(**{role: event.value})
+
+    def choose(self, **choices: Any) -> None:
+        """Change choices for the open log; look again."""
+        self.bench.log_choices.update(choices)
+        self.bench.save()
+        self.reread()
+        self.content.refresh()
+
+    def assign(self, table: str, column: str, target: str) -> None:
+        """Use a column for something else."""
+        if self.look:
+            columns.assign(self.bench.log_choices, self.look, table, column, target)
+            self.choose()
+
+    def express(self, target: str, expression: str) -> None:
+        """Read a target by another expression."""
+        self.choose(maps={**self.bench.log_choices.get("maps", {}), target: expression})
+
+    def reread(self, *, looked: bool = True) -> None:
+        """Look at the log and import it in the background; the last of several requests counts."""
+        self._opened, self._asked = self.bench.log, self._asked + 1
+        self.waiting, self.done = "reading the log", ""
+        start(self._read(self._asked, looked=looked))
+
+    async def _read(self, asked: int, *, looked: bool) -> None:
+        log, wrong = self.bench.log, ""
+        await asyncio.sleep(0.15)
+        if log is None or asked != self._asked:
+            return
+        look, drive, found = self.look, None, ()
+        options, wrong = attempt(columns.options_of, self.bench.log_choices)
+        if options is not None and (looked or look is None):
+            look, wrong = await run.io_bound(attempt, sigmaswarm.inspect_log, log, **options)
+        if options is not None and not wrong:
+            drive, wrong = await run.io_bound(attempt, sigmaswarm.import_log, log, name="drive", **options)
+        if drive is not None:
+            found, wrong = await run.io_bound(attempt, agreements, drive)
+        if asked == self._asked:
+            self.look, self.drive, self.found, self.wrong, self.waiting = look, drive, found or (), wrong, ""
+            self.content.refresh()
+
+    def _tables(self, look: Look) -> None:
+        with ui.element("div").classes("section"):
+            text("h2", "What is in it")
+            for note in look.notes:
+                text("p", note, "soft")
+            if look.proposal:
+                with card("warning"):
+                    text("p", f"Not recognized by itself, but the names suggest: {look.proposal}")
+                    text("p", look.evidence, "soft")
+                    button("Use this", self._propose, "auto_fix_high", main=True)
+            uses = columns.uses_of(look)
+            for glance in look.tables:
+                show_table(self, look, glance, uses)
+
+    def _propose(self) -> None:
+        """Take the proposal's options as choices."""
+        import shlex
+
+        words, choices = shlex.split(self.look.proposal if self.look else ""), self.bench.log_choices
+        key = ""
+        for word in words:
+            if word.startswith("--"):
+                key = word
+            elif key == "--map":
+                target, _, expression = word.partition("=")
+                role = next(
+                    r for r in columns.ROLES if target.partition(".")[2] or target in columns.COLUMNS[r]
+                )
+                choices.setdefault("maps", {})[target if "." in target else f"{role}.{target}"] = expression
+            else:
+                choices.setdefault("tables", {})[key.removeprefix("--").removesuffix("-table")] = word
+        self.choose()
+
+    def _agreement(self, drive: Drive) -> None:
+        """Gravity, course and gyro, and what they should follow."""
+        with ui.element("div").classes("section"):
+            text("h2", "Does it agree?")
+            text(
+                "p",
+                "Solid: what the IMU measured. Dashed: what it should follow. Zoom with the mouse.",
+                "soft",
+            )
+            with ui.element("div").classes("grid"):
+                for found in self.found:
+                    if found.key in SHOWN_FIRST:
+                        agreement_plot(found)
+                with ui.element("figure"):
+                    with ui.element("figcaption"):
+                        ui.label("Map of the fixes")
+                    map_plot(fixes_of(drive), "Map of the fixes", points=("fixes",), height=220)
+
+    def _finish(self) -> None:
+        """Name the drive and write it."""
+        log = self.bench.log
+        if log is None:
+            return
+        chosen = self.bench.log_choices.get("name")
+        name = chosen or self.bench.free("drives", log.stem).removesuffix(".")
+        with card():
+            text("h2", "Make a drive of it")
+            with ui.element("div").classes("row end"):
+                field = ui.input("Name of the drive", value=name).classes("grow")
+                field.on("change", lambda: self.choose(name=field.value))
+                make = button("Make the drive", lambda: self._make(field.value), "check", main=True)
+                make.set_enabled(self.drive is not None)
+            ui.element("div").style("height: 12px")
+            command(columns.command_of(log, self.bench.folder / "drives" / name, self.bench.log_choices))
+            if self.done:
+                link("Next: check it", "check")
+
+    def _make(self, name: str) -> None:
+        if self.drive is None:
+            return
+        from dataclasses import replace
+
+        path, wrong = attempt(self.bench.path, "drives", name)
+        if path is not None:
+            _, wrong = attempt(sigmaswarm.write_drive, replace(self.drive, name=name), path)
+        self.wrong, self.done = wrong, "" if wrong else f"wrote drives/{name}; check it next"
+        if not wrong:
+            self.bench.choices["drive"] = name
+            self.bench.save()
+        self.content.refresh()
+
+    def find_mounting(self) -> None:
+        """Find the mounting in the log itself."""
+        self.waiting = "looking for the mounting"
+        self.content.refresh()
+        start(self._find_mounting())
+
+    async def _find_mounting(self) -> None:
+        found, wrong = await run.io_bound(attempt, self._mounting_of_log)
+        self.waiting, self.wrong = "", wrong
+        if found:
+            self.choose(mount=found)
+        else:
+            self.content.refresh()
+
+    def _mounting_of_log(self) -> str:
+        """The mounting that the log shows, whatever is chosen now."""
+        if self.bench.log is None:
+            raise InputError("no log is open")
+        plain = {**self.bench.log_choices, "mount": ""}
+        drive = sigmaswarm.import_log(self.bench.log, name="drive", **columns.options_of(plain))
+        return find_mount(drive)[1]
