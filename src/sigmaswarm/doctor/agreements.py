@@ -119,19 +119,21 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course) -> Agreement:
-    """The integral of gz and the course; both begin at zero, and a constant bias is removed."""
+    """The integral of gz, and the course in pieces without a stop, each placed on it: only its shape counts."""
     imu, moving = drive.imu, course.moving
-    at = course.time[moving]
+    at, track = course.time[moving], course.angle[moving]
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))
-    track = course.angle[moving]
-    columns = np.column_stack([np.ones(len(at)), at - at[0]])
-    fit = np.linalg.lstsq(columns, track - turned, rcond=None)[0]
-    measured = np.degrees(turned + columns @ fit - track[0])
-    expected = np.degrees(track - track[0])
+    piece = np.cumsum(np.append(0, np.diff(np.flatnonzero(moving)) > 1))
+    pieces = (piece[:, np.newaxis] == np.arange(piece[-1] + 1)).astype(np.float64)
+    fit = np.linalg.lstsq(np.column_stack([at - at[0], pieces]), track - turned, rcond=None)[0]
+    rotated = np.degrees(turned + (at - at[0]) * fit[0])
+    ends = np.flatnonzero(np.diff(piece)) + 1
+    placed = np.insert(np.degrees(track - pieces @ fit[1:]), ends, np.nan)
+    measured, expected = (at, rotated), (np.insert(at, ends, at[ends]), placed)
     return Agreement(
         "turning",
-        "Turning: the integral of gz and the course",
+        "Turning: the integral of gz, and the course",
         "deg",
-        {"gz": (at, measured)},
-        {"course": (at, expected)},
+        {"gz": measured},
+        {"course": expected},
     )

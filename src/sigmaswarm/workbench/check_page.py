@@ -3,16 +3,19 @@
 from dataclasses import replace
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Drive
 from sigmaswarm.doctor.agreements import Agreement, agreements, shown_by
 from sigmaswarm.doctor.findings import Diagnosis, Finding
-from sigmaswarm.workbench.parts import button, card, link, message, start, text
+from sigmaswarm.wording import counted
+from sigmaswarm.workbench.parts import aside, button, card, link, message, start, text
 from sigmaswarm.workbench.plots import TimePlot, agreement_plot, fixes_of, map_plot
-from sigmaswarm.workbench.state import CHECKED, Workbench, attempt
+from sigmaswarm.workbench.state import CHECKED, Workbench
 
+SHORTEST = 30.0
+"""s: no shorter part is offered."""
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
 Agreements = dict[str, Agreement]
@@ -59,8 +62,7 @@ class CheckPage:
         if not self.stages:
             return
         self._done()
-        if self.diagnosis:
-            self._findings(self.diagnosis)
+        self._findings()
         self._cut()
         with ui.element("div").classes("row"):
             link("Next: tune a filter on it", "tune")
@@ -87,7 +89,7 @@ class CheckPage:
             self.content.refresh()
 
     async def _work(self, asked: int, name: str, steps: list[Step] | None) -> None:
-        done, wrong = await run.io_bound(attempt, self._rebuilt, name, steps)
+        done, wrong = await aside(self._rebuilt, name, steps)
         if asked != self._asked:
             return
         self.waiting, self.wrong = "", wrong
@@ -132,11 +134,12 @@ class CheckPage:
         for finding in diagnosis.findings:
             if finding.repair is None or finding.code in self.after:
                 continue
-            tried, wrong = await run.io_bound(attempt, _tried, drive, diagnosis, finding.code)
+            tried, wrong = await aside(_tried, drive, diagnosis, finding.code)
             if asked != self._asked:
                 return
             self.after[finding.code] = tried or ({}, wrong)
-            self.content.refresh()
+        if self.after:
+            self._findings.refresh()
 
     def _done(self) -> None:
         """The steps done so far, each with its way back."""
@@ -147,22 +150,25 @@ class CheckPage:
                 back = button("Take it back", lambda number=number: self.take_back(number), "undo")
                 back.props(f'aria-label="Take back: {said}"').set_enabled(not self.waiting)
 
-    def _findings(self, diagnosis: Diagnosis) -> None:
+    @ui.refreshable_method
+    def _findings(self) -> None:
+        if (diagnosis := self.diagnosis) is None:
+            return
         with ui.element("div").classes("section"):
             serious = sum(finding.severity == "serious" for finding in diagnosis.findings)
             with ui.element("div").classes("row between"):
-                text("h2", f"{serious} serious findings" if serious else "Nothing serious")
-                mendable = [f.code for f in diagnosis.findings if f.repair is not None]
-                if len(set(mendable)) > 1:
-                    every = button(
-                        "Mend all",
-                        lambda: self.add({"repair": list(dict.fromkeys(mendable))}),
-                        "done_all",
-                        main=True,
-                    )
+                text("h2", f"{counted(serious, 'serious finding')}" if serious else "Nothing serious")
+                mendable = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None))
+                if len(mendable) > 1:
+                    every = button("Mend all", lambda: self.add({"repair": mendable}), "done_all", main=True)
                     every.set_enabled(not self.waiting)
             for finding in diagnosis.findings:
-                self._card(finding)
+                if finding.severity != "note":
+                    self._card(finding)
+            if notes := [f for f in diagnosis.findings if f.severity == "note"]:
+                with ui.expansion(f"Good to know: {counted(len(notes), 'note')}").classes("card"):
+                    for finding in notes:
+                        self._card(finding)
 
     def _card(self, finding: Finding) -> None:
         with card(finding.severity):
@@ -170,21 +176,32 @@ class CheckPage:
                 with ui.element("div").classes("row"):
                     ui.label(finding.severity).classes(f"tag {finding.severity}")
                     text("h3", finding.code)
-                if finding.repair is not None:
-                    mend = button("Mend", lambda: self.add({"repair": [finding.code]}), "build", main=True)
-                    mend.props(f'aria-label="Mend {finding.code}"').set_enabled(not self.waiting)
+                self._ways(finding)
             text("p", finding.what)
-            first, last = finding.span
-            where = f"{finding.where}, {first:.1f} to {last:.1f} s, confidence {finding.confidence:.0%}"
             text("p", finding.remedy)
-            text("p", where, "soft")
+            first, last = finding.span
+            confidence = f"confidence {finding.confidence:.0%}"
+            text("p", f"{finding.where}, {first:.1f} to {last:.1f} s, {confidence}", "soft")
             if finding.severity == "note":
                 return
             after, withheld = self.after.get(finding.code, ({}, ""))
-            if withheld:
-                message(withheld, "bad")
+            message(withheld, "bad")
             if shown := self.before.get(shown_by(finding.code)):
                 agreement_plot(shown, finding.span, after.get(shown.key))
+
+    def _ways(self, finding: Finding) -> None:
+        """The buttons that mend a finding."""
+        first, last = (float(t) for t in self.stages[-1].imu.time[[0, -1]])
+        steps: dict[str, Step] = {"Mend": {"repair": [finding.code]}} if finding.repair else {}
+        if (at := finding.cut) is not None:
+            steps |= {f"Keep from {at:g} s": {"keep": [at, last + 1]}}
+            if at - first > SHORTEST:
+                steps |= {f"Keep until {at:g} s": {"keep": [first, at]}}
+        with ui.element("div").classes("row"):
+            for label, step in steps.items():
+                icon = "build" if "repair" in step else "content_cut"
+                mend = button(label, lambda step=step: self.add(step), icon, main=True)
+                mend.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
         """Select a span with the mouse or by numbers, and keep it alone."""
@@ -196,10 +213,9 @@ class CheckPage:
             with ui.element("div").classes("grid"):
                 with ui.element("div"):
                     low, high = float(time[0]), float(time[-1])
-                    begin, end = (
-                        ui.number("from, s", value=round(low, 2)),
-                        ui.number("to, s", value=round(high, 2)),
-                    )
+                    with ui.element("div").classes("row"):
+                        begin = ui.number("from, s", value=round(low, 2)).classes("grow")
+                        end = ui.number("to, s", value=round(high + 0.01, 2)).classes("grow")
 
                     def selected(a: float, b: float) -> None:
                         begin.value, end.value = round(max(a, low), 2), round(min(b, high), 2)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sigmaswarm.errors import InputError
 from sigmaswarm.importing.look import Look
 from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES, Choice
@@ -24,10 +25,16 @@ UNITS: dict[str, dict[str, str]] = {
     "condition": {"as it is": "{}"},
 }  # fmt: skip
 """By kind of quantity: units, and the expressions that make them those of a drive."""
-KINDS = {"t": "time", "keep": "condition", "lat": "degrees", "lon": "degrees", "speed": "speed", "course": "angle",
-         "theta": "angle"} | dict.fromkeys(("vx", "vy", "forward", "left"), "speed")  # fmt: skip
-KINDS |= dict.fromkeys(("ax", "ay", "az"), "acceleration") | dict.fromkeys(("gx", "gy", "gz"), "rate")
-KINDS |= dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length")
+KINDS = {
+    **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
+    **dict.fromkeys(("gx", "gy", "gz"), "rate"),
+    **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
+    **dict.fromkeys(("speed", "vx", "vy", "forward", "left"), "speed"),
+    **dict.fromkeys(("lat", "lon"), "degrees"),
+    **dict.fromkeys(("course", "theta"), "angle"),
+    **{"t": "time", "keep": "condition"},
+}
+"""Kinds of quantity of a drive's columns."""
 SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",
         "gz": "gz yaw rate", "lat": "latitude", "lon": "longitude", "alt": "altitude", "x": "x east", "y": "y north",
         "std_x": "accuracy east", "std_y": "accuracy north", "vx": "velocity east", "vy": "velocity north",
@@ -94,7 +101,7 @@ def assign(choices: dict[str, Any], look: Look, table: str, column: str, target:
         return
     role = target.partition(".")[0]
     maps[target] = next(iter(units_of(target).values())).format(written(column))
-    tables = {part.table for part in look.recipe.roles.get(role, ())}  # pyright: ignore[reportArgumentType]
+    tables = {part.table for name, parts in look.recipe.roles.items() if name == role for part in parts}
     if len(look.tables) > 1 and table not in tables:
         choices.setdefault("tables", {})[role] = table
 
@@ -105,7 +112,11 @@ def options_of(choices: Mapping[str, Any]) -> dict[str, Any]:
     options: dict[str, Any] = {"maps": maps, "choice": Choice(choices.get("tables", {}))}
     options |= {key: choices[key] for key in ("mount", "gps_offset_s", "part") if choices.get(key)}
     if arm := choices.get("gps_lever_arm_m"):
-        options["gps_lever_arm_m"] = tuple(float(v) for v in arm.split(","))
+        try:
+            forward, left, up = (float(v) for v in arm.split(","))
+        except ValueError:
+            raise InputError(f"{arm!r} is no lever arm; write m forward,left,up, as 1.2,0,0.5") from None
+        options["gps_lever_arm_m"] = forward, left, up
     return options | {key: Path(choices[key]) for key in ("gps", "truth") if choices.get(key)}
 
 

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from functools import partial
 from importlib.resources import files
 from typing import Any
 from urllib.parse import quote
@@ -47,12 +48,14 @@ class Frame:
 
     def register(self) -> None:
         """Give every step and every file its address."""
-        ui.add_css(
-            files("sigmaswarm.workbench").joinpath("style.css").read_text(encoding="utf-8"), shared=True
+        style, script = (
+            files("sigmaswarm.workbench").joinpath(n).read_text() for n in ("style.css", "page.js")
         )
+        ui.add_css(style, shared=True)
+        ui.add_head_html(f"<script>{script}</script>", shared=True)
         ui.page("/")(lambda: self._show(self._first()))
         for step in STEPS:
-            ui.page(f"/{step}")(lambda step=step: self._show(step))
+            ui.page(f"/{step}")(partial(self._show, step))
         app.get("/report/{kind}/{name}")(self._report)
         app.get("/download/{kind}/{name}")(self._download)
 
@@ -91,10 +94,18 @@ class Frame:
 
     def _report(self, kind: str, name: str) -> Response:
         """The page of `sigmaswarm.report`; it holds everything and asks for nothing."""
-        text, wrong = attempt(lambda: sigmaswarm.report(self.bench.path(kind, name)))
+        text, wrong = attempt(self._page_of, kind, name)
         if text is None:
             return Response(wrong, 404, media_type="text/plain; charset=utf-8")
         return Response(text, media_type="text/html; charset=utf-8")
+
+    def _page_of(self, kind: str, name: str) -> str:
+        """Read the page in the folder of a result, or write it there, as `sigmaswarm report` does."""
+        folder = self.bench.path(kind, name)
+        file = folder / "page.html"
+        if file.is_file() and not file.is_symlink():
+            return file.read_text(encoding="utf-8")
+        return sigmaswarm.report(folder, file)
 
     def _download(self, kind: str, name: str) -> Response:
         """The folder of a result as a zip."""

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Tuning
 from sigmaswarm.reports.evaluation import save_evaluation
-from sigmaswarm.workbench.parts import button, card, link, message, start, text
+from sigmaswarm.workbench.parts import aside, button, card, link, message, start, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 SCORES = "scores.json"
@@ -77,7 +77,7 @@ class JudgePage:
         start(self._work(dict(self.chosen)))
 
     async def _work(self, chosen: dict[str, Any]) -> None:
-        name, self.wrong = await run.io_bound(attempt, self._evaluate, chosen)
+        name, self.wrong = await aside(self._evaluate, chosen)
         self.waiting = ""
         if name:
             self.bench.choices["evaluation"] = name

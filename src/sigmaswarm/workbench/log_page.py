@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import ui
 from nicegui.events import MultiUploadEventArguments
 
 import sigmaswarm
@@ -15,7 +15,7 @@ from sigmaswarm.importing.look import Look
 from sigmaswarm.importing.mounting import find_mount
 from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.mounting_panel import MountingPanel
-from sigmaswarm.workbench.parts import button, card, command, link, message, start, text
+from sigmaswarm.workbench.parts import aside, button, card, command, link, message, start, text
 from sigmaswarm.workbench.plots import agreement_plot, fixes_of, map_plot
 from sigmaswarm.workbench.state import MOST_UPLOADED, NAME, Workbench, attempt
 from sigmaswarm.workbench.table_panel import show_table
@@ -32,29 +32,36 @@ class LogPage:
         self.drive: Drive | None = None
         self.found: tuple[Agreement, ...] = ()
         self.wrong = self.waiting = self.done = ""
+        self.unfolded: set[str] = set()
         self.mounting = MountingPanel(self)
-        self._opened, self._asked = None, 0
+        self._opened: Path | None = None
+        self._asked = 0
 
-    @ui.refreshable_method
     def content(self) -> None:
         """Show the step."""
-        self._pick()
-        if self.bench.log is None:
-            return
-        if self._opened != self.bench.log and not self.waiting:
+        if self._opened != self.bench.log:
             self.reread()
+        self._pick()
+        self._status()
+        self._tables()
+        self.mounting.show()
+        self._agreement()
+        self._finish()
+
+    def refresh(self) -> None:
+        """Show what has changed, in all tabs."""
+        for part in (self._status, self._tables, self._agreement, self._finish):
+            part.refresh()
+        if self.mounting.shown != (self.look is not None, self.bench.log_choices.get("mount", "")):
+            self.mounting.show.refresh()
+
+    @ui.refreshable_method
+    def _status(self) -> None:
         message(self.waiting, "wait")
         message(self.wrong, "bad")
         message(self.done, "good")
-        if self.look:
-            self._tables(self.look)
-        if self.look:
-            self.mounting.show()
-        if self.drive:
-            self._agreement(self.drive)
-        if self.look:
-            self._finish()
 
+    @ui.refreshable_method
     def _pick(self) -> None:
         """Choose a log, or drop one."""
         sources = {str(path): self._named(path) for path in self.bench.sources}
@@ -84,9 +91,11 @@ class LogPage:
                 max_total_size=MOST_UPLOADED,
                 on_multi_upload=self._dropped,
                 on_rejected=lambda: ui.notify("too large: name the log on the command line"),
-                label="Drop files here, all files of one log at once, or press +",
+                label="Drop a file or a folder here, or press + and choose all files of one log",
             )
-            drop.classes("drop").props('flat aria-label="Drop a log"')
+            drop.classes("drop").props(
+                ':filter="files => files.filter(f => !window.droppedFolders.has(f.name))"'
+            )
 
     def _named(self, path: Path) -> str:
         """The log's name, within its folder."""
@@ -98,7 +107,7 @@ class LogPage:
         files = [file for file in event.files if NAME.fullmatch(file.name)]
         if len(files) < len(event.files) or not files:
             self.wrong = "a dropped file has a name that can't be used; rename it to letters, digits, - and _"
-            self.content.refresh()
+            self._status.refresh()
             return
         name = self.bench.free("logs", Path(files[0].name).stem)
         folder = self.bench.path("logs", name)
@@ -111,9 +120,10 @@ class LogPage:
         """Open another log."""
         self.bench.choices["log"] = path
         self.bench.save()
-        self.look = self.drive = self._opened = None
-        self.wrong = self.done = ""
-        self.content.refresh()
+        self.look, self.drive, self.found, self.wrong, self.done = None, None, (), "", ""
+        self._pick.refresh()
+        self.reread()
+        self.refresh()
 
     def _other_log(self, role: str, event: Any) -> None:
         self.choose(**{role: event.value})
@@ -123,7 +133,7 @@ class LogPage:
         self.bench.log_choices.update(choices)
         self.bench.save()
         self.reread()
-        self.content.refresh()
+        self._status.refresh()
 
     def assign(self, table: str, column: str, target: str) -> None:
         """Use a column for something else."""
@@ -135,30 +145,32 @@ class LogPage:
         """Read a target by another expression."""
         self.choose(maps={**self.bench.log_choices.get("maps", {}), target: expression})
 
-    def reread(self, *, looked: bool = True) -> None:
+    def reread(self) -> None:
         """Look at the log and import it in the background; the last of several requests counts."""
         self._opened, self._asked = self.bench.log, self._asked + 1
-        self.waiting, self.done = "reading the log", ""
-        start(self._read(self._asked, looked=looked))
+        self.waiting, self.done = "reading the log" if self._opened else "", ""
+        start(self._read(self._asked))
 
-    async def _read(self, asked: int, *, looked: bool) -> None:
-        log, wrong = self.bench.log, ""
-        await asyncio.sleep(0.15)
+    async def _read(self, asked: int) -> None:
+        log, look, drive, found = self.bench.log, self.look, None, ()
+        await asyncio.sleep(0.1)
         if log is None or asked != self._asked:
             return
-        look, drive, found = self.look, None, ()
         options, wrong = attempt(columns.options_of, self.bench.log_choices)
-        if options is not None and (looked or look is None):
-            look, wrong = await run.io_bound(attempt, sigmaswarm.inspect_log, log, **options)
+        if options is not None:
+            look, wrong = await aside(sigmaswarm.inspect_log, log, **options)
         if options is not None and not wrong:
-            drive, wrong = await run.io_bound(attempt, sigmaswarm.import_log, log, name="drive", **options)
+            drive, wrong = await aside(sigmaswarm.import_log, log, name="drive", **options)
         if drive is not None:
-            found, wrong = await run.io_bound(attempt, agreements, drive)
+            found, wrong = await aside(agreements, drive)
         if asked == self._asked:
             self.look, self.drive, self.found, self.wrong, self.waiting = look, drive, found or (), wrong, ""
-            self.content.refresh()
+            self.refresh()
 
-    def _tables(self, look: Look) -> None:
+    @ui.refreshable_method
+    def _tables(self) -> None:
+        if (look := self.look) is None:
+            return
         with ui.element("div").classes("section"):
             text("h2", "What is in it")
             for note in look.notes:
@@ -191,8 +203,11 @@ class LogPage:
                 choices.setdefault("tables", {})[key.removeprefix("--").removesuffix("-table")] = word
         self.choose()
 
-    def _agreement(self, drive: Drive) -> None:
+    @ui.refreshable_method
+    def _agreement(self) -> None:
         """Gravity, course and gyro, and what they should follow."""
+        if (drive := self.drive) is None:
+            return
         with ui.element("div").classes("section"):
             text("h2", "Does it agree?")
             text(
@@ -209,10 +224,10 @@ class LogPage:
                         ui.label("Map of the fixes")
                     map_plot(fixes_of(drive), "Map of the fixes", points=("fixes",), height=220)
 
+    @ui.refreshable_method
     def _finish(self) -> None:
         """Name the drive and write it."""
-        log = self.bench.log
-        if log is None:
+        if (log := self.bench.log) is None or self.look is None:
             return
         chosen = self.bench.log_choices.get("name")
         name = chosen or self.bench.free("drives", log.stem).removesuffix(".")
@@ -221,7 +236,7 @@ class LogPage:
             with ui.element("div").classes("row end"):
                 field = ui.input("Name of the drive", value=name).classes("grow")
                 field.on("change", lambda: self.choose(name=field.value))
-                make = button("Make the drive", lambda: self._make(field.value), "check", main=True)
+                make = button("Make the drive", lambda: self._make(field.value or ""), "check", main=True)
                 make.set_enabled(self.drive is not None)
             ui.element("div").style("height: 12px")
             command(columns.command_of(log, self.bench.folder / "drives" / name, self.bench.log_choices))
@@ -240,21 +255,21 @@ class LogPage:
         if not wrong:
             self.bench.choices["drive"] = name
             self.bench.save()
-        self.content.refresh()
+        self.refresh()
 
     def find_mounting(self) -> None:
         """Find the mounting in the log itself."""
         self.waiting = "looking for the mounting"
-        self.content.refresh()
+        self._status.refresh()
         start(self._find_mounting())
 
     async def _find_mounting(self) -> None:
-        found, wrong = await run.io_bound(attempt, self._mounting_of_log)
+        found, wrong = await aside(self._mounting_of_log)
         self.waiting, self.wrong = "", wrong
         if found:
             self.choose(mount=found)
         else:
-            self.content.refresh()
+            self._status.refresh()
 
     def _mounting_of_log(self) -> str:
         """The mounting that the log shows, whatever is chosen now."""

@@ -25,13 +25,18 @@ class MountingPanel:
 
     def __init__(self, page: "LogPage") -> None:
         self.page = page
+        self.shown: tuple[bool, str] = False, ""
 
     @property
     def _mount(self) -> str:
         return self.page.bench.log_choices.get("mount", "")
 
+    @ui.refreshable_method
     def show(self) -> None:
         """Show the panel."""
+        self.shown = self.page.look is not None, self._mount
+        if self.page.look is None:
+            return
         rotation, wrong = attempt(parse_mount, self._mount) if self._mount else (np.eye(3), "")
         rotation = np.eye(3) if rotation is None else rotation
         with card():
@@ -40,12 +45,14 @@ class MountingPanel:
             with ui.element("div").classes("grid"):
                 picture = ui.html(sketch(rotation), sanitize=False)
                 with ui.element("div"):
-                    self._angles(rotation, picture)
+                    sliders = ui.element("div")
                     with ui.element("div").classes("row end"):
-                        field = ui.input(
-                            "As an option: 90, or 0,10,90, or x=-y,y=x", value=self._mount
-                        ).classes("grow")
-                        field.on("change", lambda: self.page.choose(mount=field.value.strip()))
+                        field = ui.input("As an option: 90, or 0,10,90, or x=-y,y=x", value=self._mount)
+                        field.classes("grow").on(
+                            "change", lambda: self.page.choose(mount=(field.value or "").strip())
+                        )
+                        with sliders:
+                            self._angles(rotation, picture, field)
                         button("Find it in the log", self.page.find_mounting, "explore")
                     text(
                         "p",
@@ -55,7 +62,7 @@ class MountingPanel:
                     with ui.expansion("More settings").classes("soft"):
                         self._settings()
 
-    def _angles(self, rotation: Array, picture: ui.html) -> None:
+    def _angles(self, rotation: Array, picture: ui.html, field: ui.input) -> None:
         """Three sliders, for mouse and arrow keys."""
         angles = _degrees(rotation)
         sliders: list[ui.slider] = []
@@ -66,7 +73,9 @@ class MountingPanel:
 
         def rested() -> None:
             turned = ",".join(f"{slider.value:g}" for slider in sliders)
-            self.page.choose(mount="" if turned == "0,0,0" else turned)
+            field.value = "" if turned == "0,0,0" else turned
+            self.shown = True, field.value
+            self.page.choose(mount=field.value)
 
         for name, angle in zip(ANGLES, angles, strict=True):
             with ui.element("div").classes("row"):
@@ -85,7 +94,7 @@ class MountingPanel:
         arm = ui.input(
             "From the IMU to the antenna, m forward,left,up", value=choices.get("gps_lever_arm_m", "")
         )
-        arm.on("change", lambda: self.page.choose(gps_lever_arm_m=arm.value.strip()))
+        arm.on("change", lambda: self.page.choose(gps_lever_arm_m=(arm.value or "").strip()))
         part = ui.number(
             "Recording, where a clock restarts", value=choices.get("part"), min=1, step=1, precision=0
         )

@@ -1,10 +1,15 @@
 """Small pieces that several steps share."""
 
+import json
 from collections.abc import Callable, Coroutine
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
-from nicegui import background_tasks, ui
+from nicegui import background_tasks, run, ui
+
+from sigmaswarm.workbench.state import attempt
+
+T = TypeVar("T")
 
 
 def start(work: Coroutine[Any, Any, None]) -> None:
@@ -12,10 +17,15 @@ def start(work: Coroutine[Any, Any, None]) -> None:
     background_tasks.create(work)
 
 
+async def aside(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
+    """Do work on a thread; return its result, or None and the sentence of its error."""
+    return await run.io_bound(attempt, work, *arguments, **options) or (None, "")
+
+
 def text(tag: str, content: str, classes: str = "") -> None:
     """Show a heading or a paragraph."""
     with ui.element(tag).classes(classes):
-        ui.label(content).props("")
+        ui.label(content)
 
 
 def message(content: str, kind: str) -> None:
@@ -33,14 +43,9 @@ def command(line: str) -> None:
         with ui.element("pre"):
             ui.label(line)
         copy = ui.button("Copy as command", icon="content_copy").props("outline no-caps")
-        copy.on("click", js_handler=f"() => navigator.clipboard.writeText({_quoted(line)})")
+        quoted = json.dumps(line).replace("<", "\\u003c")
+        copy.on("click", js_handler=f"() => navigator.clipboard.writeText({quoted})")
         copy.on("click", lambda: ui.notify("copied", position="bottom"))
-
-
-def _quoted(line: str) -> str:
-    import json
-
-    return json.dumps(line).replace("<", "\\u003c")
 
 
 @contextmanager

@@ -131,23 +131,25 @@ def _same(a: Series | None, b: Series) -> bool:
 
 def map_plot(
     tracks: Mapping[str, Series], title: str, *, points: tuple[str, ...] = (), height: int = 340
-) -> Any:
+) -> ui.plotly:
     """Draw tracks east and north, m; those in ``points`` as points."""
-    traces: list[dict[str, Any]] = []
-    for color, (label, track) in zip((GREEN, *COLORS), tracks.items(), strict=False):
-        x, y = thinned(*track)
-        mode = (
-            {"mode": "markers", "marker": {"color": color, "size": 4}}
-            if label in points
-            else {"mode": "lines"}
-        )
-        traces.append({"x": numbers(x, 2), "y": numbers(y, 2), "name": label, "type": "scatter", **mode})
-        if label not in points:
-            traces[-1]["line"] = {"color": color, "width": 2}
     x_axis = AXIS | {"title": {"text": "east, m"}}
     y_axis = AXIS | {"title": {"text": "north, m"}, "scaleanchor": "x"}
     layout = base_layout(height) | {"xaxis": x_axis, "yaxis": y_axis, "uirevision": title, "dragmode": "zoom"}
-    return _plot({"data": traces, "layout": layout, "config": CONFIG}, f"{title}; {', '.join(tracks)}")
+    figure = {"data": track_traces(tracks, points), "layout": layout, "config": CONFIG}
+    return _plot(figure, f"{title}; {', '.join(tracks)}")
+
+
+def track_traces(tracks: Mapping[str, Series], points: tuple[str, ...] = ()) -> list[dict[str, Any]]:
+    """The lines and points of a map."""
+    traces: list[dict[str, Any]] = []
+    for color, (label, track) in zip((GREEN, *COLORS), tracks.items(), strict=False):
+        x, y = thinned(*track)
+        looks = {"mode": "lines", "line": {"color": color, "width": 2}}
+        if label in points:
+            looks = {"mode": "markers", "marker": {"color": color, "size": 4}}
+        traces.append({"x": numbers(x, 2), "y": numbers(y, 2), "name": label, "type": "scatter", **looks})
+    return traces
 
 
 def fixes_of(drive: Drive) -> dict[str, Series]:
@@ -156,9 +158,16 @@ def fixes_of(drive: Drive) -> dict[str, Series]:
     return {"fixes": (drive.gps.x, drive.gps.y)} | truth
 
 
-def curves(lines: Mapping[str, Series], title: str, x: str, y: str, height: int = 260) -> Any:
+def curves(lines: Mapping[str, Series], title: str, x: str, y: str, height: int = 260) -> ui.plotly:
     """Draw curves of few points."""
-    data = [
+    axes = {"xaxis": AXIS | {"title": {"text": x}}, "yaxis": AXIS | {"title": {"text": y}}}
+    layout = base_layout(height) | axes | {"uirevision": title}
+    return _plot({"data": curve_traces(lines), "layout": layout, "config": CONFIG}, title)
+
+
+def curve_traces(lines: Mapping[str, Series]) -> list[dict[str, Any]]:
+    """The lines of curves of few points."""
+    return [
         {
             "x": numbers(a),
             "y": numbers(b),
@@ -169,11 +178,12 @@ def curves(lines: Mapping[str, Series], title: str, x: str, y: str, height: int 
         }
         for color, (label, (a, b)) in zip(COLORS * 4, lines.items(), strict=False)
     ]
-    layout = base_layout(height) | {
-        "xaxis": AXIS | {"title": {"text": x}},
-        "yaxis": AXIS | {"title": {"text": y}},
-    }
-    return _plot({"data": data, "layout": layout | {"uirevision": title}, "config": CONFIG}, title)
+
+
+def redraw(plot: ui.plotly, traces: list[dict[str, Any]]) -> None:
+    """Replace the lines of a plot."""
+    cast("dict[str, Any]", plot.figure)["data"] = traces
+    plot.update()
 
 
 def base_layout(height: int) -> dict[str, Any]:

@@ -42,6 +42,16 @@ class Run:
     version: int = 0
     drawn_at: float = 0.0
 
+    @property
+    def state(self) -> str:
+        """What it is doing."""
+        if self.error or self.ended:
+            return "failed" if self.error else "done"
+        if self.stopping:
+            return "stopping"
+        done = self.progress is not None and self.progress.done == self.progress.total
+        return "last checks" if done else "running" if self.progress else "compiling"
+
     def advance(self, progress: Progress) -> bool:
         """Note the progress; False stops the tuning."""
         self.history.setdefault(progress.trial, []).append(progress.best_cost)

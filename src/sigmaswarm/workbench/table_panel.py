@@ -25,12 +25,19 @@ def show_table(page: "LogPage", look: Look, glance: Glance, uses: Uses) -> None:
     """Show a table that can be folded; those in use are open."""
     used = [r for r in glance.ranges if (glance.table, r.column) in uses]
     rest = [r for r in glance.ranges if (glance.table, r.column) not in uses]
-    roles = dict.fromkeys(NAMES[t.partition(".")[0]] for r in used for t, _ in uses[glance.table, r.column])
+    roles: dict[str, list[str]] = {}
+    for target in dict.fromkeys(t for r in used for t, _ in uses[glance.table, r.column]):
+        role, _, name = target.partition(".")
+        roles.setdefault(NAMES[role], []).append(name.replace("t", "time") if name == "t" else name)
+    said = "; ".join(f"{role}: {', '.join(sorted(names))}" for role, names in roles.items())
     rows = f"{glance.rows} rows" if glance.rows is not None else ""
     rate = f"{glance.rate:.4g} Hz" if glance.rate else ""
     about = ", ".join(filter(None, (glance.kind, rows, rate, f"{len(glance.ranges)} columns")))
-    heading = f"{glance.table}  ({', '.join(roles) or 'not used'})"
-    with ui.expansion(heading, caption=about, value=bool(used) or len(look.tables) == 1).classes("card"):
+    heading = f"{glance.table}: {said or 'not used'}"
+    unsure = page.drive is None and (bool(used) or len(look.tables) == 1)
+    fold = ui.expansion(heading, caption=about, value=unsure or glance.table in page.unfolded).classes("card")
+    fold.on_value_change(lambda event: _folded(page, glance.table, open_=event.value))
+    with fold:
         with ui.element("div").classes("columns"):
             for shown in [*used, *rest][:MOST_COLUMNS]:
                 _column(page, look, glance, shown, uses)
@@ -40,6 +47,10 @@ def show_table(page: "LogPage", look: Look, glance: Glance, uses: Uses) -> None:
         if len(first) and (names := first.columns[:12]):
             with ui.expansion("First rows").classes("soft"):
                 table(names, [[_cell(row[name]) for name in names] for row in first.to_dicts()])
+
+
+def _folded(page: "LogPage", table_: str, *, open_: bool) -> None:
+    (page.unfolded.add if open_ else page.unfolded.discard)(table_)
 
 
 def _cell(value: Any) -> str:
@@ -80,7 +91,7 @@ def _column(page: "LogPage", look: Look, glance: Glance, shown: Range, uses: Use
             )
             pick.on_value_change(partial(_unit_chosen, page, target, shown.column))
             field = ui.input("Expression", value=expression).classes("field").props("dense")
-            field.on("change", lambda: page.express(target, field.value))
+            field.on("change", lambda: page.express(target, field.value or ""))
         for also, text_of in found[1:]:
             ui.label(f"also {TARGETS[also]} = {text_of}").classes("about")
         for sentence in _faults(page, look, glance, shown.column, target):

@@ -3,15 +3,15 @@
 import shlex
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import FilterParameters
 from sigmaswarm.exports.trajectory import time_origin_of, write_estimate
 from sigmaswarm.files import make_folder
 from sigmaswarm.tuning.record import FILE
-from sigmaswarm.workbench.parts import button, card, command, link, message, start, text
-from sigmaswarm.workbench.state import Workbench, attempt
+from sigmaswarm.workbench.parts import aside, button, card, command, link, message, start, text
+from sigmaswarm.workbench.state import Workbench
 
 BUILD = (
     "cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay && ./replay < replay.csv > estimate.csv"
@@ -121,7 +121,7 @@ class TakePage:
         start(self._work(target))
 
     async def _work(self, target: str) -> None:
-        good, wrong = await run.io_bound(attempt, self._write, target)
+        good, wrong = await aside(self._write, target)
         self.said[target], self.waiting = (good or "", wrong), ""
         self.content.refresh()
 

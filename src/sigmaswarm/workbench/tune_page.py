@@ -1,10 +1,11 @@
 """Step 3: tune a filter, watch it, stop and resume it, and compare tunings."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
-from nicegui import run, ui
+from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Drive, FilterParameters, Tuning
@@ -12,8 +13,10 @@ from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.workbench.parts import button, card, link, message, number, start, table, text
-from sigmaswarm.workbench.plots import curves, fixes_of, map_plot
+from sigmaswarm.tuning.store import saved_history
+from sigmaswarm.wording import counted
+from sigmaswarm.workbench.parts import aside, button, card, link, message, number, start, table, text
+from sigmaswarm.workbench.plots import curve_traces, curves, fixes_of, map_plot, redraw, track_traces
 from sigmaswarm.workbench.runs import Run, Runs, best_so_far
 from sigmaswarm.workbench.state import CHECKED, Workbench, attempt
 
@@ -45,19 +48,29 @@ class TunePage:
 
     def content(self) -> None:
         """Show the step."""
+        if self.plan and not self.why and not self.waiting:
+            self._explain()
         self._setup()
-        self._running()
+        cards = ui.element("div")
         self._finished()
-        seen: list[Any] = [None]
+        updates: dict[str, Callable[[], None]] = {}
+        shown: list[Any] = [None]
 
         def look() -> None:
-            now = [(r.name, r.version, r.ended) for r in self.runs.runs.values()]
-            if now != seen[0]:
-                ended = seen[0] is not None and [n[2] for n in now] != [n[2] for n in seen[0]]
-                seen[0] = now
-                self._running.refresh()
-                if ended:
-                    self._finished.refresh()
+            now = (
+                [(r.name, r.ended, r.error) for r in self.runs.runs.values()],
+                self.bench.unfinished,
+                self.wrong,
+            )
+            if now != shown[0]:
+                self._finished.refresh()
+                shown[0] = now
+                cards.clear()
+                with cards:
+                    updates.clear()
+                    updates.update(self._cards())
+            for update in updates.values():
+                update()
 
         ui.timer(REFRESH, look)
 
@@ -93,39 +106,42 @@ class TunePage:
                     size = ui.number(key, value=options.get(key, usual), min=0, step=1, precision=0).style(
                         "width: 110px"
                     )
-                    size.on("change", lambda key=key, size=size: self._set(key, int(size.value or 0)))
+                    size.on("change", partial(self._sized, key, size))
             message(self.waiting, "wait")
             message(self.wrong, "bad")
             for sentence in self.why:
                 text("p", sentence)
-            with ui.element("div").classes("row"):
-                button("What will be tuned, and why", self._explain, "help_outline")
-                begin = button("Start", self._begin, "play_arrow", main=True)
-                begin.set_enabled(not self.waiting)
+            begin = button("Start", self._begin, "play_arrow", main=True)
+            begin.set_enabled(not self.waiting)
 
     def _planned(self, name: str, value: str) -> None:
         self.bench.choices.setdefault("plan", {})[name] = value
-        self.why = []
-        self.bench.save()
-        self._setup.refresh()
+        self._changed()
 
     def _set(self, key: str, value: Any) -> None:
         self.bench.choices.setdefault("options", {})[key] = value
-        self.why = []
-        self.bench.save()
+        self._changed()
+
+    def _sized(self, key: str, size: ui.number) -> None:
+        self._set(key, int(size.value or 0))
 
     @property
     def _options(self) -> dict[str, Any]:
         return {key: value for key, value in self.bench.choices.get("options", {}).items() if value != ""}
 
     def _explain(self) -> None:
+        """State what will be tuned, and why; the drives are read in the background."""
         self.waiting = "reading the drives"
-        self._setup.refresh()
         start(self._explained())
 
     async def _explained(self) -> None:
-        why, self.wrong = await run.io_bound(attempt, self._reasons)
+        why, self.wrong = await aside(self._reasons)
         self.why, self.waiting = why or [], ""
+        self._setup.refresh()
+
+    def _changed(self) -> None:
+        self.bench.save()
+        self._explain()
         self._setup.refresh()
 
     def _reasons(self) -> list[str]:
@@ -151,7 +167,7 @@ class TunePage:
             "tunings",
             "+".join(n.removesuffix(CHECKED) for n, w in self.plan.items() if w in (TRAIN, SPLIT))[:40],
         )
-        parts, wrong = await run.io_bound(attempt, self._drives)
+        parts, wrong = await aside(self._drives)
         if parts and not wrong:
             drives, held = parts
             self.bench.choices.setdefault("tunings", {})[name] = {
@@ -162,7 +178,6 @@ class TunePage:
             self.runs.begin(name, drives, held, self._options)
         self.wrong, self.waiting = wrong, ""
         self._setup.refresh()
-        self._running.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
         """Read the drives; split those that are to be split, as `sigmaswarm split` does."""
@@ -179,62 +194,69 @@ class TunePage:
             raise sigmaswarm.InputError("no drive to tune on is chosen; tune on at least one")
         return drives, held
 
-    @ui.refreshable_method
-    def _running(self) -> None:
-        """Tunings of this server that run or failed, and those that wait to be resumed."""
-        message(self.wrong, "bad")
+    def _cards(self) -> dict[str, Callable[[], None]]:
+        """Show tunings that run or failed, and those that wait to be resumed; return what updates the former."""
         live = [r for r in self.runs.runs.values() if not r.ended or r.error]
-        for one in live:
-            self._run_card(one)
-        known = {r.name for r in live}
+        updates = {one.name: self._run_card(one) for one in live}
         for name in self.bench.unfinished:
-            if name not in known:
+            if name not in updates:
                 with card("warning"), ui.element("div").classes("row between"):
-                    history = attempt(self._saved, name)[0] or {}
-                    done = sum(map(len, history.values()))
-                    text("h3", f"{name}: not finished, {done} generations are saved")
+                    saved = attempt(saved_history, self.bench.path("tunings", name))[0] or {}
+                    done = counted(sum(map(len, saved.values())), "generation")
+                    text("h3", f"{name}: not finished, {done} saved")
                     button("Resume", lambda name=name: self._resume(name), "play_arrow", main=True)
-
-    def _saved(self, name: str) -> Mapping[int, list[float]]:
-        from sigmaswarm.tuning.store import saved_history
-
-        return saved_history(self.bench.path("tunings", name))
+        return updates
 
     def _resume(self, name: str) -> None:
         _, self.wrong = attempt(self.runs.resume, name)
-        self._running.refresh()
+        self._setup.refresh()
 
-    def _run_card(self, one: Run) -> None:
-        progress = one.progress
+    def _run_card(self, one: Run) -> Callable[[], None]:
+        """Show a tuning; return what brings the card up to date."""
         with card("warning" if one.error else ""):
             with ui.element("div").classes("row between"):
-                text(
-                    "h2",
-                    f"{one.name}: {'failed' if one.error else 'stopping' if one.stopping else 'running'}",
-                )
-                if not one.ended:
-                    stop = button("Stop", lambda: self._stop(one), "stop")
-                    stop.set_enabled(not one.stopping)
+                with ui.element("h2"):
+                    title = ui.label(one.name)
+                stop = button("Stop", lambda: self._stop(one), "stop")
+                stop.set_visibility(not one.ended)
             message(one.error, "bad")
-            if progress is None:
-                message("" if one.error else "compiling and reading", "wait")
-                return
-            share = progress.done / progress.total
-            bar = ui.linear_progress(value=share, show_value=False, size="10px")
-            bar.props(f'aria-label="{progress.done} of {progress.total} generations"')
+            bar = ui.linear_progress(value=0.0, show_value=False, size="10px")
+            bar.props('aria-label="generations" rounded')
             with ui.element("div").classes("figures"):
-                _figure("generation", f"{progress.done} of {progress.total}")
-                _figure("trial", f"{progress.trial + 1}")
-                _figure("best cost", number(progress.best_cost))
+                figures = [_figure(label) for label in ("generation", "trial", "best cost")]
             with ui.element("div").classes("grid"):
-                lines = {f"trial {n + 1}": best_so_far(h) for n, h in one.history.items()}
-                curves(lines, "Lowest cost", "generation", "cost")
-                tracks = fixes_of(one.shown_on)
-                if one.track is not None:
-                    tracks["best filter so far"] = one.track
-                map_plot(tracks, f"Held out: {one.shown_on.name}", points=("fixes",), height=260)
+                cost = curves({}, "Lowest cost", "generation", "cost")
+                track = map_plot({}, f"Held out: {one.shown_on.name}", height=260)
+            with ui.expansion("Parameters").classes("soft"):
+                parameters = ui.element("div")
+        shown = [-1]
+
+        def update() -> None:
+            if one.version == shown[0]:
+                return
+            shown[0] = one.version
+            progress = one.progress
+            title.text = f"{one.name}: {one.state}"
+            stop.set_enabled(not one.stopping)
+            redraw(cost, curve_traces({f"trial {n + 1}": best_so_far(h) for n, h in one.history.items()}))
+            best = {"best filter so far": one.track} if one.track is not None else {}
+            redraw(track, track_traces(fixes_of(one.shown_on) | best, points=("fixes",)))
+            if progress is None:
+                return
+            bar.value = progress.done / progress.total
+            values = (
+                f"{progress.done} of {progress.total}",
+                str(progress.trial + 1),
+                number(progress.best_cost),
+            )
+            for label, value in zip(figures, values, strict=True):
+                label.text = value
             if isinstance(progress.parameters, FilterParameters):
-                _parameters(progress.parameters)
+                parameters.clear()
+                with parameters:
+                    _parameters(progress.parameters)
+
+        return update
 
     def _stop(self, one: Run) -> None:
         one.stopping = True
@@ -271,10 +293,10 @@ class TunePage:
             link("Next: judge it", "judge")
 
 
-def _figure(label: str, value: str) -> None:
+def _figure(label: str) -> ui.label:
     with ui.element("div"):
         ui.label(label).classes("soft")
-        ui.label(value).classes("value")
+        return ui.label("-").classes("value")
 
 
 def _row(tuning: Tuning[Any]) -> list[str]:
@@ -294,5 +316,4 @@ def _parameters(parameters: FilterParameters) -> None:
     for name, value in parameters.to_dict().items():
         several = isinstance(value, list | tuple | np.ndarray)
         rows.append([name, ", ".join(f"{v:.4g}" for v in value) if several else str(value)])  # pyright: ignore
-    with ui.expansion("Parameters").classes("soft"):
-        table(["parameter", "value"], rows)
+    table(["parameter", "value"], rows)
