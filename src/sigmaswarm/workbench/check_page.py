@@ -52,7 +52,7 @@ class CheckPage:
             text("p", "No drive yet.")
             link("Make one of a log", "log")
             return
-        with ui.element("div").classes("row"):
+        with ui.element("div").classes("line"):
             pick = ui.select(self._originals(), label="Drive", value=self.name).classes("grow")
             pick.on_value_change(lambda event: self.open(event.value))
         if self._opened != self.name:
@@ -64,7 +64,7 @@ class CheckPage:
         self._done()
         self._findings()
         self._cut()
-        with ui.element("div").classes("row"):
+        with ui.element("div").classes("line"):
             link("Next: tune a filter on it", "tune")
 
     def open(self, name: str, *, show: bool = True) -> None:
@@ -144,7 +144,7 @@ class CheckPage:
     def _done(self) -> None:
         """The steps done so far, each with its way back."""
         for number, step in enumerate(self.steps):
-            with card("done"), ui.element("div").classes("row between"):
+            with card("done"), ui.element("div").classes("line between"):
                 said = f"repaired: {', '.join(step['repair'])}" if "repair" in step else _kept(step["keep"])
                 text("h3", said)
                 back = button("Take it back", lambda number=number: self.take_back(number), "undo")
@@ -156,7 +156,7 @@ class CheckPage:
             return
         with ui.element("div").classes("section"):
             serious = sum(finding.severity == "serious" for finding in diagnosis.findings)
-            with ui.element("div").classes("row between"):
+            with ui.element("div").classes("line between"):
                 text("h2", f"{counted(serious, 'serious finding')}" if serious else "Nothing serious")
                 mendable = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None))
                 if len(mendable) > 1:
@@ -172,8 +172,8 @@ class CheckPage:
 
     def _card(self, finding: Finding) -> None:
         with card(finding.severity):
-            with ui.element("div").classes("row between"):
-                with ui.element("div").classes("row"):
+            with ui.element("div").classes("line between"):
+                with ui.element("div").classes("line"):
                     ui.label(finding.severity).classes(f"tag {finding.severity}")
                     text("h3", finding.code)
                 self._ways(finding)
@@ -197,7 +197,7 @@ class CheckPage:
             steps |= {f"Keep from {at:g} s": {"keep": [at, last + 1]}}
             if at - first > SHORTEST:
                 steps |= {f"Keep until {at:g} s": {"keep": [first, at]}}
-        with ui.element("div").classes("row"):
+        with ui.element("div").classes("line"):
             for label, step in steps.items():
                 icon = "build" if "repair" in step else "content_cut"
                 mend = button(label, lambda step=step: self.add(step), icon, main=True)
@@ -213,7 +213,7 @@ class CheckPage:
             with ui.element("div").classes("grid"):
                 with ui.element("div"):
                     low, high = float(time[0]), float(time[-1])
-                    with ui.element("div").classes("row"):
+                    with ui.element("div").classes("line"):
                         begin = ui.number("from, s", value=round(low, 2)).classes("grow")
                         end = ui.number("to, s", value=round(high + 0.01, 2)).classes("grow")
 

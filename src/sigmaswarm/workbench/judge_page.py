@@ -35,7 +35,7 @@ class JudgePage:
             chosen["drives"] = self._held(tunings[-1])
         with card():
             text("h2", "Judge a filter")
-            with ui.element("div").classes("row"):
+            with ui.element("div").classes("line"):
                 filter_ = ui.select(tunings, label="Filter", value=chosen["tuning"]).classes("grow")
                 filter_.on_value_change(
                     lambda event: self._choose(tuning=event.value, drives=self._held(event.value))
@@ -105,7 +105,7 @@ class JudgePage:
         chosen = self.bench.choices.get("evaluation")
         shown = chosen if chosen in names else names[-1]
         with ui.element("div").classes("section"):
-            with ui.element("div").classes("row"):
+            with ui.element("div").classes("line"):
                 pick = ui.select(names, label="Evaluation", value=shown).classes("grow")
                 pick.on_value_change(lambda event: self._show(event.value))
                 link("Open the page alone", f"report/evaluations/{shown}")

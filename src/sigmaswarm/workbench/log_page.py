@@ -1,6 +1,8 @@
 """Step 1: what is in a log, and how it becomes a drive."""
 
 import asyncio
+import shlex
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,7 @@ from nicegui import ui
 from nicegui.events import MultiUploadEventArguments
 
 import sigmaswarm
-from sigmaswarm import Drive, InputError
+from sigmaswarm import Drive, InputError, write_drive
 from sigmaswarm.doctor.agreements import Agreement, agreements
 from sigmaswarm.importing.look import Look
 from sigmaswarm.importing.mounting import find_mount
@@ -17,7 +19,7 @@ from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.mounting_panel import MountingPanel
 from sigmaswarm.workbench.parts import aside, button, card, command, link, message, start, text
 from sigmaswarm.workbench.plots import agreement_plot, fixes_of, map_plot
-from sigmaswarm.workbench.state import MOST_UPLOADED, NAME, Workbench, attempt
+from sigmaswarm.workbench.state import CHECKED, MOST_UPLOADED, NAME, Workbench, attempt
 from sigmaswarm.workbench.table_panel import show_table
 
 SHOWN_FIRST = ("gravity", "turning", "forward")
@@ -68,7 +70,7 @@ class LogPage:
         with card():
             if sources:
                 chosen = self.bench.choices.get("log")
-                with ui.element("div").classes("row"):
+                with ui.element("div").classes("line"):
                     options = {"": "choose a log", **sources}
                     pick = ui.select(options, label="Log", value=chosen if chosen in sources else "").classes(
                         "grow"
@@ -186,8 +188,6 @@ class LogPage:
 
     def _propose(self) -> None:
         """Take the proposal's options as choices."""
-        import shlex
-
         words, choices = shlex.split(self.look.proposal if self.look else ""), self.bench.log_choices
         key = ""
         for word in words:
@@ -229,30 +229,33 @@ class LogPage:
         """Name the drive and write it."""
         if (log := self.bench.log) is None or self.look is None:
             return
-        chosen = self.bench.log_choices.get("name")
-        name = chosen or self.bench.free("drives", log.stem).removesuffix(".")
+        made = self.bench.log_choices.get("made", "")
+        name = self.bench.log_choices.get("name") or self.bench.free("drives", log.stem)
+        again = bool(made) and made == name
         with card():
             text("h2", "Make a drive of it")
-            with ui.element("div").classes("row end"):
+            with ui.element("div").classes("line end"):
                 field = ui.input("Name of the drive", value=name).classes("grow")
                 field.on("change", lambda: self.choose(name=field.value))
-                make = button("Make the drive", lambda: self._make(field.value or ""), "check", main=True)
-                make.set_enabled(self.drive is not None)
+                label = "Make the drive again" if again else "Make the drive"
+                make = button(label, lambda: self._make(field.value or "", again=again), "check", main=True)
+                make.set_enabled(self.drive is not None and not self.waiting)
             ui.element("div").style("height: 12px")
             command(columns.command_of(log, self.bench.folder / "drives" / name, self.bench.log_choices))
             if self.done:
                 link("Next: check it", "check")
 
-    def _make(self, name: str) -> None:
+    def _make(self, name: str, *, again: bool) -> None:
+        """Write the drive; one that was made of this log before is replaced, and its repairs with it."""
         if self.drive is None:
             return
-        from dataclasses import replace
-
         path, wrong = attempt(self.bench.path, "drives", name)
         if path is not None:
-            _, wrong = attempt(sigmaswarm.write_drive, replace(self.drive, name=name), path)
+            _, wrong = attempt(write_drive, replace(self.drive, name=name), path, overwrite=again)
         self.wrong, self.done = wrong, "" if wrong else f"wrote drives/{name}; check it next"
         if not wrong:
+            self.bench.remove("drives", name + CHECKED)
+            self.bench.log_choices.update(name=name, made=name)
             self.bench.choices["drive"] = name
             self.bench.save()
         self.refresh()

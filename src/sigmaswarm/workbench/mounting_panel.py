@@ -46,7 +46,7 @@ class MountingPanel:
                 picture = ui.html(sketch(rotation), sanitize=False)
                 with ui.element("div"):
                     sliders = ui.element("div")
-                    with ui.element("div").classes("row end"):
+                    with ui.element("div").classes("line end"):
                         field = ui.input("As an option: 90, or 0,10,90, or x=-y,y=x", value=self._mount)
                         field.classes("grow").on(
                             "change", lambda: self.page.choose(mount=(field.value or "").strip())
@@ -78,7 +78,7 @@ class MountingPanel:
             self.page.choose(mount=field.value)
 
         for name, angle in zip(ANGLES, angles, strict=True):
-            with ui.element("div").classes("row"):
+            with ui.element("div").classes("line"):
                 label = ui.label().style("width: 92px")
                 slider = ui.slider(min=-180, max=180, step=1, value=angle).classes("grow")
                 slider.props(f'aria-label="{name}, degrees"').on_value_change(moved)

@@ -60,7 +60,7 @@ class TakePage:
             self.chosen["tuning"] = tunings[-1]
         if self.chosen.get("drive") not in drives:
             self.chosen["drive"] = drives[-1] if drives else ""
-        with ui.element("div").classes("row"):
+        with ui.element("div").classes("line"):
             for key, label, names in (("tuning", "Filter", tunings), ("drive", "Drive to replay", drives)):
                 pick = ui.select(names, label=label, value=self.chosen[key] or None).classes("grow")
                 pick.on_value_change(lambda event, key=key: self._choose(key, event.value))
@@ -72,7 +72,7 @@ class TakePage:
         with card():
             text("h2", "Trajectories")
             text("p", "The filter's estimates over the drive. Maps need a drive with degrees.", "soft")
-            with ui.element("div").classes("row end"):
+            with ui.element("div").classes("line end"):
                 ending = ui.select(ENDINGS, label="Format", value=self.chosen.get("ending", ".csv")).classes(
                     "grow"
                 )
@@ -97,7 +97,7 @@ class TakePage:
         return self.bench.path("exports", f"{self.chosen['tuning']}-{target}")
 
     def _head(self, target: str, title: str, needs: str) -> None:
-        with ui.element("div").classes("row between"):
+        with ui.element("div").classes("line between"):
             text("h2", title)
             write = button(f"Write {title}", lambda: self._begin(target), "download", main=True)
             write.set_enabled(not self.waiting)

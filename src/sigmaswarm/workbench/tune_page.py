@@ -99,7 +99,7 @@ class TunePage:
                 pick = ui.select([TRAIN, SPLIT, HOLD, LEAVE], label=name, value=value)
                 pick.on_value_change(lambda event, name=name: self._planned(name, event.value))
             options = self.bench.choices.setdefault("options", {})
-            with ui.element("div").classes("row"):
+            with ui.element("div").classes("line"):
                 model = ui.select(MODELS, label="Filter", value=options.get("model", "")).classes("grow")
                 model.on_value_change(lambda event: self._set("model", event.value))
                 for key, usual in SIZES.items():
@@ -200,7 +200,7 @@ class TunePage:
         updates = {one.name: self._run_card(one) for one in live}
         for name in self.bench.unfinished:
             if name not in updates:
-                with card("warning"), ui.element("div").classes("row between"):
+                with card("warning"), ui.element("div").classes("line between"):
                     saved = attempt(saved_history, self.bench.path("tunings", name))[0] or {}
                     done = counted(sum(map(len, saved.values())), "generation")
                     text("h3", f"{name}: not finished, {done} saved")
@@ -214,12 +214,15 @@ class TunePage:
     def _run_card(self, one: Run) -> Callable[[], None]:
         """Show a tuning; return what brings the card up to date."""
         with card("warning" if one.error else ""):
-            with ui.element("div").classes("row between"):
+            with ui.element("div").classes("line between"):
                 with ui.element("h2"):
                     title = ui.label(one.name)
                 stop = button("Stop", lambda: self._stop(one), "stop")
                 stop.set_visibility(not one.ended)
             message(one.error, "bad")
+            if one.error and one.progress is None:
+                title.text = f"{one.name}: {one.state}"
+                return lambda: None
             bar = ui.linear_progress(value=0.0, show_value=False, size="10px")
             bar.props('aria-label="generations" rounded')
             with ui.element("div").classes("figures"):
