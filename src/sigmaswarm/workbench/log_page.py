@@ -20,7 +20,7 @@ from sigmaswarm.workbench.mounting_panel import MountingPanel
 from sigmaswarm.workbench.parts import aside, button, card, command, link, message, start, text
 from sigmaswarm.workbench.plots import agreement_plot, fixes_of, map_plot
 from sigmaswarm.workbench.state import CHECKED, MOST_UPLOADED, NAME, Workbench, attempt
-from sigmaswarm.workbench.table_panel import show_table
+from sigmaswarm.workbench.table_panel import TablePanel
 
 SHOWN_FIRST = ("gravity", "turning", "forward")
 
@@ -34,7 +34,7 @@ class LogPage:
         self.drive: Drive | None = None
         self.found: tuple[Agreement, ...] = ()
         self.wrong = self.waiting = self.done = ""
-        self.unfolded: set[str] = set()
+        self.panels: list[TablePanel] = []
         self.mounting = MountingPanel(self)
         self._opened: Path | None = None
         self._asked = 0
@@ -45,6 +45,7 @@ class LogPage:
             self.reread()
         self._pick()
         self._status()
+        self._notes()
         self._tables()
         self.mounting.show()
         self._agreement()
@@ -52,7 +53,17 @@ class LogPage:
 
     def refresh(self) -> None:
         """Show what has changed, in all tabs."""
-        for part in (self._status, self._tables, self._agreement, self._finish):
+        same = self.look is not None and [p.glance.table for p in self.panels] == [
+            g.table for g in self.look.tables
+        ]
+        if self.look is not None and same:
+            uses = columns.uses_of(self.look)
+            for panel in self.panels:
+                panel.update(self.look, uses)
+        else:
+            self.panels = [TablePanel(self, self.look, g) for g in self.look.tables] if self.look else []
+            self._tables.refresh()
+        for part in (self._status, self._notes, self._agreement, self._finish):
             part.refresh()
         if self.mounting.shown != (self.look is not None, self.bench.log_choices.get("mount", "")):
             self.mounting.show.refresh()
@@ -61,6 +72,8 @@ class LogPage:
     def _status(self) -> None:
         message(self.waiting, "wait")
         message(self.wrong, "bad")
+        if self.wrong and self.look and self.look.tables:
+            text("p", "Choose below what each column is used for; the log is read again after every choice.")
         message(self.done, "good")
 
     @ui.refreshable_method
@@ -122,7 +135,7 @@ class LogPage:
         """Open another log."""
         self.bench.choices["log"] = path
         self.bench.save()
-        self.look, self.drive, self.found, self.wrong, self.done = None, None, (), "", ""
+        self.look, self.drive, self.found, self.panels, self.wrong, self.done = None, None, (), [], "", ""
         self._pick.refresh()
         self.reread()
         self.refresh()
@@ -170,7 +183,8 @@ class LogPage:
             self.refresh()
 
     @ui.refreshable_method
-    def _tables(self) -> None:
+    def _notes(self) -> None:
+        """Assumptions of the import, and a proposal for what was not recognized."""
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
@@ -182,9 +196,11 @@ class LogPage:
                     text("p", f"Not recognized by itself, but the names suggest: {look.proposal}")
                     text("p", look.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
-            uses = columns.uses_of(look)
-            for glance in look.tables:
-                show_table(self, look, glance, uses)
+
+    @ui.refreshable_method
+    def _tables(self) -> None:
+        for panel in self.panels:
+            panel.show()
 
     def _propose(self) -> None:
         """Take the proposal's options as choices."""

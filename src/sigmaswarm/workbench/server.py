@@ -90,6 +90,7 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((HOST, port))
+        listening.listen()
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror or error}; leave it out, or name another") from None
     token, port = secrets.token_urlsafe(24), listening.getsockname()[1]
@@ -109,7 +110,9 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
     print(f"workbench: {address}\nfolder:    {bench.folder}\nstop with Ctrl+C; nothing is lost", flush=True)
     if browse:
         webbrowser.open(address)
-    config = uvicorn.Config(Guard(app, token, port), log_level="error", ws_max_size=16_000_000)
+    config = uvicorn.Config(
+        Guard(app, token, port), log_level="error", ws_max_size=16_000_000, timeout_graceful_shutdown=2
+    )
     try:
         uvicorn.Server(config).run(sockets=[listening])
     finally:
