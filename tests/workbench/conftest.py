@@ -54,7 +54,10 @@ class Served:
     def end(self, how: signal.Signals = signal.SIGINT) -> int:
         if self.process.poll() is None:
             os.kill(self.process.pid, how)
-        return self.process.wait(30)
+        code = self.process.wait(30)
+        if self.process.stdout:
+            self.process.stdout.close()
+        return code
 
 
 @pytest.fixture
