@@ -4,12 +4,15 @@
   const named = (e) => e.getAttribute("aria-label") || (e.closest("label") || e).innerText.split("\n")[0];
   document.addEventListener("focusin", (e) => { last = e.target; name = named(last); });
   const restore = () => {
+    for (const add of document.querySelectorAll(".drop a.q-btn:not([aria-label])")) {
+      add.setAttribute("aria-label", "Choose the files of a log");
+      add.querySelector("input").inert = true; // the link opens it
+    }
     if (!last || last.isConnected || document.activeElement !== document.body || !name) return;
     const same = [...document.querySelectorAll(last.tagName)].find((e) => named(e) === name && !e.disabled);
     if (same) same.focus({ preventScroll: true });
   };
-  addEventListener("DOMContentLoaded", () =>
-    new MutationObserver(restore).observe(document.body, { childList: true, subtree: true }));
+  new MutationObserver(restore).observe(document.documentElement, { childList: true, subtree: true });
 
   // A dropped folder is read here: browsers hand an uploader its files only one by one.
   window.droppedFolders = new Set();
