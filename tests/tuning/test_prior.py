@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm import Drive, run_batch, simulate, tune
-from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
-from sigmaswarm.tuning.prior import prior_costs, receiver_std
+from sigmaswarm.tuning.prior import prior_costs
 
 SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
 DRIVE = simulate("urban", duration=60.0, gps="white-1m")
@@ -86,7 +86,7 @@ def test_a_receiver_that_smooths_its_fixes_is_not_copied():
     )
     assert max(copied.parameters.measurement_noise) < 0.1**2
     assert min(held.parameters.measurement_noise) > 0.5**2
-    assert [r for r in held.remarks if "states no accuracy of its fixes, so R was held near" in r]
+    assert [r for r in held.remarks if "states no accuracy of its fixes, so R was kept near" in r]
     assert not [r for r in copied.remarks if "R was held" in r]
     other = simulate("urban", duration=60.0, gps="white-1m", seed=3)
     follows, knows = run_batch([other], [copied.parameters, held.parameters]).costs

@@ -205,7 +205,7 @@ def is_as_it_was(stop: Array, t: float, means: Array) -> bool:
 def fixes_stand(fixes: Array, kinds: Array, now: float) -> bool:
     """True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
 
-    None is after ``now``. ``kinds`` says what each is: see `frozen`. Repeats of a fix of a driving car show nothing.
+    None is after ``now``. ``kinds`` has the kind of each: see `frozen`. Repeats of a fix of a driving car show nothing.
     Behind an outage the window must fill up first: the slope of half of it is three times as noisy, and shows a car
     that departs, by an acceleration as steady as gravity, as standing.
     """

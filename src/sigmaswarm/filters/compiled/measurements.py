@@ -15,13 +15,14 @@ import math
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
+from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, see_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import C1, C2, KERNELS, LANES, Q0, SLOPE, UNSCENTED, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, SLOPE, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
+    ALONG,
     fold,
+    measure_along_tilted,
     measure_fix_tilted,
-    measure_lateral_tilted,
-    measure_odometer_tilted,
 )
 from sigmaswarm.filters.compiled.tilted12_unscented import (
     OUTPUTS,
@@ -30,6 +31,7 @@ from sigmaswarm.filters.compiled.tilted12_unscented import (
     measure_odometer_unscented,
 )
 from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED
 from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
 from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
@@ -48,7 +50,7 @@ def axis_of(bias):
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
-def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
+def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
     """A position fix of the antenna, a row of `Timeline.fixes`; ``since`` is Q's scale since the last fix.
 
     What no lane needs is left out; what other lanes need does not change a bit.
@@ -59,7 +61,12 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
         adapting += w[R.FORGETTING, l] < 1.0
         fuzzy += w[R.FUZZY, l] >= 0.0
         robust += w[R.DOF, l] > 0.0
+    if fix_error:
+        age_fix_error(w, z, since)
+        move_fix_error(w)
     _measure_fix(w, z, lever)
+    if fix_error:
+        see_fix_error(w)
     for l in range(LANES):
         inside = (_look(w, l) <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
         w[R.USE, l] = 1.0 if inside else 0.0
@@ -92,9 +99,12 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
     _keep_digits(w)
 
 
-def forecast_fix(w, z, lever, *, n):
+def forecast_fix(w, z, lever, since, *, n, fix_error):
     """A fix that the filter does not get to see: only its forecast is scored."""
     _measure_fix(w, z, lever)
+    if fix_error:
+        age_fix_error(w, z, since)
+        see_fix_error(w)
     for l in range(LANES):
         nis = _look(w, l)
         w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
@@ -104,7 +114,7 @@ def forecast_fix(w, z, lever, *, n):
 
 
 def _look(w, l):
-    """Add what a fix says of the filter's own S, before it is absorbed; gives its NIS."""
+    """Add a fix's NIS and likelihood to the sums, before the update; gives its NIS."""
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
     n1, n2 = w[R.N1, l], w[R.N2, l]
@@ -162,11 +172,11 @@ def _turn_lever(w, lever_x, lever_y):
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
 
-def _keep_digits(w, *, n, tilted, unscented):
+def _keep_digits(w, *, n, tilted, unscented, fix_error):
     """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
-    P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position, -latency at
-    the velocity and k J R(theta) lever at the heading; R is what S holds beside H P H^T.
+    P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position and at the
+    lasting error of fixes, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0
@@ -189,6 +199,9 @@ def _keep_digits(w, *, n, tilted, unscented):
             elif tilted:
                 x -= w[R.LEVER_UP, l] * w[at(j, R.J), l]
                 y += w[R.LEVER_UP, l] * w[at(j, R.I), l]
+            if fix_error:
+                x -= w[at(j, n - 2), l]
+                y -= w[at(j, n - 1), l]
             if j != R.Y:
                 w[at(j, R.X), l] = x if used else w[at(j, R.X), l]
             w[at(j, R.Y), l] = y if used else w[at(j, R.Y), l]
@@ -197,10 +210,10 @@ def _keep_digits(w, *, n, tilted, unscented):
 def _fade(w, *, n):
     """Strong tracking: stretch P so far that the recent size of the innovations is explained (FADING < 0: off).
 
-    After D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with
-    coloured noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things are not theirs.
-    The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look back. And
-    only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see would grow on.
+    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things
+    are not theirs. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly
+    look back. And only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see
+    would grow on.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -218,7 +231,7 @@ def _fade(w, *, n):
 
 
 def _reason(w, *, n):
-    """Scale R and Q by fuzzy rules on what the fix says of S (FUZZY < 0: off): see `filters.fuzzy`.
+    """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`.
 
     The factors in force are taken out of R and Q as the new ones are put in.
     """
@@ -274,8 +287,8 @@ def _weigh(w, since):
     """Student's t: the weight of a fix, whose R is divided by it (DOF = 0: off).
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012: with S = H P H^T + R / w and e = S^-1 nu, the residual after the
-    update is r = R / w e, its covariance A = R / w - R / w S^-1 R / w, and w = (dof + 2) / (dof + r^T R^-1 r +
+    the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the residual after the
+    update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
     tr R^-1 A), three times from w = 1.
 
     A filter that is wrong takes all fixes for outliers. So the fix that ends a run of them, long enough, has weight 1,
@@ -313,12 +326,12 @@ def _weigh(w, since):
 
 
 def _adapt(w, since, *, n):
-    """Adapt Q and R to what a fix says, with weight 1 - FORGETTING (1: off).
+    """Adapt Q and R to a fix's innovation, with weight 1 - FORGETTING (1: off).
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
     their weights (1 - b) / (1 - b^(k+1)). R from the residual after the update, eps eps^T + H P+ H^T, positive by
     construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which no negative value is taken. A second fix of the same
-    moment (since = 0) says nothing of Q.
+    time (since = 0) shows nothing about Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):
@@ -491,9 +504,12 @@ def _absorb_two(w, *, n, tilted):
         fold(w)
 
 
-def absorbers(name: str, note_prior=None):
-    """`forecast_fix` and the five `absorb_...` functions of a kernel's name; for `note_prior` see `tape`."""
-    model, unscented = KERNELS[name], int(name == UNSCENTED)
+def absorbers(name: str, note_prior=None, noted=0):
+    """`forecast_fix` and the five `absorb_...` functions of a kernel's name.
+
+    ``note_prior``: see `tape`; ``noted``: see `move_fix_error`.
+    """
+    model, unscented = FILTERS[name], int(name == UNSCENTED)
     ready = {
         "note_prior": note_prior,
         "n": len(model.states),
@@ -501,9 +517,12 @@ def absorbers(name: str, note_prior=None):
         "adaptive": int(name in ("planar5", "planar8", UNSCENTED)),
         "tilted": int(model.tilts is not None),
         "unscented": unscented,
+        "fix_error": int(model.fix_error),
+        "noted": noted,
     }
     parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _weigh)
     parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
+    parts += (age_fix_error, move_fix_error, see_fix_error) if model.fix_error else ()
     parts += () if ready["tilted"] else (_measure_fix,)
     if unscented:
         ready["_measure_fix"] = measure_fix_unscented
@@ -512,10 +531,10 @@ def absorbers(name: str, note_prior=None):
             measure_odometer_unscented,
         )
     elif ready["tilted"]:
-        ready["_measure_fix"] = measure_fix_tilted
+        ready["_measure_fix"] = kernel(measure_fix_tilted, n=ready["n"])
+        along = {"n": ready["n"], **ALONG["lateral"]}, {"n": ready["n"], **ALONG["odometer"]}
         ready["measure_lateral"], ready["measure_odometer"] = (
-            measure_lateral_tilted,
-            measure_odometer_tilted,
+            kernel(measure_along_tilted, **known) for known in along
         )
     else:
         for name, bias in (("lateral", model.gyro_bias), ("odometer", model.accel_bias)):
