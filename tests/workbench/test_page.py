@@ -35,7 +35,8 @@ def contrast_of(page: Any) -> list[str]:
 
 def tab_to(page: Any, name: str) -> None:
     """Press Tab until an element has the focus that is named so."""
-    focused = "(e => (e.closest('[role=slider]') || e).getAttribute('aria-label') || e.innerText)(document.activeElement)"
+    name_of = "e => e === document.body ? '' : e.getAttribute('aria-label') || e.innerText"
+    focused = f"({name_of})(document.activeElement.closest('[role=slider]') || document.activeElement)"
     for _ in range(60):
         page.keyboard.press("Tab")
         if any(line.startswith(name) for line in page.evaluate(focused).split("\n")):
