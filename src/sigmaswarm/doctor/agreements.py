@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.doctor.fixes import Course, course_of, jumps
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
@@ -13,6 +13,8 @@ from sigmaswarm.drives.frozen import frozen_fixes
 
 FEWEST = 8
 """Fixes from which a course is computed."""
+SLOWEST = 1.0
+"""m/s: slower, no course is shown."""
 SPAN = 2.0
 """s: mean of the specific force, so that vibration does not hide gravity."""
 RATE = 10.0
@@ -89,11 +91,13 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
         return
     good = ~jumps(time, position)
     course = course_of(time[good], position[good])
-    at, moving = course.time, course.moving
+    at, speed = course.time, np.abs(course.velocity)
+    moving = speed > max(SLOWEST, 6 * course.std)
+    moving &= (at > at[0] + course.span / 2) & (at < at[-1] - course.span / 2)  # no velocity at the ends
     if np.count_nonzero(moving) < FEWEST:
         return
-    yield _turning(drive, course)
-    span, speed = course.span, np.abs(course.velocity)
+    yield _turning(drive, course, moving)
+    span = course.span
     for key, title, values, expected in (
         ("forward", "Forward: ax and the change of speed", imu.ax, np.gradient(speed, at)),
         (
@@ -118,10 +122,10 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
         yield Agreement("course", "Course", "deg", {"receiver": theirs}, {"fixes": track})
 
 
-def _turning(drive: Drive, course: Course) -> Agreement:
+def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
     """The integral of gz, and the course in pieces without a stop, each placed on it: only its shape counts."""
-    imu, moving = drive.imu, course.moving
-    at, track = course.time[moving], course.angle[moving]
+    imu, at = drive.imu, course.time[moving]
+    track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))
     piece = np.cumsum(np.append(0, np.diff(np.flatnonzero(moving)) > 1))
     pieces = (piece[:, np.newaxis] == np.arange(piece[-1] + 1)).astype(np.float64)

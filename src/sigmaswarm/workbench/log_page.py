@@ -124,7 +124,7 @@ class LogPage:
             self.wrong = "a dropped file has a name that can't be used; rename it to letters, digits, - and _"
             self._status.refresh()
             return
-        name = self.bench.free("logs", Path(files[0].name).stem)
+        name = self.bench.free("logs", Path(files[0].name).stem if len(files) == 1 else "log")
         folder = self.bench.path("logs", name)
         folder.mkdir()
         for file in files:
