@@ -106,7 +106,7 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_text("wrote drives/log").wait_for()
     tab_to(page, "Next: check it")
     page.keyboard.press("Enter")
-    page.get_by_role("heading", name="Cut").wait_for()
+    page.get_by_role("heading", name="Cut", exact=True).wait_for()
     assert contrast_of(page) == []
     tab_to(page, "Next: tune")
     page.keyboard.press("Enter")

@@ -20,7 +20,8 @@ from support import make_drive
 expect = pytest.importorskip("playwright.sync_api").expect
 expect.set_options(timeout=60_000)
 DURATION = 60.0
-LOCATION = ("altitude", "horizontalAccuracy", "speed", "bearing")
+LOCATION = {"altitude": 100.0, "horizontalAccuracy": 2.0, "speed": -1.0, "bearing": -1.0}
+"""Columns of the fixes; negative ones are unknown."""
 
 
 def six_axes() -> Drive:
@@ -69,7 +70,7 @@ def phone(folder: Path) -> list[Path]:
         "TotalAcceleration": {"time": times["imu"], "z": imu.az, "y": imu.ax, "x": -imu.ay},
         "Gyroscope": {"time": times["imu"], "z": imu.gz, "y": imu.gx, "x": -imu.gy},
         "Location": {"time": times["gps"], "longitude": lon, "latitude": lat}
-        | dict.fromkeys(LOCATION, 0 * lat + 2),
+        | {n: 0 * lat + v for n, v in LOCATION.items()},
     }
     for name, columns in tables.items():
         pl.DataFrame(columns).write_csv(folder / f"{name}.csv")
