@@ -34,7 +34,7 @@ def with_imu(**columns: np.ndarray) -> Drive:
     [
         ("turning", 3.0, {"gz": -DRIVE.imu.gz}),
         ("turning", 3.0, {"gz": np.degrees(DRIVE.imu.gz)}),
-        ("forward", 0.8, {"ax": -DRIVE.imu.ax}),
+        ("forward", 0.7, {"ax": -DRIVE.imu.ax}),
         ("sideways", 0.5, {"ay": -DRIVE.imu.ay}),
         ("gravity", 2.0, {"ax": DRIVE.imu.ax + 9.8}),
     ],

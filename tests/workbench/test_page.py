@@ -98,8 +98,9 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_role("button", name="Make the drive").wait_for()
     assert contrast_of(page) == []
     tab_to(page, "yaw, degrees")
-    for _ in range(3):
+    for angle in (1, 2, 3):
         page.keyboard.press("ArrowRight")
+        page.get_by_text(f"yaw {angle}°").wait_for()
     expect(page.locator("pre")).to_contain_text("--mount=0,0,3")
     tab_to(page, "Make the drive")
     page.keyboard.press("Enter")

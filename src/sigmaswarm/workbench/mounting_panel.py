@@ -1,10 +1,12 @@
 """How the IMU sits in the vehicle: three angles, and a sketch that turns with them."""
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from nicegui import ui
+from nicegui.events import GenericEventArguments
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.importing.mounting import parse_mount
@@ -71,18 +73,20 @@ class MountingPanel:
             turned = ",".join(f"{slider.value:g}" for slider in sliders)
             picture.set_content(sketch(parse_mount(turned)))
 
-        def rested() -> None:
-            turned = ",".join(f"{slider.value:g}" for slider in sliders)
+        def rested(changed: int, event: GenericEventArguments) -> None:
+            values = [slider.value for slider in sliders]
+            values[changed] = float(event.args)  # the slider itself may learn of it later
+            turned = ",".join(f"{value:g}" for value in values)
             field.value = "" if turned == "0,0,0" else turned
             self.shown = True, field.value
             self.page.choose(mount=field.value)
 
-        for name, angle in zip(ANGLES, angles, strict=True):
+        for number, (name, angle) in enumerate(zip(ANGLES, angles, strict=True)):
             with ui.element("div").classes("line"):
                 label = ui.label().style("width: 92px")
                 slider = ui.slider(min=-180, max=180, step=1, value=angle).classes("grow")
                 slider.props(f'aria-label="{name}, degrees"').on_value_change(moved)
-                slider.on("change", rested, throttle=SETTLED, leading_events=False)
+                slider.on("change", partial(rested, number), throttle=SETTLED, leading_events=False)
                 label.bind_text_from(slider, "value", lambda value, name=name: f"{name} {value:g}°")
                 sliders.append(slider)
 
