@@ -93,6 +93,8 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the options of the tuning in a folder, as `tune` takes them, and its data: to resume it."""
     record = load_record(ConfigRecord, path / "config.json", "not written by a tuning", infinite=True)
     config = _with_current_names(record.model_extra)
+    if "start" in config:
+        raise InputError(f"{path}: was begun with a start; resume it with the command that began it")
     return config, config.pop("data", [])
 
 
