@@ -80,6 +80,17 @@ def test_two_faults_at_once():
     assert set(mended.metadata["repaired"]) == {"accelerometer-unit", "accelerometer-axes", "gyro-unit"}
 
 
+def test_only_some_findings_are_repaired():
+    good = drive_of("simulated")
+    sick = FAULTS["g"][0](FAULTS["deg/s"][0](good))
+    found = sigmaswarm.diagnose(sick)
+    mended = sigmaswarm.repair(sick, found, only=["gyro-unit"])
+    np.testing.assert_allclose(mended.imu.gz, good.imu.gz, atol=1e-12)
+    np.testing.assert_array_equal(mended.imu.ax, sick.imu.ax)
+    assert mended.metadata["repaired"] == ["gyro-unit"]
+    assert sigmaswarm.repair(sick, found, only=[]) is sick
+
+
 def test_jumps_of_the_clock_are_closed():
     """Two of them: the second one is named by a time that the first one has put off."""
     good = sigmaswarm.simulate("urban", gps="white-1m", duration=120, seed=3)
