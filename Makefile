@@ -28,6 +28,7 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
 	@echo "the command:  source $(BIN)/activate"
+	@echo "your own log: pip install -e '.[workbench]', then sigmaswarm workbench LOG opens it in the browser"
 
 install: $(VENV)/installed
 	@echo "installed; next: source $(BIN)/activate, then sigmaswarm --help"

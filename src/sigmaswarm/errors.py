@@ -19,6 +19,10 @@ class AlignmentError(DriveError):
     """No filter can start on the drive: too slow, too few fixes, or fixes that contradict the IMU."""
 
 
+class TuningStopped(SigmaswarmError):
+    """The progress callback stopped a tuning; with a folder it can be resumed."""
+
+
 class SigmaswarmWarning(UserWarning):
     """Something looks wrong, but the work continues."""
 

@@ -42,9 +42,15 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
     assert sigmaswarm("import", "monday", "--out", "drive").code == 0
     ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.ros2", "--beside", "monday")
     assert (ended.code, ended.err) == (0, "")
+    assert "Foxglove: import estimate.ros2/foxglove-layout.json as a layout" in ended.out
     with AnyReader([here / "monday"]) as before, AnyReader([here / "estimate.ros2"]) as after:
         counts = {topic: info.msgcount for topic, info in after.topics.items()}
         assert counts.pop("/sigmaswarm/odometry") > 1000
+        own = {topic: counts.pop(topic) for topic in [*counts] if topic.startswith("/sigmaswarm/")}
+        assert own.keys() == {
+            f"/sigmaswarm/{n}" for n in ("fix", "sigma", "innovation", "innovation_sigma", "nis")
+        }
+        assert min(own.values()) > 100
         assert counts == {topic: info.msgcount for topic, info in before.topics.items()}
         assert before.start_time <= after.start_time and after.end_time <= before.end_time
     ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.tum", "--beside", "monday")

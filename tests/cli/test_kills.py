@@ -221,7 +221,8 @@ def test_two_runs_into_one_bag(sigmaswarm, arguments):
     for said, code in ended:
         assert not code or "out/e.ros2: exists already" in said
     assert sorted(p.name for p in Path("out").iterdir()) == ["e.ros2"]
-    assert sorted(p.name for p in Path("out/e.ros2").iterdir()) == ["e.ros2.mcap", "metadata.yaml"]
+    found = sorted(p.name for p in Path("out/e.ros2").iterdir())
+    assert found == ["e.ros2.mcap", "foxglove-layout.json", "metadata.yaml"]
 
 
 def test_two_tunings_into_one_folder(drives: Path, here: Path):

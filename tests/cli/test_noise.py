@@ -34,7 +34,7 @@ def test_a_table_without_fixes(sigmaswarm, log: Path, here: Path):
     assert not list(here.iterdir())
 
 
-def test_files(sigmaswarm, log: Path, here: Path):
+def test_files(sigmaswarm, painted, log: Path, here: Path):
     ended = sigmaswarm("noise", log, "--to", "kalibr", "--out", "noise", "--json")
     found = json.loads(ended.out)
     assert {Path(p).name for p in found["written"]} == {"imu.yaml", "noise.json", "noise.png", "noise.svg"}

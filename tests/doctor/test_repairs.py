@@ -21,8 +21,8 @@ bias with it; an angle is found to about 2 deg."""
 
 @cache
 def drive_of(name: str) -> Drive:
-    if name == "simulated":
-        return sigmaswarm.simulate("urban", gps="white-1m")
+    if name.startswith("simulated"):
+        return sigmaswarm.simulate("urban", gps="white-1m", duration=100.0 if "short" in name else 180.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)
         return sigmaswarm.read_drive(DRIVES / name)
@@ -57,7 +57,7 @@ def check(name: str, fault: str) -> None:
 
 @pytest.mark.parametrize("fault", MENDABLE)
 def test_a_mended_simulated_drive(fault: str):
-    check("simulated", fault)
+    check("simulated" if "0.2 s" in fault else "simulated, short", fault)
 
 
 @needs_shared
@@ -78,6 +78,17 @@ def test_two_faults_at_once():
     np.testing.assert_allclose(mended.imu.ay, good.imu.ay, atol=1e-9)
     np.testing.assert_allclose(mended.imu.gz, good.imu.gz, atol=1e-12)
     assert set(mended.metadata["repaired"]) == {"accelerometer-unit", "accelerometer-axes", "gyro-unit"}
+
+
+def test_only_some_findings_are_repaired():
+    good = drive_of("simulated")
+    sick = FAULTS["g"][0](FAULTS["deg/s"][0](good))
+    found = sigmaswarm.diagnose(sick)
+    mended = sigmaswarm.repair(sick, found, only=["gyro-unit"])
+    np.testing.assert_allclose(mended.imu.gz, good.imu.gz, atol=1e-12)
+    np.testing.assert_array_equal(mended.imu.ax, sick.imu.ax)
+    assert mended.metadata["repaired"] == ["gyro-unit"]
+    assert sigmaswarm.repair(sick, found, only=[]) is sick
 
 
 def test_jumps_of_the_clock_are_closed():

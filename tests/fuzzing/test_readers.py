@@ -10,6 +10,7 @@ from fuzzing import records
 from fuzzing.check import break_files, check, copied
 from fuzzing.seeds import SEEDS
 from importing.test_datasets import imu_csv
+from sigmaswarm.drives.drive import Drive
 
 
 @pytest.mark.parametrize("name", SEEDS)
@@ -22,23 +23,23 @@ from importing.test_datasets import imu_csv
 )
 @given(data=st.data())
 def test_a_broken_log_is_refused_in_one_line_or_loses_only_what_is_broken(
-    name: str, sound: dict[str, tuple[Path, Path]], imu: Path, tmp_path: Path, data: st.DataObject
+    name: str, sound: dict[str, tuple[Path, Path, Drive]], imu: Path, tmp_path: Path, data: st.DataObject
 ):
     seed = SEEDS[name]
     if name not in sound:
         folder = imu.parent / name
         folder.mkdir()
-        sound[name] = folder, seed.write(folder)
-    folder, path = sound[name]
-    drive = seed.read(path, imu)
+        path = seed.write(folder)
+        sound[name] = folder, path, seed.read(path, imu)
+    folder, path, drive = sound[name]
     copy = copied(folder, path, tmp_path / "in")
     touched = break_files(data.draw, seed, tmp_path / "in")
     check(seed, copy, imu, drive, touched, tmp_path / "out")
 
 
 @pytest.fixture(scope="module")
-def sound() -> dict[str, tuple[Path, Path]]:
-    """The sound logs that are written, by their readers: the folder and the log."""
+def sound() -> dict[str, tuple[Path, Path, Drive]]:
+    """The sound logs that are written, by their readers: the folder, the log and its drive."""
     return {}
 
 

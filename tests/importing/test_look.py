@@ -54,3 +54,14 @@ def test_a_map_that_fails_is_a_note(tmp_path: Path):
     pl.DataFrame({"t": [0.0, 1.0], "q": [1.0, 2.0]}).write_csv(tmp_path / "log.csv")
     seen = look(Request(tmp_path / "log.csv", maps=["wheel=q"]))
     assert any("no column 'wheel'" in note for note in seen.notes)
+
+
+def test_a_look_has_rows_and_faults(tmp_path: Path):
+    """The first rows as they are, and the reasons not to read a column, with the column that they are about."""
+    drive, file = a_drive(), tmp_path / "log.csv"
+    counts = np.round(np.degrees(drive.imu.gz) * 131)
+    columns = {"t": drive.imu.time, "ax": drive.imu.ax, "ay": drive.imu.ay, "gz": counts}
+    pl.DataFrame(columns).write_csv(file)
+    found = look(Request(file))
+    assert found.rows["log.csv"]["gz"].to_list() == counts[: len(found.rows["log.csv"])].tolist()
+    assert {(fault.role, fault.column) for fault in found.faults} == {("imu", "gz")}

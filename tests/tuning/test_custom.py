@@ -2,8 +2,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 import time
 import tomllib
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -16,6 +14,7 @@ from scipy.optimize import minimize
 
 from custom_models import PARAMETERS, PENDULUM, SCALING, pendulum_log, point_log, point_model
 from filters.custom.test_run import exact_nll
+from processes import Process
 from sigmaswarm import InputError, Log, Tuning, run_model, tune
 from support import make_drive
 from tuning.test_resume import contents, generations_in, interrupted
@@ -175,11 +174,11 @@ tune(pendulum_log(), model=PENDULUM, out=sys.argv[1], **{KILLED})
 def test_killed_in_another_process_it_ends_here_in_the_same_bytes(tmp_path: Path):
     """The functions' identity is the same in every process, or it would not be resumed."""
     checkpoint = tmp_path / "killed" / "checkpoint-000.npz"
-    run = subprocess.Popen([sys.executable, "-c", PROGRAM, tmp_path / "killed"])
+    run = Process(PROGRAM, [tmp_path / "killed"])
     while generations_in(checkpoint) < 10:
         assert run.poll() is None, "it ended before it could be killed"
         time.sleep(0.002)
-    run.send_signal(signal.SIGKILL)
+    run.kill()
     assert run.wait() == -signal.SIGKILL
     assert not (tmp_path / "killed" / "trial-000").exists()
     tune(pendulum_log(), model=PENDULUM, out=tmp_path / "killed", resume=True, **KILLED)

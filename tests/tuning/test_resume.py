@@ -14,12 +14,13 @@ import pytest
 from processes import COMMAND, Process
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, TuningStopped
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
 from sigmaswarm.tuning.search import Progress
-from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
+from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint, saved_history, saved_options
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -55,6 +56,29 @@ def interrupted(drives: list[Drive], out: Path, at: int, *, resume: bool = False
 
     with pytest.raises(Interruption):
         tune(drives, out=out, resume=resume, progress=stop, **options)
+
+
+def test_the_callback_stops_a_tuning(tmp_path: Path):
+    """It ends with an error that names the way on; what is saved is enough to resume without the options."""
+    seen: list[Progress] = []
+
+    def stop(progress: Progress) -> bool:
+        seen.append(progress)
+        return progress.done < 3
+
+    with pytest.raises(TuningStopped, match="3 of 12 generations"):
+        tune(DRIVES, out=tmp_path, progress=stop, **OPTIONS)
+    assert [p.done for p in seen] == [1, 2, 3]
+    options, data = saved_options(tmp_path)
+    assert [one["name"] for one in data] == [drive.name for drive in DRIVES]
+    assert saved_history(tmp_path) == {0: [p.best_cost for p in seen]}
+    finished = tune(DRIVES, out=tmp_path, resume=True, **options)
+    assert finished.cost == tune(DRIVES, **OPTIONS).cost
+    history = saved_history(tmp_path)
+    assert [len(best) for best in history.values()] == [6, 6]
+    assert history[0][2] == seen[-1].best_cost
+    alone = tune(DRIVES, **OPTIONS | {"generations": 3, "trials": 1})
+    assert seen[-1].parameters == alone.parameters
 
 
 @pytest.fixture(scope="module")
@@ -316,3 +340,11 @@ def test_the_configuration_says_what_was_asked(started: Path):
     config = json.loads((started / "config.json").read_text())
     assert OPTIONS.items() <= config.items()
     assert [d["name"] for d in config["data"]] == ["d0", "d1"]
+
+
+def test_a_search_from_a_start_is_resumed_with_the_same_bits(tmp_path: Path):
+    options = {**OPTIONS, "trials": 1, "start": replace(DEFAULTS, nominal_interval=0.01)}
+    tune(DRIVES, out=tmp_path / "whole", **options)
+    interrupted(DRIVES, tmp_path / "killed", 2, **options)
+    tune(DRIVES, out=tmp_path / "killed", resume=True, **options)
+    assert contents(tmp_path / "killed") == contents(tmp_path / "whole")

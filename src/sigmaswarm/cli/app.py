@@ -30,6 +30,7 @@ from sigmaswarm.cli.simulate import simulate
 from sigmaswarm.cli.split import split
 from sigmaswarm.cli.study import study
 from sigmaswarm.cli.tune import tune
+from sigmaswarm.cli.workbench import workbench
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 
 app = App(
@@ -47,6 +48,8 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
 
 Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out DRIVE` makes a drive of it.
 
+Rather look than type? `sigmaswarm workbench LOG` opens the whole road in the browser.
+
 No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
     help_flags=("--help", "-h", HELP_ALL),
     help_format="markdown",
@@ -57,7 +60,7 @@ WITH_MORE = (tune, compare, simulate, import_)
 """Commands whose short help leaves options out."""
 for command in (
     doctor, noise, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
-    record_carla, plot, demo, import_,
+    record_carla, plot, demo, import_, workbench,
 ):  # fmt: skip
     name = command.__name__.strip("_").replace("_", "-")
     more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if command in WITH_MORE else None

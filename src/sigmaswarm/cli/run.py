@@ -166,12 +166,15 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
 
 def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixes: int) -> None:
     from sigmaswarm.drives.fingerprint import START_RULE
+    from sigmaswarm.exports.foxglove import LAYOUT_FILE
 
     first, last, out = summary["start_s"], summary["end_s"], options.out
     if restarts := summary["restarts_s"]:
         say(f"the filter diverged and was reset at t = {', '.join(f'{t:.2f}' for t in restarts)} s")
     what = "smoothed estimates" if options.smooth else "estimates"
     say(f"wrote {summary['estimates']} {what} from {first:.2f} s to {last:.2f} s to {out}")
+    if (layout := out / LAYOUT_FILE).exists():
+        say(f"Foxglove: import {layout} as a layout")
     if options.bank:
         say(*(f"the filter bank: {sentence}" for sentence in summary["said"]))
         say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")

@@ -48,6 +48,8 @@ class Finding:
         The remedy.
     repair : Repair or None
         The action of ``repair``; None where there is none.
+    cut : float or None
+        s: where to cut the log, so that the part after it is free of the fault.
     """
 
     code: str
@@ -58,10 +60,11 @@ class Finding:
     confidence: float
     remedy: str
     repair: Repair | None = None
+    cut: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        about: dict[str, Any] = {k: v for k, v in vars(self).items() if k != "repair"}
+        about: dict[str, Any] = {k: v for k, v in vars(self).items() if k not in ("repair", "cut")}
         return about | {"span": list(self.span), "repairable": self.repair is not None}
 
 

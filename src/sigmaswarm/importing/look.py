@@ -22,7 +22,7 @@ from sigmaswarm.importing.expressions import compile_expression, fits, time_expr
 from sigmaswarm.importing.gather import ROW
 from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import ROLES, Log, Role
+from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import numbers_of, time_of
 
 SAMPLE = 5000
@@ -59,7 +59,8 @@ class Look:
 
     ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``works``:
     True where the import with these options succeeds; without a proposal, where IMU and fixes were recognized.
-    ``unread``: by table, the columns that are left out, also with the proposal.
+    ``unread``: by table, the columns that are left out, also with the proposal. ``faults``: reasons not to read a
+    column unchanged. ``rows``: the first rows of each table.
     """
 
     tables: tuple[Glance, ...]
@@ -69,6 +70,10 @@ class Look:
     evidence: str = ""
     works: bool = False
     unread: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    faults: tuple[Fault, ...] = ()
+    rows: Mapping[str, pl.DataFrame] = field(
+        default_factory=dict[str, pl.DataFrame], repr=False, compare=False
+    )
 
 
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
@@ -104,7 +109,10 @@ def look(request: Request) -> Look:
         proposal, evidence, works = judged(proposal, partial(_imported, request))
     unread = _unread(tables, recipe, proposal)
     said = proposal.options if proposal else ""
-    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), said, evidence, works, unread)
+    faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
+    rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
+    whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
+    return Look(*whole, said, evidence, works, unread, faults, rows)
 
 
 def _unread(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.gaps import gaps_before
+from sigmaswarm.drives import gaps
 from sigmaswarm.drives.tables import Array, Gps, Imu
 from sigmaswarm.errors import InputError
 
@@ -62,7 +62,8 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         raise InputError(f"{wrong[0]} has values that are no numbers; leave these samples out")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), SMALLEST)
-    begins = np.concatenate([[0], np.flatnonzero(gaps_before(imu.time) > 0)])
+    gap = max(gaps.MANY * interval, gaps.SHORTEST)
+    begins = np.concatenate([[0], np.flatnonzero(steps > gap) + 1])
     ends = np.append(begins[1:], len(imu))
     blocks = (ends - begins) // size
     starts = np.concatenate([b + size * np.arange(n) for b, n in zip(begins, blocks, strict=True)])

@@ -36,7 +36,7 @@ OWN = "against"
 FIXES = "fixes_alone"
 """A constant-velocity filter of the fixes, without the IMU."""
 UNTUNED = "untuned"
-"""The baseline: the tuned filter's model with noises from data sheets."""
+"""The baseline: the tuned filter's model with usual noises, not tuned."""
 
 
 class Run(Protocol):

@@ -126,11 +126,13 @@ def said_of_position(found: Consistency) -> str:
     (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} where 2 is right"
     alike = found.autocorrelation[0] > CORRELATED
     if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
-        fixes = max(expected**2 - own**2, 0.0) ** 0.5
+        guess = ""
+        if expected > own:
+            fixes = (expected**2 - own**2) ** 0.5
+            guess = f", perhaps {fixes:.2g} m, the error that the filter assumes of the fixes"
         return (
-            f"not known, perhaps {fixes:.2g} m, the error that the filter assumes of the fixes. The filter estimates "
-            f"{own:.2g} m (RMS) for itself, but the fixes deviate from its predictions by less than expected ({nis}): "
-            "the receiver smooths its fixes, or their errors last"
+            f"not known{guess}. The filter estimates {own:.2g} m (RMS) for itself, but the fixes deviate "
+            f"from its predictions by less than expected ({nis}): the receiver smooths its fixes, or their errors last"
         )
     said = f"{own:.2g} m (RMS), the filter's own estimate"
     included = f"the fixes deviate from its predictions by {missed:.2g} m, their own errors included"

@@ -1,6 +1,7 @@
 """Verified repairs of a log: those that make forecasts worse are withheld."""
 
 import warnings
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -42,7 +43,7 @@ def checking_filter(drive: Drive) -> FilterParameters:
     )
 
 
-def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
+def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all faults repaired that can be.
 
     A filter runs over the log before and after. Where its forecasts of the next fix, or of fixes hidden for 3
@@ -53,6 +54,8 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     drive : Drive
         The one that was diagnosed.
     diagnosis : Diagnosis
+    only : collection of str, optional
+        Codes of the findings to repair; by default all.
 
     Returns
     -------
@@ -65,6 +68,9 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     SigmaswarmWarning
         A repair was withheld.
     """
+    if only is not None:
+        findings = tuple(f if f.code in only else replace(f, repair=None) for f in diagnosis.findings)
+        diagnosis = replace(diagnosis, findings=findings)
     kept = diagnosis
     doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
     before = _forecasts(drive) if doubtful else None

@@ -39,7 +39,7 @@ NAMED = 3
 WATCHED = 3600.0
 """Seconds of a drive in which divergence is looked for; more would need more memory than everything else."""
 FAR = 1.5
-"""Drift relative to the data-sheet filter above which a warning is given."""
+"""Drift relative to the baseline above which a warning is given."""
 FEW = 2
 """Outage placements checked first."""
 NEAR = 1.2
@@ -125,13 +125,13 @@ def may_drift_far(found: Iterable[tuple[float, ...]]) -> bool:
 
 
 def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
-    """Warn of a filter that drifts much further than the data-sheet filter; ``found``: `drifts_of` each drive."""
+    """Warn of a filter that drifts much further than the baseline; ``found``: `drifts_of` each drive."""
     tuned, other = _together(found)[:2]
     if tuned <= FAR * other:
         return []
     why = (
         f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
-        f"data-sheet filter {other:.3g} m"
+        f"baseline {other:.3g} m"
     )
     return [to_do(REMEDY, why)]
 
@@ -188,7 +188,7 @@ def drifts_of(
     length: float = LONG_OUTAGE_LENGTH,
     noise: MotionNoise | None = None,
 ) -> tuple[float, ...]:
-    """Measure the drift of a filter and of the data-sheet filter over outages, m; NaN where none fits.
+    """Measure the drift of a filter and of the baseline over outages, m; NaN where none fits.
 
     With ``noise`` the drift of the fixes alone follows. ``most`` limits the outage placements.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, TuningStopped
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.asktell import AskTell
@@ -33,13 +33,17 @@ HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": n
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a tuning, passed to the callback after every generation."""
+    """Progress of a tuning, passed to the callback after every generation.
+
+    ``parameters`` are the best ones of this trial so far; None while no parameter set gave a finite cost.
+    """
 
     trial: int
     generation: int
     done: int
     total: int
     best_cost: float
+    parameters: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +99,7 @@ class Search:
     folder : ResultFolder or None
         Where every generation is saved.
     progress : callable or None
-        Called after every generation.
+        Called after every generation; stops the search by returning False.
     start : ndarray or None
         Point, shape (d,), that each trial's first generation starts from.
     """
@@ -104,7 +108,7 @@ class Search:
     problem: Problem[Any]
     executor: Executor | None
     folder: ResultFolder | None
-    progress: Callable[[Progress], None] | None
+    progress: Callable[[Progress], object] | None
     start: Array | None = None
 
     def trial(self, number: int) -> Trial:
@@ -137,7 +141,10 @@ class Search:
             if self.progress:
                 generation = len(history["best"])
                 done, total = number * c.generations + generation, c.trials * c.generations
-                self.progress(Progress(number, generation, done, total, optimizer.global_cost))
+                cost = optimizer.global_cost
+                best = self.problem.parameters(optimizer.global_best) if np.isfinite(cost) else None
+                if self.progress(Progress(number, generation, done, total, cost, best)) is False:
+                    raise TuningStopped(f"stopped after {done} of {total} generations; resume to continue")
         history = {"point": optimizer.global_best, **history}
         result = {
             "cost": optimizer.global_cost,

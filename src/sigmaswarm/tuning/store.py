@@ -89,6 +89,26 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
         raise unreadable(path) from None
 
 
+def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the options of the tuning in a folder, as `tune` takes them, and its data: to resume it."""
+    record = load_record(ConfigRecord, path / "config.json", "not written by a tuning", infinite=True)
+    config = _with_current_names(record.model_extra)
+    if "start" in config:
+        raise InputError(f"{path}: was begun with a start; resume it with the command that began it")
+    return config, config.pop("data", [])
+
+
+def saved_history(path: Path) -> dict[int, list[float]]:
+    """Return the lowest costs after each generation, by trial, also of a tuning that is not finished."""
+    history: dict[int, list[float]] = {}
+    for place in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
+        number = int(place.stem[-3:])
+        done = finished_trial(path, number) if place.is_dir() else load_checkpoint(place)
+        if done and number not in history:
+            history[number] = np.asarray(done[place.is_dir()]["best"], np.float64).tolist()
+    return history
+
+
 def unreadable(checkpoint: Path) -> InputError:
     """Create the error for a checkpoint that can't be read."""
     return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")

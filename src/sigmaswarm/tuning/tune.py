@@ -60,7 +60,7 @@ class RunOptions(TypedDict, total=False):
     resume: bool
     paper: bool
     executor: Executor | None
-    progress: Callable[[Progress], None] | None
+    progress: Callable[[Progress], object] | None
 
 
 class CarOptions(RunOptions, TuneOptions):
@@ -91,7 +91,7 @@ def tune(
     out: str | Path | None = None,
     executor: Executor | None = None,
     cluster: "Client | None" = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], object] | None = None,
     **options: Any,
 ) -> Tuning[Any]:
     """Tune a filter on drives.
@@ -109,7 +109,8 @@ def tune(
     cluster : distributed.Client, optional
         A Dask cluster whose workers read the drives and do the work. The result's bits do not depend on it.
     progress : callable, optional
-        Called with a `Progress` after every generation.
+        Called with a `Progress` after every generation, which has the best parameters so far. The tuning stops where it
+        returns False.
     **options
         ``resume=True`` continues the run in ``out``, with the same bits as without interruption. ``paper=True`` takes
         the paper's setting, `PAPER`, and refuses options that contradict it. ``start`` is a filter, or a file of one,
@@ -125,6 +126,8 @@ def tune(
         parameter set gave a finite cost.
     AlignmentError
         If a drive never moves far enough to start a filter.
+    TuningStopped
+        If ``progress`` returned False.
     ClusterError
         If the cluster can't do the work: its scheduler is gone, a worker has other versions, the drives don't fit.
     """
@@ -228,7 +231,7 @@ def tune_problem(
     *,
     held_back: Problem[P] | None = None,
     folder: ResultFolder | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], object] | None = None,
     diagnose: bool = True,
     start: Array | None = None,
 ) -> Tuning[P]:

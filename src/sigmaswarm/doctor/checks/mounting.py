@@ -32,7 +32,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         time, angle = change
         what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg elsewhere after it"
         remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has its own mounting"
-        yield Finding("mounting-changed", "serious", what, WHERE, (time, evidence.span[1]), 0.99, remedy)
+        span = time, evidence.span[1]
+        yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
     elif mounting is not None and mounting.needed:
         roll, pitch, yaw = mounting.degrees
         total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
@@ -102,7 +103,8 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
         what = f"the log seems to begin in reverse, until t = {until:.0f} s: there ax is positive where the speed falls"
         remedy = f"cut that part off: sigmaswarm split DRIVE --at {until + 2:.0f} --out parts, and use the second part"
         span = evidence.span[0], until
-        yield Finding("reverse-start", "serious", what, "gps.csv, imu.csv, ax", span, 0.99, remedy)
+        where, cut = "gps.csv, imu.csv, ax", round(until + 2)
+        yield Finding("reverse-start", "serious", what, where, span, 0.99, remedy, cut=cut)
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:

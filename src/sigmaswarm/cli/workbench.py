@@ -1,0 +1,48 @@
+"""`sigmaswarm workbench`."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from sigmaswarm.errors import InputError
+
+
+def workbench(
+    logs: Annotated[list[Path] | None, Parameter(name="LOG")] = None,
+    /,
+    *,
+    out: Path = Path("workbench"),
+    port: int = 0,
+    no_browser: bool = False,
+) -> None:
+    """Open the workbench in the browser: import, check, tune, evaluate and export without typing.
+
+    The page is served on this machine only, at an address with a secret token. OUT is an ordinary folder of drives,
+    tunings and evaluations, with which the other commands work, too. An interrupted tuning is resumed there.
+
+    Examples:
+
+        sigmaswarm workbench
+        sigmaswarm workbench monday.mcap
+        sigmaswarm workbench phone-export --out trial
+
+    Parameters
+    ----------
+    logs
+        Logs to open; others are dropped into the page.
+    out
+        Folder for drives, tunings, evaluations and exports; made if missing.
+    port
+        Port of the server; by default a free one.
+    no_browser
+        Print the address without opening a browser.
+    """
+    if find_spec("nicegui") is None:
+        raise InputError(
+            "the workbench needs NiceGUI, which is not installed; run: pip install 'sigmaswarm[workbench]'"
+        )
+    from sigmaswarm.workbench.server import serve
+
+    serve(out, list(logs or ()), port=port, browse=not no_browser)

@@ -1,0 +1,143 @@
+"""Quantities of the IMU next to what the motion of the fixes requires of them: what a person looks at."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
+from sigmaswarm.doctor.windows import integral, smoothed
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.frozen import frozen_fixes
+
+FEWEST = 8
+"""Fixes from which a course is computed."""
+SLOWEST = 1.0
+"""m/s: slower, no course is shown."""
+SPAN = 2.0
+"""s: mean of the specific force, so that vibration does not hide gravity."""
+RATE = 10.0
+"""Hz of the smoothed specific force."""
+FINDINGS = {
+    "timing": ("imu-gap", "imu-rate", "imu-repeats", "gps-gap", "gps-rate", "clock-jump", "logger", "time"),
+    "turning": ("gyro", "clock", "unseen-clock", "unseen-yaw", "reverse"),
+    "gravity": ("gravity", "mounting", "accelerometer-up", "accelerometer-unit", "gyro-tilt"),
+    "forward": ("accelerometer", "unseen-ax"),
+    "sideways": ("unseen-ay", "unseen-tilt"),
+    "speed": ("speed", "velocity", "odometer"),
+    "course": ("course",),
+}
+"""By agreement, the beginnings of the codes of the findings that it shows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Measured quantities over time, and the values that they should follow.
+
+    Attributes
+    ----------
+    key : str
+        A key of `FINDINGS`.
+    title, unit : str
+    measured, expected : mapping of label to (time (n,) s, values (n,) in ``unit``)
+    """
+
+    key: str
+    title: str
+    unit: str
+    measured: dict[str, tuple[Array, Array]]
+    expected: dict[str, tuple[Array, Array]]
+
+
+def shown_by(code: str) -> str:
+    """Return the key of the agreement that shows a finding; empty for findings that the map of the fixes shows."""
+    return next((key for key, starts in FINDINGS.items() if code.startswith(starts)), "")
+
+
+def agreements(drive: Drive) -> tuple[Agreement, ...]:
+    """Compare the IMU, the odometer and the receiver's velocity with gravity and the motion of the fixes.
+
+    Parameters
+    ----------
+    drive : Drive
+        Its truth is not used.
+    """
+    steps = {
+        name: (table.time[1:], np.diff(table.time))
+        for name, table in (("IMU", drive.imu), ("fixes", drive.gps))
+    }
+    timing = Agreement("timing", "Time from one sample to the next", "s", steps, {})
+    return (_gravity(drive), *_of_motion(drive), timing)
+
+
+def _gravity(drive: Drive) -> Agreement:
+    """Specific force, smoothed, and its value at rest: gravity on az."""
+    imu, ends = drive.imu, drive.imu.time[[0, -1]]
+    at = np.arange(ends[0], ends[1], 1 / RATE)
+    names = [name for name in ("ax", "ay", "az") if getattr(imu, name) is not None]
+    measured = {name: (at, smoothed(imu.time, getattr(imu, name), at, SPAN)) for name in names}
+    expected = {"0: ax, ay at rest": (ends, np.zeros(2))}
+    expected |= {"9.81: az": (ends, np.full(2, GRAVITY))} if "az" in names else {}
+    return Agreement("gravity", "Gravity: the specific force, 2 s means", "m/s²", measured, expected)
+
+
+def _of_motion(drive: Drive) -> Iterator[Agreement]:
+    """What needs a vehicle that moves."""
+    imu, gps = drive.imu, drive.gps
+    used = ~frozen_fixes(gps) & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
+    time, position = gps.time[used], gps.x[used] + 1j * gps.y[used]
+    if len(time) < FEWEST or not (np.diff(time) > 0).all():
+        return
+    good = ~jumps(time, position)
+    course = course_of(time[good], position[good])
+    at, speed = course.time, np.abs(course.velocity)
+    moving = speed > max(SLOWEST, 6 * course.std)
+    moving &= (at > at[0] + course.span / 2) & (at < at[-1] - course.span / 2)  # no velocity at the ends
+    if np.count_nonzero(moving) < FEWEST:
+        return
+    yield _turning(drive, course, moving)
+    span = course.span
+    for key, title, values, expected in (
+        ("forward", "Forward: ax and the change of speed", imu.ax, np.gradient(speed, at)),
+        (
+            "sideways",
+            "Sideways: ay and speed times yaw rate",
+            imu.ay,
+            speed * smoothed(imu.time, imu.gz, at, span),
+        ),
+    ):
+        name, follows = ("ax", "change of speed") if key == "forward" else ("ay", "speed x gz")
+        felt = smoothed(imu.time, values, at, span)
+        yield Agreement(
+            key, title, "m/s²", {name: (at[moving], felt[moving])}, {follows: (at[moving], expected[moving])}
+        )
+    own = {"receiver": (gps.time, gps.speed)} if gps.speed is not None else {}
+    own |= {"odometer": (drive.odometer.time, drive.odometer.speed)} if drive.odometer else {}
+    if own:
+        yield Agreement("speed", "Speed", "m/s", own, {"fixes": (at, speed)})
+    if gps.course is not None:
+        theirs = gps.time, np.degrees(gps.course)
+        track = at[moving], np.degrees(np.angle(course.velocity[moving]))
+        yield Agreement("course", "Course", "deg", {"receiver": theirs}, {"fixes": track})
+
+
+def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
+    """The integral of gz, and the course in pieces without a stop, each placed on it: only its shape counts."""
+    imu, at = drive.imu, course.time[moving]
+    track = np.unwrap(np.angle(course.velocity[moving]))
+    turned = np.interp(at, imu.time, integral(imu.time, imu.gz))
+    piece = np.cumsum(np.append(0, np.diff(np.flatnonzero(moving)) > 1))
+    pieces = (piece[:, np.newaxis] == np.arange(piece[-1] + 1)).astype(np.float64)
+    fit = np.linalg.lstsq(np.column_stack([at - at[0], pieces]), track - turned, rcond=None)[0]
+    rotated = np.degrees(turned + (at - at[0]) * fit[0])
+    ends = np.flatnonzero(np.diff(piece)) + 1
+    placed = np.insert(np.degrees(track - pieces @ fit[1:]), ends, np.nan)
+    measured, expected = (at, rotated), (np.insert(at, ends, at[ends]), placed)
+    return Agreement(
+        "turning",
+        "Turning: the integral of gz, and the course",
+        "deg",
+        {"gz": measured},
+        {"course": expected},
+    )

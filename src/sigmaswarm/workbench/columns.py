@@ -1,0 +1,133 @@
+"""What each column of a log is used for, as choices that become options of `import_log` and of the command line."""
+
+import re
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.look import Look
+from sigmaswarm.importing.recipe import COLUMNS
+from sigmaswarm.importing.source import ROLES, Choice
+from sigmaswarm.importing.times import written
+
+UNITS: dict[str, dict[str, str]] = {
+    "time": {"s": "{}", "ms": "{}*1e-3", "µs": "{}*1e-6", "ns": "{}*1e-9", "date, UTC": "utc({})"},
+    "acceleration": {"m/s²": "{}", "g": "{}*9.80665", "mg": "{}*0.00980665", "-m/s²": "-{}", "-g": "-{}*9.80665"},
+    "rate": {"rad/s": "{}", "deg/s": "radians({})", "-rad/s": "-{}", "-deg/s": "-radians({})"},
+    "degrees": {"deg": "{}", "rad": "degrees({})", "1e-7 deg": "{}*1e-7", "ddmm.mm": "ddmm({})"},
+    "length": {"m": "{}", "mm": "{}*1e-3", "cm": "{}*1e-2", "ft": "{}*0.3048", "km": "{}*1e3"},
+    "speed": {"m/s": "{}", "km/h": "{}/3.6", "mm/s": "{}*1e-3", "cm/s": "{}*1e-2", "knots": "{}*0.514444444444",
+              "mph": "{}*0.44704"},
+    "angle": {"rad from east": "{}", "deg from north": "radians(90-{})", "deg from east": "radians({})",
+              "rad from north": "pi/2-{}"},
+    "condition": {"as it is": "{}"},
+}  # fmt: skip
+"""By kind of quantity: units, and the expressions that make them those of a drive."""
+KINDS = {
+    **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
+    **dict.fromkeys(("gx", "gy", "gz"), "rate"),
+    **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
+    **dict.fromkeys(("speed", "vx", "vy", "forward", "left"), "speed"),
+    **dict.fromkeys(("lat", "lon"), "degrees"),
+    **dict.fromkeys(("course", "theta"), "angle"),
+    **{"t": "time", "keep": "condition"},
+}
+"""Kinds of quantity of a drive's columns."""
+SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",
+        "gz": "gz yaw rate", "lat": "latitude", "lon": "longitude", "alt": "altitude", "x": "x east", "y": "y north",
+        "std_x": "accuracy east", "std_y": "accuracy north", "vx": "velocity east", "vy": "velocity north",
+        "theta": "heading", "keep": "condition: row counts"}  # fmt: skip
+NAMES = {"imu": "IMU", "gps": "fixes", "truth": "truth", "odometer": "wheels"}
+UNUSED = ""
+TARGETS: dict[str, str] = {UNUSED: "not used"} | {
+    f"{role}.{name}": f"{NAMES[role]}: {SAID.get(name, name)}" for role in ROLES for name in COLUMNS[role]
+}
+"""What a column can be used for, with its label."""
+CUSTOM = "expression"
+SETTINGS = ("gps_offset_s", "gps_lever_arm_m", "part")
+FLAGS = {
+    "mount": "--mount",
+    "gps_offset_s": "--gps-offset",
+    "gps_lever_arm_m": "--lever-arm",
+    "part": "--part",
+}
+Uses = dict[tuple[str, str], list[tuple[str, str]]]
+"""By table and column: the targets and their expressions."""
+
+
+def uses_of(look: Look) -> Uses:
+    """Find what each column of a log is used for."""
+    uses: Uses = {}
+    names = {glance.table: [r.column for r in glance.ranges] for glance in look.tables}
+    for role, parts in look.recipe.roles.items():
+        for part in parts:
+            table = part.table or next(iter(names), "")
+            for target, expression in part.columns.items():
+                for column in names.get(table, ()):
+                    if mentions(expression, column):
+                        found = uses.setdefault((table, column), [])
+                        found.append((f"{role}.{target.removeprefix('+')}", expression))
+    return uses
+
+
+def mentions(text: str, column: str) -> bool:
+    """Check if a column's name is in a text as a word."""
+    return re.search(rf"(?<![\w.]){re.escape(column)}(?![\w.])", text) is not None
+
+
+def units_of(target: str) -> dict[str, str]:
+    """Units that a target can be recorded in, with their expressions."""
+    return UNITS[KINDS.get(target.partition(".")[2], "length")]
+
+
+def unit_in(target: str, column: str, expression: str) -> str:
+    """Return the unit that an expression converts from; `CUSTOM` where it is none of the usual ones."""
+    plain = expression.replace(" ", "")
+    for unit, text in units_of(target).items():
+        if plain in (text.format(written(column)).replace(" ", ""), text.format(column)):
+            return unit
+    return CUSTOM
+
+
+def assign(choices: dict[str, Any], look: Look, table: str, column: str, target: str) -> None:
+    """Use a column for another target, in its usual unit; the target that it had is left out."""
+    maps: dict[str, str] = choices.setdefault("maps", {})
+    for old, _ in uses_of(look).get((table, column), []):
+        if old != target and not old.endswith(".t"):
+            maps[old] = ""
+    if not target:
+        return
+    role = target.partition(".")[0]
+    maps[target] = next(iter(units_of(target).values())).format(written(column))
+    tables = {part.table for name, parts in look.recipe.roles.items() if name == role for part in parts}
+    if len(look.tables) > 1 and table not in tables:
+        choices.setdefault("tables", {})[role] = table
+
+
+def options_of(choices: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `import_log` and `inspect_log` for the choices."""
+    maps = [f"{target}={text}" for target, text in choices.get("maps", {}).items()]
+    options: dict[str, Any] = {"maps": maps, "choice": Choice(choices.get("tables", {}))}
+    options |= {key: choices[key] for key in ("mount", "gps_offset_s", "part") if choices.get(key)}
+    if arm := choices.get("gps_lever_arm_m"):
+        try:
+            forward, left, up = (float(v) for v in arm.split(","))
+        except ValueError:
+            raise InputError(f"{arm!r} is no lever arm; write m forward,left,up, as 1.2,0,0.5") from None
+        options["gps_lever_arm_m"] = forward, left, up
+    return options | {key: Path(choices[key]) for key in ("gps", "truth") if choices.get(key)}
+
+
+def command_of(log: Path, out: Path, choices: Mapping[str, Any]) -> str:
+    """Return the line of `sigmaswarm import` that makes the same drive."""
+    words = ["sigmaswarm", "import", str(log), "--out", str(out)]
+    for key in ("gps", "truth"):
+        words += [f"--{key}", choices[key]] if choices.get(key) else []
+    for role, table in choices.get("tables", {}).items():
+        words += [f"--{role}-table", table]
+    if maps := choices.get("maps"):
+        words += ["--map", *(f"{target}={text}" for target, text in maps.items())]
+    words += [f"{flag}={choices[key]}" for key, flag in FLAGS.items() if choices.get(key)]
+    return " ".join(map(shlex.quote, words))

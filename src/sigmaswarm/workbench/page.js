@@ -1,0 +1,37 @@
+// Keep the keyboard's place: an element that was replaced hands its focus to the one of the same name.
+(() => {
+  let last = null, name = "";
+  const named = (e) => (e.closest("[role=slider]") || e).getAttribute("aria-label") || (e.closest("label") || e).innerText;
+  document.addEventListener("focusin", (e) => { last = e.target; name = named(last); });
+  const restore = () => {
+    for (const input of document.querySelectorAll(".drop a.q-btn input:not([inert])")) {
+      input.inert = true; // the button around it opens it
+      input.closest("a").setAttribute("aria-label", "Choose the files of a log");
+    }
+    if (!last || last.isConnected || document.activeElement !== document.body || !name) return;
+    const same = [...document.querySelectorAll(last.tagName)].find((e) => named(e) === name && !e.disabled);
+    if (same) same.focus({ preventScroll: true });
+  };
+  new MutationObserver(restore).observe(document.documentElement, { childList: true, subtree: true });
+
+  // A dropped folder is read here: browsers hand an uploader its files only one by one.
+  window.droppedFolders = new Set();
+  const filesOf = async (entry) => {
+    if (entry.isFile) return [await new Promise((done, failed) => entry.file(done, failed))];
+    const reader = entry.createReader(), found = [];
+    for (;;) {
+      const some = await new Promise((done, failed) => reader.readEntries(done, failed));
+      if (!some.length) break;
+      found.push(...some.filter((e) => e.isFile && !e.name.startsWith(".")));
+    }
+    return (await Promise.all(found.map(filesOf))).flat();
+  };
+  document.addEventListener("drop", async (e) => {
+    const box = e.target.closest && e.target.closest(".drop");
+    if (!box) return;
+    const folders = [...e.dataTransfer.items].map((i) => i.webkitGetAsEntry()).filter((i) => i && i.isDirectory);
+    folders.forEach((folder) => window.droppedFolders.add(folder.name));
+    const files = (await Promise.all(folders.map(filesOf))).flat();
+    if (files.length) getElement(Number(box.id.slice(1))).$refs.qRef.addFiles(files);
+  }, true);
+})();

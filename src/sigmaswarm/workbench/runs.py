@@ -1,0 +1,135 @@
+"""Tunings that run in threads of the server. Their folders hold all that a killed one needs to go on."""
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import sigmaswarm
+from sigmaswarm import Drive
+from sigmaswarm.errors import TuningStopped
+from sigmaswarm.tuning.search import Progress
+from sigmaswarm.tuning.store import saved_history, saved_options
+from sigmaswarm.workbench.plots import Series, thinned
+from sigmaswarm.workbench.state import Workbench
+
+TRACK_EVERY = 1.5
+"""s between two tracks of the best filter so far."""
+
+
+@dataclass
+class Run:
+    """A tuning that runs or has ended.
+
+    Attributes
+    ----------
+    history : lowest cost by trial, and after each generation
+    parameters : the best ones of the current trial so far
+    track : of the best filter so far over the drive that is held back, or else over the first one
+    """
+
+    name: str
+    shown_on: Drive
+    history: dict[int, list[float]] = field(default_factory=dict[int, list[float]])
+    progress: Progress | None = None
+    track: Series | None = None
+    error: str = ""
+    stopping: bool = False
+    ended: bool = False
+    version: int = 0
+    drawn_at: float = 0.0
+
+    @property
+    def state(self) -> str:
+        """What it is doing."""
+        if self.error or self.ended:
+            return "failed" if self.error else "done"
+        if self.stopping:
+            return "stopping"
+        done = self.progress is not None and self.progress.done == self.progress.total
+        return "last checks" if done else "running" if self.progress else "compiling"
+
+    def advance(self, progress: Progress) -> bool:
+        """Note the progress; False stops the tuning."""
+        self.history.setdefault(progress.trial, []).append(progress.best_cost)
+        self.progress = progress
+        if progress.parameters is not None and time.monotonic() - self.drawn_at > TRACK_EVERY:
+            self.drawn_at = time.monotonic()
+            try:
+                estimate = sigmaswarm.run(self.shown_on, progress.parameters)
+                self.track = thinned(estimate.mean[:, 0], estimate.mean[:, 1])
+            except sigmaswarm.SigmaswarmError:  # this filter fails there; the next may not
+                self.track = None
+        self.version += 1
+        return not self.stopping
+
+
+class Runs:
+    """All tunings of this server, by name."""
+
+    def __init__(self, bench: Workbench) -> None:
+        self.bench = bench
+        self.runs: dict[str, Run] = {}
+        self._threads: list[threading.Thread] = []
+
+    def begin(
+        self,
+        name: str,
+        drives: Sequence[Drive],
+        held: Sequence[Drive],
+        options: Mapping[str, Any],
+        *,
+        resume: bool = False,
+    ) -> Run:
+        """Start or resume a tuning."""
+        run = Run(name, (held or drives)[0])
+        if resume:
+            run.history = {
+                n: list(best) for n, best in saved_history(self.bench.path("tunings", name)).items()
+            }
+        self.runs[name] = run
+        work = {**options, "resume": resume, "validation": held, "out": self.bench.path("tunings", name)}
+        thread = threading.Thread(target=_tune, args=(run, drives, work), daemon=True)
+        self._threads.append(thread)
+        thread.start()
+        return run
+
+    def resume(self, name: str) -> Run:
+        """Go on with a stopped or killed tuning, begun here or on the command line."""
+        options, data = saved_options(self.bench.path("tunings", name))
+        known = self.bench.choices.get("tunings", {}).get(name, {})
+        drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]
+        held = [self.bench.read(one) for one in known.get("held", [])]
+        return self.begin(name, drives, held, options, resume=True)
+
+    @property
+    def running(self) -> list[Run]:
+        """Those that have not ended."""
+        return [run for run in self.runs.values() if not run.ended]
+
+    def stop_all(self) -> None:
+        """Stop after the current generation, and wait for it."""
+        for run in self.running:
+            run.stopping = True
+        for thread in self._threads:
+            thread.join(timeout=20.0)
+
+
+def _tune(run: Run, drives: Sequence[Drive], options: dict[str, Any]) -> None:
+    try:
+        sigmaswarm.tune(drives, progress=run.advance, **options)
+    except TuningStopped:
+        pass
+    except (sigmaswarm.SigmaswarmError, OSError, MemoryError) as error:
+        run.error = str(error) or type(error).__name__
+    finally:
+        run.ended, run.version = True, run.version + 1
+
+
+def best_so_far(history: Sequence[float]) -> Series:
+    """Generations and costs of a trial, without the failures."""
+    costs = np.array(history)
+    return np.arange(1.0, len(costs) + 1), np.where(np.isfinite(costs), costs, np.nan)

@@ -1,0 +1,143 @@
+"""The workbench's folder: drives, tunings and evaluations by name, and the choices made so far."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import sigmaswarm
+from sigmaswarm import Drive, InputError
+from sigmaswarm.files import make_folder, write_json
+from sigmaswarm.tuning.record import FILE as TUNING
+
+KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
+CHECKED = "-checked"
+"""Ending of the name of a drive's repaired and cut copy; its drive.toml lists the ``steps``."""
+NAME = re.compile(r"[\w][\w .()+-]{0,99}")
+MOST_UPLOADED = 2_000_000_000
+"""Bytes of one drop; a larger log is named on the command line."""
+MOST_CACHED = 6
+"""Drives kept in memory."""
+T = TypeVar("T")
+
+
+class Workbench:
+    """The folder of the workbench, and the logs that the user named.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if missing.
+    logs : sequence of Path
+        Files or folders outside ``folder`` that may be read.
+    """
+
+    def __init__(self, folder: Path, logs: Sequence[Path] = ()) -> None:
+        for log in logs:
+            if not log.exists():
+                raise InputError(f"{log} does not exist; name a log file or its folder")
+        self.folder = make_folder(folder).resolve()
+        for kind in KINDS:
+            make_folder(self.folder / kind)
+        self.named = tuple(log.resolve() for log in logs)
+        self._file = self.folder / "workbench.json"
+        self.choices: dict[str, Any] = _read_choices(self._file)
+        self.drive = lru_cache(MOST_CACHED)(self._drive)
+        if self.named:
+            self.choices["log"] = str(self.named[0])
+
+    def save(self) -> None:
+        """Write the choices, so that a new server continues with them."""
+        write_json(self._file, self.choices)
+
+    def path(self, kind: str, name: str) -> Path:
+        """Return the folder of a drive, tuning, ... by its name; refuse names that lead elsewhere."""
+        path = self.folder / kind / name
+        if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
+            raise InputError(f"{name!r} is no name within {kind}; use letters, digits, - and _")
+        return path
+
+    def names(self, kind: str, holds: str = "") -> list[str]:
+        """List the names of a kind whose folders hold a file, the newest last."""
+        found = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
+        found = [p for p in found if not holds or (p / holds).is_file()]
+        return [p.name for p in sorted(found, key=lambda p: (p.stat().st_mtime, p.name))]
+
+    def free(self, kind: str, name: str) -> str:
+        """Return the name, with a number where it is taken."""
+        name = re.sub(r"[^\w.+-]+", "-", name).strip("-.") or kind.removesuffix("s")
+        numbered = (f"{name}-{i}" for i in range(2, 10_000))
+        return next(n for n in (name, *numbered) if not self.path(kind, n).exists())
+
+    @property
+    def drives(self) -> list[str]:
+        """Drives to work with: the checked copy stands for its original."""
+        names = self.names("drives", "drive.toml")
+        return [name for name in names if name + CHECKED not in names]
+
+    def read(self, name: str) -> Drive:
+        """Read a drive, or take it from the cache."""
+        path = self.path("drives", name)
+        return self.drive(path, path.stat().st_mtime_ns)
+
+    def _drive(self, path: Path, _: int) -> Drive:
+        return sigmaswarm.read_drive(path)
+
+    @property
+    def sources(self) -> list[Path]:
+        """Logs that can be opened: those named and those dropped, and the files in them."""
+        tops = [*self.named, *(self.folder / "logs" / name for name in self.names("logs"))]
+        inside = [
+            p for top in tops if top.is_dir() for p in sorted(top.iterdir()) if not p.name.startswith(".")
+        ]
+        return [*tops, *(path for path in inside if not path.is_symlink())]
+
+    @property
+    def log(self) -> Path | None:
+        """The log that is open; None without one."""
+        chosen = self.choices.get("log")
+        return next((path for path in self.sources if str(path) == chosen), None)
+
+    @property
+    def log_choices(self) -> dict[str, Any]:
+        """The choices made for the open log."""
+        return self.choices.setdefault("logs", {}).setdefault(str(self.log), {})
+
+    @property
+    def unfinished(self) -> list[str]:
+        """Tunings that were stopped or killed."""
+        return [
+            n for n in self.names("tunings", "config.json") if not (self.path("tunings", n) / TUNING).exists()
+        ]
+
+    @property
+    def finished(self) -> list[str]:
+        """Tunings that have a result."""
+        return self.names("tunings", TUNING)
+
+    def remove(self, kind: str, name: str) -> None:
+        """Delete a result of the workbench."""
+        path = self.path(kind, name)
+        if path.exists():
+            shutil.rmtree(path)
+
+
+def _read_choices(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # none yet, or damaged: the choices are made again
+        return {}
+    return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
+
+
+def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
+    """Do work and return its result, or None and the sentence of its error."""
+    try:
+        return work(*arguments, **options), ""
+    except sigmaswarm.SigmaswarmError as error:
+        return None, str(error)
+    except OSError as error:
+        return None, f"{error.filename or 'a file'}: {error.strerror or error}"

@@ -1,0 +1,139 @@
+"""One table of a log: its columns with a plot, and what each is used for."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from nicegui import ui
+
+from sigmaswarm.importing.look import Glance, Look, Range
+from sigmaswarm.importing.times import numbers_of
+from sigmaswarm.workbench import columns
+from sigmaswarm.workbench.columns import CUSTOM, NAMES, TARGETS, UNUSED, Uses
+from sigmaswarm.workbench.parts import number, table, text
+from sigmaswarm.workbench.plots import sparkline
+
+if TYPE_CHECKING:
+    from sigmaswarm.workbench.log_page import LogPage
+
+MOST_COLUMNS = 30
+"""Columns of a table that can be edited; columns in use come first."""
+FIRST_ROWS = 5
+FEW_TABLES = 4
+"""Of a log whose tables are all unfolded while no drive can be made of it."""
+
+
+class TablePanel:
+    """A table that can be folded; a choice redraws the rows that it changes alone."""
+
+    def __init__(self, page: "LogPage", look: Look, glance: Glance) -> None:
+        self.page, self.look, self.glance, self.uses = page, look, glance, columns.uses_of(look)
+        used = [r for r in glance.ranges if (glance.table, r.column) in self.uses]
+        rest = [r for r in glance.ranges if (glance.table, r.column) not in self.uses]
+        self.rows = [ColumnRow(self, shown) for shown in [*used, *rest][:MOST_COLUMNS]]
+        self.unfolded = page.drive is None and (bool(used) or len(look.tables) <= FEW_TABLES)
+
+    def update(self, look: Look, uses: Uses) -> None:
+        """Take another look at the same table."""
+        self.look, self.uses = look, uses
+        for row in self.rows:
+            if row.state() != row.shown:
+                row.show.refresh()
+
+    @property
+    def heading(self) -> str:
+        """The table's name, and the columns of a drive that come from it."""
+        roles: dict[str, list[str]] = {}
+        for (table_, _), found in self.uses.items():
+            for target, _ in found if table_ == self.glance.table else ():
+                role, _, name = target.partition(".")
+                roles.setdefault(NAMES[role], []).append("time" if name == "t" else name)
+        said = "; ".join(f"{role}: {', '.join(sorted({*names}))}" for role, names in roles.items())
+        return f"{self.glance.table}: {said or 'not used'}"
+
+    def show(self) -> None:
+        """Show the table."""
+        glance = self.glance
+        rows = f"{glance.rows} rows" if glance.rows is not None else ""
+        rate = f"{glance.rate:.4g} Hz" if glance.rate else ""
+        about = ", ".join(filter(None, (glance.kind, rows, rate, f"{len(glance.ranges)} columns")))
+        fold = ui.expansion(caption=about).classes("card").bind_value(self, "unfolded")
+        fold.bind_text_from(self, "heading")
+        with fold:
+            with ui.element("div").classes("columns"):
+                for row in self.rows:
+                    row.show()
+            if (left := len(glance.ranges) - MOST_COLUMNS) > 0:
+                text("p", f"and {left} more columns, which expressions can use, too", "soft")
+            first = self.look.rows[glance.table].head(FIRST_ROWS)
+            if len(first) and (names := first.columns[:12]):
+                with ui.expansion("First rows").classes("soft"):
+                    table(names, [[_cell(row[name]) for name in names] for row in first.to_dicts()])
+
+
+def _cell(value: Any) -> str:
+    return (f"{value:.8g}" if isinstance(value, float) else str(value))[:40]
+
+
+class ColumnRow:
+    """A column: name, plot, use, unit, expression, and below it what is wrong."""
+
+    def __init__(self, panel: TablePanel, about: Range) -> None:
+        self.panel, self.about = panel, about
+        self.shown: Any = None
+        self._spark = ""
+        if about.low is not None:
+            values = numbers_of(panel.look.rows[panel.glance.table][about.column])
+            self._spark = sparkline(values.cast(float).drop_nulls().to_numpy().astype(np.float64))
+
+    def state(self) -> tuple[list[tuple[str, str]], list[str]]:
+        """What the column is used for, and what is wrong with it."""
+        found = self.panel.uses.get((self.panel.glance.table, self.about.column), [])
+        return found, self._faults(found[0][0] if found else "")
+
+    @ui.refreshable_method
+    def show(self) -> None:
+        """Show the row."""
+        self.shown = found, faults = self.state()
+        page, about, table_ = self.panel.page, self.about, self.panel.glance.table
+        target, expression = found[0] if found else (UNUSED, "")
+        with ui.element("div").classes("column-row"):
+            with ui.element("div"):
+                ui.label(about.column).classes("column-name")
+                span = f"{number(about.low)} to {number(about.high)}"
+                ui.label(span if about.low is not None else about.example[:40] or "empty").classes("range")
+            ui.html(self._spark, sanitize=False)
+            use = ui.select(TARGETS, label=f"Use of {about.column}", value=target, with_input=True)
+            use.classes("field").props("dense options-dense")
+            use.on_value_change(lambda event: page.assign(table_, about.column, event.value or UNUSED))
+            if target:
+                units = columns.units_of(target)
+                unit = columns.unit_in(target, about.column, expression)
+                pick = ui.select([*units, CUSTOM], label=f"Unit of {about.column}", value=unit)
+                pick.classes("field").props("dense options-dense")
+                pick.on_value_change(lambda event: self._unit_chosen(target, event.value))
+                field = ui.input("Expression", value=expression).classes("field").props("dense")
+                field.on("change", lambda: page.express(target, field.value or ""))
+            for also, said in found[1:]:
+                ui.label(f"also {TARGETS[also]} = {said}").classes("about")
+            for sentence in faults:
+                with ui.element("div").classes("wrong").props('role="alert"'):
+                    ui.label(sentence)
+
+    def _unit_chosen(self, target: str, unit: str) -> None:
+        if unit != CUSTOM:
+            expression = columns.units_of(target)[unit].format(columns.written(self.about.column))
+            self.panel.page.express(target, expression)
+
+    def _faults(self, target: str) -> list[str]:
+        """Sentences about the column: reasons not to read it as guessed, and an error that names it."""
+        page, column = self.panel.page, self.about.column
+        mapped = page.bench.log_choices.get("maps", {})
+        faults = [
+            fault.sentence
+            for fault in self.panel.look.faults
+            if fault.table == self.panel.glance.table
+            and f"{fault.role}.{fault.column}" not in mapped
+            and columns.mentions(fault.sentence, column)
+        ]
+        own = page.wrong and (columns.mentions(page.wrong, column) or (target and f"{target}=" in page.wrong))
+        return list(dict.fromkeys([*faults, *([page.wrong] if own else [])]))

@@ -1,0 +1,61 @@
+"""What a person looks at: the IMU agrees with the fixes on a sound drive, and shows each planted fault."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sigmaswarm
+from sigmaswarm.doctor.agreements import FINDINGS, Agreement, agreements, shown_by
+from sigmaswarm.drives.drive import Drive
+from support import make_drive
+
+DRIVE = make_drive(duration=60.0, gps_rate=5.0, seed=3, name="monday")
+
+
+def off(drive: Drive, key: str) -> float:
+    """RMS of the difference between what was measured and what it should follow, of its first pair."""
+    (found,) = [a for a in agreements(drive) if a.key == key]
+    return _off(found)
+
+
+def _off(found: Agreement) -> float:
+    (time, values), *_ = found.measured.values()
+    (at, expected), *_ = found.expected.values()
+    return float(np.sqrt(np.nanmean((np.interp(at, time, values) - expected) ** 2)))
+
+
+def with_imu(**columns: np.ndarray) -> Drive:
+    return replace(DRIVE, imu=replace(DRIVE.imu, **columns))
+
+
+@pytest.mark.parametrize(
+    ("key", "most", "spoiled"),
+    [
+        ("turning", 3.0, {"gz": -DRIVE.imu.gz}),
+        ("turning", 3.0, {"gz": np.degrees(DRIVE.imu.gz)}),
+        ("forward", 0.7, {"ax": -DRIVE.imu.ax}),
+        ("sideways", 0.5, {"ay": -DRIVE.imu.ay}),
+        ("gravity", 2.0, {"ax": DRIVE.imu.ax + 9.8}),
+    ],
+)
+def test_a_fault_is_seen(key: str, most: float, spoiled: dict[str, np.ndarray]):
+    assert off(DRIVE, key) < most
+    assert off(with_imu(**spoiled), key) > 2 * most
+
+
+def test_pieces_of_the_course_are_placed_on_the_gyro():
+    """After a stop the course may have lost whole turns: the pieces agree, and the drift of the gyro is taken off."""
+    assert off(with_imu(gz=DRIVE.imu.gz + 0.01), "turning") == pytest.approx(off(DRIVE, "turning"), abs=0.2)
+
+
+def test_a_short_drive_has_what_it_can_show():
+    short = sigmaswarm.clip(DRIVE, 0.0, 1.2)
+    assert [a.key for a in agreements(short)] == ["gravity", "timing"]
+
+
+def test_every_finding_has_its_plot():
+    assert shown_by("gyro-sign") == shown_by("clock-offset") == "turning"
+    assert shown_by("mounting-changed") == "gravity"
+    assert shown_by("gps-outliers") == ""
+    assert {a.key for a in agreements(DRIVE)} <= set(FINDINGS)

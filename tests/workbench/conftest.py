@@ -1,0 +1,106 @@
+"""A workbench server, and a browser that looks at it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from browsing import open_browser
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed (extra workbench)")
+
+SERVER = """
+import os, sys, threading
+timer = threading.Timer(240.0, os._exit, (1,))  # however its test ends
+timer.daemon = True
+timer.start()
+sys.argv[0] = "sigmaswarm"
+from sigmaswarm.cli import main
+main()
+"""
+SMALL = {"model": "planar5", "particles": 8, "generations": 4}
+"""Options of a tuning that takes a second."""
+
+
+class Served:
+    """A server in a process of its own, which is ended by its number."""
+
+    def __init__(self, folder: Path, *logs: Path, **choices: Any) -> None:
+        folder.mkdir(exist_ok=True)
+        self.folder, saved = folder, folder / "workbench.json"
+        if not saved.exists():
+            saved.write_text(json.dumps({"options": SMALL, **choices}))
+        command = [
+            sys.executable,
+            "-c",
+            SERVER,
+            "workbench",
+            *map(str, logs),
+            "--out",
+            str(folder),
+            "--no-browser",
+        ]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().removeprefix("workbench: ").strip()
+        self.port = int(self.url.split(":")[2].partition("/")[0])
+
+    def end(self, how: signal.Signals = signal.SIGINT) -> int:
+        if self.process.poll() is None:
+            os.kill(self.process.pid, how)
+        code = self.process.wait(30)
+        if self.process.stdout:
+            self.process.stdout.close()
+        return code
+
+
+@pytest.fixture
+def serve() -> Iterator[Any]:
+    """Start servers; all are ended with the test."""
+    served: list[Served] = []
+
+    def start(*arguments: Any, **choices: Any) -> Served:
+        served.append(Served(*arguments, **choices))
+        return served[-1]
+
+    yield start
+    for one in served:
+        one.end()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    with open_browser() as opened:
+        yield opened
+
+
+@pytest.fixture
+def tab(browser: Any) -> Iterator[Any]:
+    """Open tabs; a test fails if a page asks another host for anything, or has an error."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    context.grant_permissions(["clipboard-read", "clipboard-write"])
+    context.set_default_timeout(60_000)
+    wrong: list[str] = []
+
+    def opened(url: str) -> Any:
+        page = context.new_page()
+        page.on(
+            "pageerror", lambda e: wrong.append(str(e)) if "Resize must be passed" not in str(e) else None
+        )
+        page.on(
+            "request",
+            lambda r: wrong.append(r.url) if "://127.0.0.1" not in r.url[:24] and ":" in r.url[:6] else None,
+        )
+        page.goto(url)
+        page.wait_for_selector(".page")
+        return page
+
+    yield opened
+    context.close()
+    assert [w for w in wrong if not w.startswith(("data:", "blob:"))] == []

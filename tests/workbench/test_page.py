@@ -1,0 +1,138 @@
+"""The steps one by one: faults next to their columns, repairs and the way back, the keyboard, contrast."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import sigmaswarm
+from sigmaswarm.drives.drive import Imu
+from support import make_drive
+from workbench.conftest import SMALL
+from workbench.test_road import DURATION, drop, expect, odd_csv
+
+plots = pytest.importorskip("sigmaswarm.workbench.plots")
+axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
+
+
+def wrong_sign(folder: Path) -> Path:
+    """A drive whose gyro turns the other way."""
+    drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
+    imu = Imu(drive.imu.time, drive.imu.ax, drive.imu.ay, -drive.imu.gz)
+    from dataclasses import replace
+
+    return sigmaswarm.write_drive(replace(drive, imu=imu), folder / "drives" / "monday")
+
+
+def contrast_of(page: Any) -> list[str]:
+    """What an accessibility checker objects to."""
+    rules = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21aa"]}}
+    found = axe.Axe().run(page, options=rules).response["violations"]
+    return [f"{v['id']}: {n['html'][:200]}" for v in found for n in v["nodes"]]
+
+
+def tab_to(page: Any, name: str) -> None:
+    """Press Tab until an element has the focus that is named so."""
+    name_of = "e => e === document.body ? '' : e.getAttribute('aria-label') || e.innerText"
+    focused = f"({name_of})(document.activeElement.closest('[role=slider]') || document.activeElement)"
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        if any(line.startswith(name) for line in page.evaluate(focused).split("\n")):
+            return
+    raise AssertionError(f"Tab does not lead to {name}")
+
+
+def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
+    """One click mends, one takes it back; the original stays as it is; another tab sees it; a cut is a step, too."""
+    original = wrong_sign(tmp_path / "bench")
+    before = (original / "imu.csv").read_bytes()
+    served = serve(tmp_path / "bench")
+    page, other = tab(served.url + "check"), tab(served.url + "check")
+    page.get_by_role("button", name="Mend: gyro-sign").click()
+    for one in (page, other):
+        one.get_by_text("repaired: gyro-sign").wait_for()
+    page.get_by_role("heading", name="Nothing serious").wait_for()
+    checked = original.with_name("monday-checked")
+    mended = sigmaswarm.read_drive(checked)
+    np.testing.assert_allclose(mended.imu.gz, -sigmaswarm.read_drive(original).imu.gz)
+    page.get_by_label("to, s").fill("40")
+    page.get_by_role("button", name="Keep only this part").click()
+    page.get_by_text("kept only 0 to 40 s").wait_for()
+    assert sigmaswarm.read_drive(checked).duration == pytest.approx(40.0, abs=0.1)
+    other.get_by_role("button", name="Take back: repaired: gyro-sign").click()
+    page.get_by_role("button", name="Mend: gyro-sign").wait_for()
+    assert (sigmaswarm.read_drive(checked).imu.gz == sigmaswarm.read_drive(original).imu.gz[:4000]).all()
+    page.get_by_role("button", name="Take back: kept").click()
+    page.get_by_text("kept only").wait_for(state="hidden")
+    assert not checked.exists()
+    assert (original / "imu.csv").read_bytes() == before
+
+
+def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
+    """A broken file is one line; a fault stands next to the column that it is about."""
+    served = serve(tmp_path / "bench")
+    page = tab(served.url)
+    broken = tmp_path / "broken.csv"
+    broken.write_bytes(b"\x00\xff" * 500)
+    page.locator("input[type=file]").first.set_input_files(broken)
+    expect(page.locator(".message.bad")).to_contain_text("broken.csv")
+    (file,) = odd_csv(tmp_path / "odd")[1:]
+    frame = pl.read_csv(file).rename({"vorn": "ax", "seite": "ay", "dreh": "gz"})
+    frame = frame.with_columns((pl.col("gz") * 131).round().cast(pl.Int64))
+    frame.write_csv(file)
+    drop(page, sorted(file.parent.iterdir()))
+    row = page.locator(".column-row", has=page.get_by_text("gz", exact=True))
+    expect(row.locator(".wrong").first).to_contain_text("gz")
+    expect(page.get_by_role("button", name="Make the drive")).to_be_disabled()
+
+
+def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
+    """Keys turn the mounting, make the drive and lead on; the checker objects to nothing on any page."""
+    drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
+    log = sigmaswarm.write_drive(drive, tmp_path / "log")
+    sigmaswarm.tune(drive, out=tmp_path / "bench" / "tunings" / "monday", **SMALL)  # pyright: ignore
+    served = serve(tmp_path / "bench", log)
+    page = tab(served.url + "log")
+    page.get_by_role("button", name="Make the drive").wait_for()
+    assert contrast_of(page) == []
+    tab_to(page, "yaw, degrees")
+    for angle in (1, 2, 3):
+        page.keyboard.press("ArrowRight")
+        page.get_by_text(f"yaw {angle}°").wait_for()
+    expect(page.locator("pre")).to_contain_text("--mount=0,0,3")
+    tab_to(page, "Make the drive")
+    page.keyboard.press("Enter")
+    page.get_by_text("wrote drives/log").wait_for()
+    tab_to(page, "Next: check it")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="Cut", exact=True).wait_for()
+    assert contrast_of(page) == []
+    tab_to(page, "Next: tune")
+    page.keyboard.press("Enter")
+    page.get_by_text("Filter: planar5").wait_for()
+    assert contrast_of(page) == []
+    tab_to(page, "Start")
+    page.keyboard.press("Enter")
+    page.get_by_role("cell", name="log", exact=True).wait_for()
+    for step in ("judge", "take"):
+        tab_to(page, "Judge" if step == "judge" else "Take away")
+        page.keyboard.press("Enter")
+        page.wait_for_url(f"**/{step}")
+        page.get_by_role("combobox", name="Filter").wait_for()
+        assert contrast_of(page) == []
+
+
+def test_envelope_keeps_all_peaks():
+    """An hour of 100 Hz is a few points per pixel, and no peak is lost."""
+    time = np.arange(360_000) / 100.0
+    values = np.sin(time)
+    values[123_456] = 50.0
+    t, v = plots.envelope((time, values))
+    assert len(t) == len(v) <= 2 * plots.PIXELS
+    assert v.max() == 50.0
+    assert v.min() == values.min()
+    t, v = plots.envelope((time, values), 1234.0, 1235.0)
+    assert len(t) == 103
+    np.testing.assert_array_equal(v, values[123_399:123_502])
