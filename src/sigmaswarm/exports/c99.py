@@ -11,6 +11,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_kernels import kernels_of
+from sigmaswarm.exports.c_rules import rules_of
 from sigmaswarm.exports.features import PARAMETERS, features_of, in_range, listed, plain, values_of
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.template import fill
@@ -70,6 +71,7 @@ def c99(
     features["USE_LANES_OR_NIS"] = features["USE_LANES"] or features["USE_NIS"]
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     values["KERNELS"] = kernels_of(parameters, features, values)
+    values["RULES"] = rules_of(features)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 
