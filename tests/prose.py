@@ -1,7 +1,6 @@
-"""Check the prose of README, docs and the changelog of the version in work: `make check` runs it.
+"""Check the prose of README, docs, docstrings, messages and the changelog's first version: `make check` runs it.
 
     python tests/prose.py                  # print what breaks a rule; exit code 1 if anything does
-    python tests/prose.py --source         # docstrings of src, too
     python tests/prose.py --sample 3000 --seed 1   # draw words to read as an editor, from docs and docstrings
 
 Rules are constructions, sentence length and headings. An option or a file may be called anything: code is skipped.
@@ -35,7 +34,7 @@ CONSTRUCTIONS = {
     r"\b(metre|colour|behaviour|licence|manoeuvre|neighbour|optimis|normalis)": "American spelling",
 }
 HEADING = re.compile(r"(what|how(?!-to)|why|where|when|whether|who)\b|.*[.?!:]$", re.IGNORECASE)
-CODE = re.compile(r"`[^`]*`|\$[^$]*\$|<[^>]*>")
+CODE = re.compile(r"`[^`]*`|--[a-z-]+|\$[^$]*\$|<[^>]*>")
 
 Text = tuple[str, int, str]  # file, line, paragraph
 
@@ -91,20 +90,39 @@ def docstrings() -> Iterator[Text]:
     for path in sorted((ROOT / "src").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, documented) and (text := ast.get_docstring(node)):
+                text = re.sub(r"(?m)^(\s*)\w+(?= : |$)", r"\1", text)  # names of parameters are code
                 yield from paragraphs(text, str(path.relative_to(ROOT)), getattr(node, "lineno", 1))
+
+
+def messages() -> Iterator[Text]:
+    """Yield the strings of src of three words or more that are no docstrings; an inserted value is X."""
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for line, text in strings(ast.parse(path.read_text())):
+            if len(text.split()) > 2 and not text.startswith(("#", "m meter")):  # units to read are no text
+                yield str(path.relative_to(ROOT)), line, text
+
+
+def strings(node: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and text of the string literals of a syntax tree, without docstrings."""
+    if isinstance(node, ast.JoinedStr):
+        parts = (v.value if isinstance(v, ast.Constant) else "X" for v in node.values)
+        yield node.lineno, "".join(str(part) for part in parts)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.lineno, node.value
+    elif not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
+        for child in ast.iter_child_nodes(node):
+            yield from strings(child)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--source", action="store_true", help="check docstrings, too")
     parser.add_argument("--sample", type=int, metavar="WORDS", help="print paragraphs drawn by chance")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     changes = (ROOT / "CHANGELOG.md").read_text().split("\n## ")[1]
     texts = [*paragraphs(changes, "CHANGELOG.md", 3)]
     texts += [text for page in pages() for text in paragraphs(page.read_text(), str(page.relative_to(ROOT)))]
-    if options.source or options.sample:
-        texts += docstrings()
+    texts += [*docstrings(), *messages()]
     if options.sample:
         random.Random(options.seed).shuffle(texts)
         while options.sample > 0:

@@ -2,12 +2,12 @@
 
 The road of the data
 --------------------
-A `Drive` is read, recorded or simulated; filters run over it; scores say how wrong they were; an objective
-turns scores into a cost; a swarm searches the parameters with the lowest cost; a `Tuning` holds what it found.
+A `Drive` is read, recorded or simulated; filters run over it; scores measure their errors; an objective
+turns scores into a cost; a swarm searches the parameters with the lowest cost; a `Tuning` contains what it found.
 
 Conventions
 -----------
-- SI units and radians inside; degrees only where a person reads or a file's column says so.
+- SI units and radians inside; degrees only in text for people and in columns named so.
 - Local frame: east-north-up; x east, y north. Heading ``theta`` counter-clockwise from east, in (-pi, pi].
 - Body frame: x forward, y left, z up (REP-103). The IMU gives specific force and angular rate in it.
 - Attitude, where it is more than a heading: R = Rz(theta) Ry(pitch) Rx(roll) turns body into local axes, so that

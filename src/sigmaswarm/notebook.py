@@ -107,7 +107,7 @@ def _shape(name: str, path: Any, low: Any, high: Any, scale: float) -> str:
 
 
 def to_pandas(columns: Mapping[str, Any]) -> "pd.DataFrame":
-    """Make a pandas data frame; an `InputError` says that pandas is not installed."""
+    """Make a pandas data frame; raise `InputError` if pandas is not installed."""
     try:
         import pandas as pd
     except ImportError:

@@ -250,7 +250,7 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
         ("tcp://127.0.0.1", "write it as tcp://host:8786"),
         ("tls://127.0.0.1:8786", "make a Client in Python"),
         ("nowhere.json", "is no address like tcp://host:8786, no scheduler file"),
-        ("local:none", "say how many processes, for example local:4"),
+        ("local:none", "give the number of processes, for example local:4"),
     ],
 )
 def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):

@@ -313,7 +313,7 @@ def test_the_options_follow_from_the_log():
     drive = simulated("mpu-6050")
     n, rng = len(drive.gps), np.random.default_rng(0)
     six = "tune takes --model tilted12 --use lateral standstill robust: "
-    tilts = "az, gx and gy are there, which tell hills from motion"
+    tilts = "az, gx and gy are there, which distinguish hills from motion"
     assert found_of(drive, "use") == six + tilts
     planar = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
     assert found_of(planar, "use") == "tune takes --model planar8 --use lateral standstill robust"
@@ -401,7 +401,7 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
             for t in (drive.imu, drive.gps)
         )
         for found in clock_jumps(imu.time, gps):
-            unsure = "can't tell" in found.what
+            unsure = "does not show which" in found.what
             named += not unsure
             wrong += not unsure and (found.code == "clock-jump") != jumped
     assert wrong == 0

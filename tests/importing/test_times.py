@@ -268,7 +268,7 @@ def test_coarse_stamps_of_an_uneven_count_are_refused_and_the_remedy_helps(
 def test_a_clock_that_starts_anew_is_two_recordings(tmp_path: Path, begins: tuple[float, float]):
     write(tmp_path, "t", lambda t: f"{t + begins[0] if t < 7 else t - 7 + begins[1]:.6f}")
     with pytest.raises(
-        InputError, match=r"the clock starts anew at row 701: 2 recordings .* --part 1 to --part 2"
+        InputError, match=r"the clock restarts at row 701: 2 recordings .* --part 1 to --part 2"
     ):
         imported(tmp_path)
     first, second = (imported(tmp_path, part=k) for k in (1, 2))

@@ -111,4 +111,4 @@ def _next_step(to: str, out: Path, *, replay: bool) -> str:
     if (out / "ekf.yaml").exists():
         return f"read {out / 'README.md'}, then ros2 launch {out / 'ekf.launch.py'}"
     file = out / "robot_localization.yaml"
-    return f"read what {file} says, then give it to robot_localization with --params-file"
+    return f"read the comments of {file}, then give it to robot_localization with --params-file"

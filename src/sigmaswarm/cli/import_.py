@@ -266,7 +266,7 @@ def _told(imported: "Imported", out: Path) -> Iterator[str]:
     yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
     yield from (f"note: {shown(note, 1000)}" for note in imported.notes)
     if not imported.recipe.mount:
-        yield "note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount"
+        yield "note: the IMU's axes taken as x forward, y left, z up; --mount gives other ones"
     rate = 1 / drive.nominal_interval
     yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
@@ -301,7 +301,7 @@ def _print_look(seen: "Look") -> None:
     planned = "What import would do by itself (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
-    say(recipe or "nothing was recognized; say what is what with --map")
+    say(recipe or "nothing was recognized; name the columns with --map")
     say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
     if seen.proposal:
         console.print("\nTo read the rest, add to the command:", style="bold")

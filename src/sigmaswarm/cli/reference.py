@@ -96,7 +96,7 @@ def reference(
     )
     if about["stretched"] > 1:
         say(
-            f"hidden fixes lay farther off than the smoother said: its standard deviations were multiplied by "
+            f"hidden fixes had larger errors than the smoother's standard deviations, which were multiplied by "
             f"{about['stretched']:.2g}"
         )
     say(f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out tuned")

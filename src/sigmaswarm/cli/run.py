@@ -125,7 +125,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
     if place and read.origin:
-        raise InputError(f"{drive}: says itself where its x = y = 0 is; leave --origin out")
+        raise InputError(f"{drive}: has the origin of its own x and y; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
     check_target(out, target["origin"], options.beside)

@@ -40,7 +40,7 @@ def split(
     """
 
     if at is not None and train_fraction is not None:
-        raise sigmaswarm.InputError("give --at or --train-fraction, not both: each says where to split")
+        raise sigmaswarm.InputError("give --at or --train-fraction, not both")
     whole = read_known(drive)
     parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=at)
     for part in parts:

@@ -176,7 +176,7 @@ def _local(address: str, count: str) -> Generator[Any]:
     import distributed
 
     if not count.isdecimal() or int(count) < 1:
-        raise InputError(f"--cluster {address}: say how many processes, for example local:4")
+        raise InputError(f"--cluster {address}: give the number of processes, for example local:4")
     with TemporaryDirectory(prefix="sigmaswarm-", ignore_cleanup_errors=True) as scratch:
         local: Any = distributed.LocalCluster  # its type stubs lack dashboard_address=None
         cluster = local(

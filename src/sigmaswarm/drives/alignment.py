@@ -1,6 +1,6 @@
 """Where and how a filter starts: an initial state taken from the drive alone, causally, without truth.
 
-A car's heading can't be seen at standstill, and a GPS fix has none. Once the car has driven some metres,
+A car's heading can't be seen at standstill, and a GPS fix has none. Once the car has driven some meters,
 its course over ground shows the heading; the gyro takes out the turns and the accelerometer the speed
 changes in between. `initial_state` looks back over the last seconds of fixes and fits all of it: `alignment_fit`.
 

@@ -98,7 +98,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
     """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
 
-    Nothing here stops work, so each check stays silent in doubt.
+    Nothing here stops work, so a check that is uncertain reports nothing.
     """
     if spoiled := spoiled_times(imu, gps):
         return spoiled
@@ -145,7 +145,7 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
     if not unit:
         return None
     power = f"{TIME_UNITS[unit]:.0e}".replace("+0", "")
-    remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import say so with --time or --map, as in "
+    remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import use --time or --map, as in "
     return Remark("time-unit", file, "t", what, f"{remedy}t=stamp*1e-{power[2:]}")
 
 

@@ -115,7 +115,7 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
         x, y = POSITIONS[frame]
         raise DriveError(
             f'{description}: frame = "{frame}", but {gps.name} lacks columns {x}, {y}; '
-            f'write frame = "{present[0]}", as its columns say'
+            f'write frame = "{present[0]}", as its columns show'
         )
     return frame
 

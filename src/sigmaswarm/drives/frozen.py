@@ -76,7 +76,7 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 
 @cached
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
-    """The car's speed (m/s) at a time, told from the new fixes of the seconds up to row ``last``.
+    """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
     The smaller of two: that of a straight line, and along it that of a parabola at the time itself; a car that brakes
     to a halt has been fast a second before. A log that begins with repeats begins at rest: nothing shows that it moves.

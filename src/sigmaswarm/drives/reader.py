@@ -112,7 +112,9 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
         raise DriveError(f"{folder} {what}; name a folder that holds imu.csv, gps.csv and drive.toml")
     inside = [f.name for f in folder.iterdir() if has_table(f, "imu")]
     if inside and not has_table(folder, "imu"):
-        raise DriveError(f"{folder} is no drive but holds {len(inside)}; name one of them, say {min(inside)}")
+        raise DriveError(
+            f"{folder} is no drive but contains {len(inside)}; name one of them, for example {min(inside)}"
+        )
     about = read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)
     stated, origin = about.pop("frame", None), about.pop("origin", None)

@@ -26,7 +26,7 @@ UNSTATED_GPS_STD = 2.1
 
 @dataclass(frozen=True)
 class SuggestedFilter:
-    """A filter for some logs: its model, the measurements besides positions, and the sensors that suggest it."""
+    """A filter for some logs: its model, the measurements in addition to positions, and the sensors that suggest it."""
 
     model: str
     use: tuple[str, ...]

@@ -247,7 +247,7 @@ def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) ->
     """Return True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
 
     The first ``n`` rows are read, but those after ``now``. The answer holds before ``until[0]`` if no fix is added.
-    ``kinds`` says what each fix is: see `frozen`. Repeats of a fix of a driving car show nothing. Behind an outage the
+    ``kinds`` has the kind of each: see `frozen`. Repeats of a fix of a driving car show nothing. Behind an outage the
     window must fill up first: the slope of half of it is three times as noisy, and shows a car that departs, by an
     acceleration as steady as gravity, as standing.
     """

@@ -23,9 +23,9 @@ _NO_STD = "leave the column out where no deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
-    "alt": (-LARGEST, LARGEST, "give metres above the ellipsoid"),
-    "x": (-LARGEST, LARGEST, "give metres from an origin near by"),
-    "y": (-LARGEST, LARGEST, "give metres from an origin near by"),
+    "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
+    "x": (-LARGEST, LARGEST, "give meters from an origin near by"),
+    "y": (-LARGEST, LARGEST, "give meters from an origin near by"),
     "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
     "std_x": (1e-6, LARGEST, _NO_STD),
     "std_y": (1e-6, LARGEST, _NO_STD),
@@ -217,7 +217,7 @@ def _parquet(path: Path) -> pl.DataFrame:
         rows = int(scan.select(pl.len()).collect().item())  # as the footer says
         if rows * len(schema) > MOST_CELLS:
             raise DriveError(
-                f"{path}: says that it has {rows} rows of {len(schema)} columns, more than {MOST_CELLS} cells; "
+                f"{path}: states {rows} rows of {len(schema)} columns, more than {MOST_CELLS} cells; "
                 "split the drive"
             )
         kept = [

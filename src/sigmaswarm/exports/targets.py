@@ -92,7 +92,7 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
         require_driven_by_imu(parameters.model, target)
     if parameters.nominal_interval is None:
         raise InputError(
-            "the filter does not say which IMU interval its process noise refers to; add nominal_interval (s), for "
+            "the filter does not state the IMU interval of its process noise; add nominal_interval (s), for "
             "example nominal_interval = 0.01, to [filter] in its file"
         )
     if min(parameters.process_noise) < 0 or min(parameters.measurement_noise) <= 0:

@@ -44,8 +44,8 @@ def write_estimate(
     origin : (latitude deg, longitude deg, altitude m), optional
         Where x = y = 0 is on the earth; the last three formats need it.
     time_origin : float
-        s at which the estimate's times are 0 on the clock of the log that it was made of, as `time_origin_of` a drive
-        says it; for bags and maps, which have their times on that clock.
+        s at which the estimate's times are 0 on the clock of its log, see `time_origin_of`; for bags and maps, whose
+        times are on that clock.
     beside : str or Path, optional
         .ros2: a ROS 2 bag whose messages are copied unchanged into the new one.
     name : str, optional
@@ -140,7 +140,7 @@ def check_target(path: Path, origin: Origin | None = None, beside: str | Path | 
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
-            f"{path}: can't tell the format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
+            f"{path}: unknown format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
         )
     if beside and path.suffix != BAG:
         raise InputError(f"{path}: --beside copies a bag's messages into a bag; end the name in {BAG}")
@@ -152,7 +152,7 @@ def check_target(path: Path, origin: Origin | None = None, beside: str | Path | 
         raise InputError(f"{path.parent}: no such folder; make it first")
     if path.suffix in MAPS and origin is None:
         raise InputError(
-            f"{path}: a map needs degrees, and the drive does not say where on the earth its x = y = 0 is; give "
+            f"{path}: a map needs degrees, and the drive has no origin on the earth; give "
             "--origin LAT,LON, or origin in its drive.toml, or write .csv, .mat, .tum, .kitti or .ros2"
         )
 
@@ -178,7 +178,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
-    """Write a MATLAB file; its format has an array's size before its numbers, so all pieces are held."""
+    """Write a MATLAB file; its format has an array's size before its numbers, so all pieces stay in memory."""
     from scipy.io import savemat
 
     parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]

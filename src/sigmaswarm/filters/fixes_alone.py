@@ -1,7 +1,7 @@
 """A Kalman filter on the fixes alone: constant velocity with white acceleration, no IMU.
 
-A filter with an IMU should be better. Its two noises have the largest likelihood on the same fixes, so its scores are
-optimistic. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and
+A filter with an IMU should be better. Its two noises have the largest likelihood on the same fixes, so its scores
+are too good. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and
 Navigation, 2001, section 6.2.2.
 """
 

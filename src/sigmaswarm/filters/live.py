@@ -70,7 +70,7 @@ class LiveFilter:
     identical fix is a repeated message and is ignored. A stale fix is stored but not used: see `drives.frozen`.
 
     While the IMU is silent, the state stays that of the last sample and fixes wait; the next sample bridges the gap
-    (`drives.gaps`). A sample stamped more than 10 s ahead is held until a second one within a second of it confirms
+    (`drives.gaps`). A sample stamped more than 10 s ahead waits until a second one within a second of it confirms
     it; then both are used, as after a silence. Otherwise it is dropped and counted. The same holds for fixes, which IMU
     samples of that time also confirm.
 
@@ -171,7 +171,7 @@ class LiveFilter:
         self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=MOST_WAITING + seen + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample. One not after the last one is ignored, one more than 10 s ahead is held.
+        """Process an IMU sample. One not after the last one is ignored, one more than 10 s ahead waits.
 
         Samples before the start only set the level of calm for the standstill.
 
@@ -376,7 +376,9 @@ class LiveFilter:
             If no ``lag`` was given.
         """
         if self._lag is None:
-            raise InputError("a live filter without lag has no smoothed state; make it with lag=2.0, say")
+            raise InputError(
+                "a live filter without lag has no smoothed state; make it with a lag, for example lag=2.0"
+            )
         return self._state_at(*self._lag.smoothed(self._memory.arrays), True)
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:

@@ -1,4 +1,4 @@
-"""Filters without tuning. The paper says "default parameters" and gives none.
+"""Filters without tuning. The paper names "default parameters" and gives none.
 
 Three presets, planar5 UKFs, stand for settings by hand:
 

@@ -51,7 +51,7 @@ Switches = tuple[bool, bool, bool, bool]
 
 
 def switches(p: FilterParameters) -> Switches:
-    """Measurements besides fixes that a parameter set uses: velocity, lateral, standstill, odometer."""
+    """Measurements other than fixes that a parameter set uses: velocity, lateral, standstill, odometer."""
     velocity, lateral = p.velocity_noise is not None, p.lateral_noise is not None
     return velocity, lateral, p.standstill_noise is not None, p.odometer_noise is not None
 
@@ -110,7 +110,7 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
 
 
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
-    """Covariance (n, n) that a step of ``dt`` s through a gap of ``gap`` s adds to P besides Q; zero without a gap.
+    """Covariance (n, n) that a step of ``dt`` s through a gap of ``gap`` s adds to P + Q; zero without a gap.
 
     The unobserved motion is one turn rate and one acceleration for the whole gap. So its steps together add
     (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position takes half of

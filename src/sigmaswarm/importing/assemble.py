@@ -154,7 +154,7 @@ def _first_place(values: Values) -> Origin:
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
     """The truth with x and y, m; about its own first place where no fixes have set an origin.
 
-    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand metres
+    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand meters
     between the two would stretch one of them by 16 cm a kilometre.
     """
     if "lat" in values and "lon" in values:
@@ -171,8 +171,8 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    """Return the sentence on truth in metres with fixes in degrees: its origin, and how far the fixes are from it."""
-    said = "truth is in metres: its origin is taken to be the first fix"
+    """Return the sentence on truth in meters with fixes in degrees: its origin, and how far the fixes are from it."""
+    said = "truth is in meters: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
     if np.count_nonzero(inside) < 3:
@@ -214,7 +214,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         say("truth: velocity taken from the positions' differences")
         values["vx"], values["vy"] = np.gradient(values["x"], time), np.gradient(values["y"], time)
     if "theta" not in values:
-        say("truth: heading taken from the course, held while the vehicle is slower than 1 m/s")
+        say("truth: heading taken from the course, constant while the vehicle is slower than 1 m/s")
         values["theta"] = _held_course(values["vx"], values["vy"])
     else:
         course, rows = course_of(time, values["x"], values["y"])

@@ -34,7 +34,7 @@ class Request:
     time : expression of the time, in every table of the source
     choice : tables and times
     limits : how much is read
-    part : which recording, from 1, where a clock starts anew within a table
+    part : which recording, from 1, where a clock restarts within a table
     definitions : files or folders of ROS messages' definitions, .msg, for bags without them
     """
 
@@ -195,7 +195,7 @@ def _require_sensors(recipe: Recipe, request: Request, logs: Mapping[Path, Log],
             there = there or "what can be decoded"
             raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
         raise InputError(
-            f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (--show proposes it)"
+            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show proposes it)"
         )
 
 

@@ -56,7 +56,7 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
 
     Parameters
     ----------
-    form : as strftime has it; ISO 8601 without one, and a form without a day counts from midnight
+    form : in strftime's codes; ISO 8601 without one, and a form without a day counts from midnight
     """
     plain = (
         text.str.replace("T(\\d)", " ${1}")

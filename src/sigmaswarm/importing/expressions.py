@@ -308,7 +308,7 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 
 
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """The column and the factor where a text says just ``column`` or ``column * number``, else None.
+    """The column and the factor where a text is just ``column`` or ``column * number``, else None.
 
     Whole numbers of nanoseconds since 1970 have more digits than a float holds: such a time is best scaled as integers.
     """

@@ -102,7 +102,7 @@ def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
 def _placed(values: Values, time: Array, drive: Drive, path: Path, say: Say) -> Gps:
     if "lat" in values and drive.origin is None:
         raise InputError(
-            f"{path}: gives degrees, and {drive.name} does not say where its x = y = 0 is; write "
+            f"{path}: gives degrees, and {drive.name} has no origin; write "
             "origin = [lat, lon, alt] into its drive.toml"
         )
     placed, _ = placed_fixes(values, drive.origin, say)

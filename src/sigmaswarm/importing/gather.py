@@ -145,7 +145,7 @@ def complete_part(part: Part, log: Log, role: Role) -> Part:
     if "t" not in part.columns:
         raise InputError(
             f"{log.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
-            "say it with --time"
+            "give it with --time"
         )
     for text in part.columns.values():
         try:

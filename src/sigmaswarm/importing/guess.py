@@ -141,5 +141,5 @@ def _downward(imu: Columns) -> str:
         return ""
     return (
         f"{imu.names['az'].column} is negative, so that axis points down; where the others point forward "
-        "and to the right, say --mount x=x,y=-y; `sigmaswarm doctor` tells whether it was right"
+        "and to the right, use --mount x=x,y=-y; `sigmaswarm doctor` checks whether it was right"
     )

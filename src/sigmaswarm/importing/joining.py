@@ -29,7 +29,7 @@ TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
 def join(
     parts: Sequence[Gathered], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> tuple[Nanoseconds, Values]:
-    """One table of a role's parts: at the first part's times, the others interpolated between their neighbours.
+    """One table of a role's parts: at the first part's times, the others interpolated linearly.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     if not len(time):
         why = "no usable row; --show shows what it holds"
         if part.timeless:
-            why = "no time within 292 years of 1970; say its column and unit with --time"
+            why = "no time within 292 years of 1970; give its column and unit with --time"
         raise InputError(f"the {role}: {table} holds {why}")
     for name, (value, count) in part.placeholders.items():
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
@@ -123,7 +123,9 @@ def _complete_rows(
     """Rows without gaps: columns mostly empty are left out, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
-            raise InputError(f"the {role}: nothing gives {name}; say what does with --map {role}.{name}=...")
+            raise InputError(
+                f"the {role}: nothing gives {name}; name its column with --map {role}.{name}=..."
+            )
     values = dict(values)
     for name in values.keys() & {"std_x", "std_y"}:
         values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)

@@ -59,7 +59,7 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
 
 
 def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]]:
-    """The course (m,), rad, between places at least some metres apart, and at which rows it is the mean course."""
+    """The course (m,), rad, between places at least some meters apart, and at which rows it is the mean course."""
     if len(time) < 10:
         return np.zeros(0), np.zeros(0, np.int64)
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))

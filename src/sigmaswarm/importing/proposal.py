@@ -147,7 +147,7 @@ class Proposal:
 def proposed(
     tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
 ) -> tuple[str, dict[str, str]] | None:
-    """The table that has most of a role, and the columns that its names say beside those that are ``known``.
+    """The table that has most of a role, and the columns recognized by name in addition to those that are ``known``.
 
     Parameters
     ----------

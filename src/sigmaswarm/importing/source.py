@@ -66,7 +66,7 @@ class Guess:
     origin : latitude (deg), longitude (deg), altitude (m) of the frame that the truth is in, where the format fixes it
     metadata : keys for drive.toml
     downward : a sentence where the IMU's vertical axis points down, if its mounting is not given
-    fixed : expression over the fixes' first table: where carrier phases are fixed; empty where the format can't say
+    fixed : expression over the fixes' first table: where carrier phases are fixed; empty where not stated
     faults : reasons not to use columns unchanged, unless the user maps them
     """
 

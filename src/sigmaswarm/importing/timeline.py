@@ -71,9 +71,9 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
     """The rows of the recording that is wanted; refused where there are several and none was chosen."""
     parts = recordings(time)
     if len(parts) == 1:
-        return parts[0], f"{where}: its clock does not start anew; all its rows are taken" if part else ""
+        return parts[0], f"{where}: its clock does not restart; all its rows are taken" if part else ""
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
-    said = f"{where}: the clock starts anew at row {parts[1].start + 1}: {len(parts)} recordings ({', '.join(lengths)})"
+    said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({', '.join(lengths)})"
     if part is None:
         raise InputError(f"{said}; import each by itself: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):

@@ -1,1 +1,1 @@
-"""Truth for drives that have none: what a good receiver beside the cheap one knows."""
+"""Truth for drives that have none: the track of a good receiver in the same vehicle."""

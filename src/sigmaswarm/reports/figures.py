@@ -197,7 +197,7 @@ def _svg(figure: Figure, **settings: str) -> str:
 def check_file(path: Path, suffix: str = ".png") -> None:
     """Raise `InputError` where a file of that type cannot be written, before any work is done."""
     if path.suffix != suffix:
-        raise InputError(f"{path}: can't tell the format; end the name in {suffix}")
+        raise InputError(f"{path}: unknown format; end the name in {suffix}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():

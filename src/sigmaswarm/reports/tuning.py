@@ -136,7 +136,7 @@ def filter_name(file: TuningRecord) -> str:
 def what_was_tuned(file: TuningRecord) -> str:
     """The filter, the drives and the objective, in a sentence."""
     if file.result is None:
-        return f"The filter is {filter_name(file)}; its file does not say how it was tuned."
+        return f"The filter is {filter_name(file)}; its file has no record of a tuning."
     length = sum(d.duration_s or 0 for d in file.data)
     on = counted(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
     meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""

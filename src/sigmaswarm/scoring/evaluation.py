@@ -209,7 +209,7 @@ class Evaluation:
 
     @property
     def worse_than_untuned(self) -> tuple[str, ...]:
-        """A sentence for each untuned method that is better on average over the drives."""
+        """A sentence for each method without tuning that is better on average over the drives."""
         return worse_than_untuned(self.record, self.measures)
 
     @property

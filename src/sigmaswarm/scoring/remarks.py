@@ -70,7 +70,7 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    """Return a sentence for each untuned method that is better on average over the drives."""
+    """Return a sentence for each method without tuning that is better on average over the drives."""
     said: list[str] = []
     for method, name in ((UNTUNED, "the baseline"), (FIXES, "a filter of the fixes alone")):
         known = {

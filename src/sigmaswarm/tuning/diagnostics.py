@@ -1,7 +1,7 @@
 """Faults of a tuned filter that its objective hardly sees.
 
 Divergence and drift: during a tuning a filter is not reset where it diverges, so its cost there is that of a wrong
-track, but a likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix say little about
+track, but a likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix hardly show
 the next minute: a search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts
 a kilometer.
 

@@ -1,7 +1,7 @@
 """A prior on R from the accuracy of the receiver, which a log without truth does not determine.
 
-Many receivers smooth their fixes: from one to the next they err by centimetres, over minutes by metres. The likelihood
-of the next fix sees the centimetres alone, and so the filter that it likes best has an R of centimetres, and copies the
+Many receivers smooth their fixes: from one to the next they err by centimeters, over minutes by meters. The likelihood
+of the next fix sees the centimeters alone, and so the filter that it likes best has an R of centimeters, and copies the
 fixes. What it lacks is in the receiver's data sheet: R is drawn from a log-normal distribution about the stated
 variance, a floor rather than a point (receivers in cities state too little, and a larger R costs nothing). Errors that
 last bind every fix alike, so no number of fixes outvotes the prior: it counts once for each of them.

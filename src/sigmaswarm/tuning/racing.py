@@ -9,8 +9,8 @@ known beforehand.
 
 With many drives (`MANY`), halving alone saves little: filters run in parallel, and a single one left takes as
 long as eight on all drives. There a batch also races against the best so far, whose cost on each drive is
-known. It begins with a twelfth of the drives, and of the better half only those go on that are better than the best
-on the same drives by more than a standard error of the mean difference; if there are none, the race ends. What the best
+known. It begins with a twelfth of the drives. Of the better half only those continue that are better than the best
+on the same drives by more than a standard error of the mean difference. Without any, the race ends. What the best
 costs on these drives and on all measures their difficulty, so that a dropped candidate's cost is stated for all drives
 (a control variate). To begin with a 32nd is faster, but the costs of the dropped ones then mislead the search.
 

@@ -25,7 +25,7 @@ PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a warning reports that it decided R."""
 SMOOTH = 0.5
 """Scatter in m below which the receiver either filters its fixes or uses RTK."""
-UNKNOWN = "no log without truth can tell how far off they are together"
+UNKNOWN = "no log without truth shows their common error"
 REMEDY = (
     "tune with --use accuracy where the receiver states its deviation, or score against a reference receiver"
 )
@@ -104,14 +104,14 @@ def prior_warnings(
         if np.isfinite(one.stated):
             lasting = f"; its fixes scatter less, so their errors last, and {UNKNOWN}"
             more = lasting if std > LASTS * one.scatter else ""
-            return [f"{name}: R was held near the {std:.2g} m per axis that the receiver states{more}"]
+            return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{more}"]
         if std == UNSTATED_GPS_STD:
             why = (
-                f"{name} states no accuracy of its fixes, so R was held near that of a usual receiver, {std:.2g} m per "
+                f"{name} states no accuracy of its fixes, so R was kept near that of a usual receiver, {std:.2g} m per "
                 "axis, and NIS will be low where its fixes are smoothed"
             )
             return [to_do("write gps_std_m into drive.toml if yours is another receiver", why)]
-        return [f"{name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
+        return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
     return []
 
 
@@ -126,7 +126,7 @@ def accuracy_warnings(parameters: FilterParameters, each: Sequence[float]) -> li
         return []
     why = (
         f"what the receiver states of its fixes is {share:.0%} of R, so `accuracy` plays no part: it hardly changes "
-        "from fix to fix, or tells nothing of their errors"
+        "from fix to fix, or is unrelated to their errors"
     )
     return [to_do("leave accuracy out of --use", why)]
 

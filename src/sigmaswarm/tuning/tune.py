@@ -52,7 +52,7 @@ P = TypeVar("P")
 
 
 class RunOptions(TypedDict, total=False):
-    """Arguments of `tune` besides the data and the configuration."""
+    """Arguments of `tune` other than the data and the configuration."""
 
     out: str | Path | None
     resume: bool

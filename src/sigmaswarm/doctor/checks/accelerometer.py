@@ -59,7 +59,7 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         )  # fmt: skip
     if mount.unit != 1:
         size = mount.unit * mount.scale[0][0]
-        what = f"the accelerations are in g: the car's motion is {size:.1f} times what ax says"
+        what = f"the accelerations are in g: the car's motion is {size:.1f} times ax"
         repair = Repair("accelerometer", (GRAVITY, 0.0, 0.0, GRAVITY, GRAVITY))
         remedy = f"multiply ax, ay, az by {GRAVITY}"
         yield Finding("accelerometer-unit", "serious", what, f"{WHERE}, az", span, confidence, remedy, repair)
@@ -85,7 +85,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     for name, (scale, std), row in zip(("forward", "left"), mount.scale, force, strict=True):
         pushed = np.std(smoothed(imu.time, row, second, 1.0))
         if pushed > LEAST_PUSH and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
-            what = f"the acceleration {name} is {scale:.2f} times what the IMU says (deviation {std:.2f})"
+            what = f"the acceleration {name} is {scale:.2f} times the IMU's (deviation {std:.2f})"
             remedy = "check the range setting, and whether the log was filtered"
             confidence = confidence_of((scale - 1) / std)
             yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)

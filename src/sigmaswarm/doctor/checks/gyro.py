@@ -80,7 +80,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     off = fit.gain / yaw.factor - 1
     if fit.course_change > LEAST_TURN and abs(off) > max(WRONG, 4 * fit.std / abs(yaw.factor)):
         what, remedy = (
-            f"the car turns {1 + off:.2f} times as far as the gyro says",
+            f"the car turns {1 + off:.2f} times as far as the gyro measures",
             "check the gyro's range setting",
         )
         yield Finding("gyro-scale", "warning", what, where, span, confidence_of(4), remedy)

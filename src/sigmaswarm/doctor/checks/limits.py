@@ -77,7 +77,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
     if chosen.model == "tilted12":
-        reasons["model"] = "az, gx and gy are there, which tell hills from motion"
+        reasons["model"] = "az, gx and gy are there, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))
     may = "you may add velocity to --use: the receiver gives speed and course"
     what = f"tune takes {chosen.options}{f': {because}' if because else ''}{f'; {may}' if agrees(evidence) else ''}"

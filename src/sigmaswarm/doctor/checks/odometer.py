@@ -171,7 +171,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
             return
     if size > 0.1 and abs(size - 1) > max(WRONG, 3 * unsure):
         way = "more" if size > 1 else "less"
-        what = f"the wheels tell {abs(size - 1):.1%} {way} than the fixes move (to {unsure:.1%})"
+        what = f"the odometer measures {abs(size - 1):.1%} {way} than the fixes (to {unsure:.1%})"
         remedy = f"divide speed by {size:.4f}, or let `tune --use odometer` find its scale"
         yield Finding(
             "odometer-scale", "warning", what, SPEED, span, 0.95, remedy, Repair("odometer", (1 / size,))
@@ -179,7 +179,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """The wheels' way, bent as the gyro says, over the fixes', and how far the latter went, m; as the crow flies."""
+    """Ratios of the odometer's displacement, turned by the gyro, to that of the fixes; the latter in m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

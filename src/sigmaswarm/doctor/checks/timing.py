@@ -52,7 +52,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             "clock-offset", ("serious" if grave else "warning") if clear else "note",
             f"the fixes {'are' if clear else 'may be'} {size} {way} against the IMU (deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
-            f"{move} the fixes' times{'' if clear else ' if other drives say so too'}, or let the tuning find it anew "
+            f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
             "(--use latency): its figure makes the filter forecast best, this one fits turns and accelerations best; "
             "they may differ by a few deviations",
             Repair("shift-fixes", (-late,)) if clear else None,
@@ -142,7 +142,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped: the car's speed around it can't tell"
+            what = "the logger paused, or its clock jumped: the car's speed around it does not show which"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = f"the logger's clock jumped: the car went as far between these fixes as in {passed:.1f} s"
             code, severity, remedy = "clock-jump", "warning", "take the jump off all later times of all files"

@@ -67,7 +67,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
     late, share = _delay(evidence, gps.course, speed * (1.0 if usual else ratio))
     if abs(late) >= LATE and share < 0.8:
         way = "later" if late > 0 else "earlier"
-        what = f"speed and course are {abs(late):.2f} s {way} than the positions beside them"
+        what = f"speed and course are {abs(late):.2f} s {way} than the positions of the same rows"
         yield Finding("velocity-delay", "warning", what, "gps.csv, speed, course", span, 0.95, REMEDY)
 
 

@@ -539,7 +539,9 @@ class LiveFilterBank(LiveFilter):
         ------
         InputError
         """
-        raise InputError("a filter bank has no smoothed state; take a LiveFilter with lag=2.0, say")
+        raise InputError(
+            "a filter bank has no smoothed state; take a LiveFilter with a lag, for example lag=2.0"
+        )
 
 
 def _is_definite(covariance: Array) -> bool:

@@ -2,5 +2,5 @@
 
 `layout` numbers the rows of the one array that a run works on; `planar5` and `planar8` predict in closed form;
 `measurements` absorb; `step` puts both together, `run` and `live` put steps on a time line. `custom` is the
-filter around a user's own model. `textbook/` says the same in the textbook's words.
+filter around a user's own model. `textbook/` has the same equations in the textbook's form.
 """

@@ -26,7 +26,7 @@ _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 def build_kernel(
     f: Callable[..., Any], h: Callable[..., Any], process_noise: Callable[..., Any], *, diagonal: bool
 ) -> Any:
-    """The filter around a user's functions, compiled when it is first called; `run` in it says what it takes.
+    """The filter around a user's functions, compiled when it is first called; see `run` in it for its arguments.
 
     ``diagonal``: process_noise gives the diagonal of Q. Bounds are checked in the user's functions: an index that is
     off raises there, too, in place of reading foreign memory.
@@ -52,7 +52,7 @@ def build_kernel(
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
-        """Draw sigma points anew and push them through h: nu, S and C; False where P has no root."""
+        """Draw sigma points again and push them through h: nu, S and C; False where P has no root."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):

@@ -60,7 +60,7 @@ def sinc_cos(z):
 def _near(x, n):
     """Sine and cosine of x less n right angles, which is between -pi/4 and pi/4, without branches or calls.
 
-    Error about 3e-16 beside what the last digit of x makes: pi/2 is that well known.
+    Error about 3e-16 in addition to that of the last digit of x: pi/2 is that well known.
     """
     r = x - n * (math.pi / 2)
     z = r * r

@@ -1,6 +1,6 @@
 """The array that a run works on, (row, lane): its lanes, and its rows, numbered in the order of their names.
 
-Kernels say ``w[R.XX, l]``; `unroll.unrolled` puts the number in its place before Numba sees it.
+Kernels write ``w[R.XX, l]``; `unroll.unrolled` puts the number in its place before Numba sees it.
 """
 
 from collections import namedtuple

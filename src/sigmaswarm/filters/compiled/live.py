@@ -141,7 +141,7 @@ def _same(a, b, n):
 
 @_plain
 def _slot(t, start, interval):
-    """Which interval a moment lies in, as `schedule._every` says it; a constraint is absorbed once in each."""
+    """The interval that contains a time, as in `schedule._every`; a constraint is absorbed once in each."""
     return math.floor((t - start) / interval + 1e-6)
 
 
@@ -181,7 +181,7 @@ def _check(v):
 
 @_plain
 def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
-    """Step through the fixes up to a sample's time, and absorb there what the wheels say and what a car can't do.
+    """Step through the fixes up to a sample's time, and apply there the odometer and the constraints of a car.
 
     ``number``: of the sample, from the start.
     """
@@ -230,7 +230,7 @@ def _until(rows, n, now):
 
 @_plain
 def _stands(v, fixes, end, now, means):
-    """After a calm second: what the fixes of the last seconds, up to row ``end``, and the stop so far say."""
+    """After a calm second: whether the fixes up to row ``end`` and the stop so far show a standstill."""
     if not fixes_stand(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
@@ -577,8 +577,8 @@ class LiveCalls:
     sample : ``(handle, t, a, b, c, d, e, f)``, an IMU sample, its axes as the filter takes them; what became of it
     fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
     speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
-    heading : ``(handle, gyro_bias)``, where the log alone says that the car heads, rad, roughly, of a gyro of that bias
-        (rad/s); NaN where it says nothing
+    heading : ``(handle, gyro_bias)``, approximate heading from the log alone, rad, for a gyro of that bias (rad/s); NaN
+        where it does not show one
     definite : ``(handle)``, whether the covariance is positive semidefinite
     """
 

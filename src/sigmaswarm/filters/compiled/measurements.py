@@ -104,7 +104,7 @@ def forecast_fix(w, z, lever, *, n):
 
 
 def _look(w, l):
-    """Add what a fix says of the filter's own S, before it is absorbed; gives its NIS."""
+    """Add a fix's NIS and likelihood to the sums, before the update; gives its NIS."""
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
     n1, n2 = w[R.N1, l], w[R.N2, l]
@@ -166,7 +166,7 @@ def _keep_digits(w, *, n, tilted, unscented):
     """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
     P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position, -latency at
-    the velocity and k J R(theta) lever at the heading; R is what S holds beside H P H^T.
+    the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0
@@ -197,10 +197,10 @@ def _keep_digits(w, *, n, tilted, unscented):
 def _fade(w, *, n):
     """Strong tracking: stretch P so far that the recent size of the innovations is explained (FADING < 0: off).
 
-    After D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with
-    coloured noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things are not theirs.
-    The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look back. And
-    only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see would grow on.
+    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things
+    are not theirs. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly
+    look back. And only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see
+    would grow on.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -218,7 +218,7 @@ def _fade(w, *, n):
 
 
 def _reason(w, *, n):
-    """Scale R and Q by fuzzy rules on what the fix says of S (FUZZY < 0: off): see `filters.fuzzy`.
+    """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`.
 
     The factors in force are taken out of R and Q as the new ones are put in.
     """
@@ -274,8 +274,8 @@ def _weigh(w, since):
     """Student's t: the weight of a fix, whose R is divided by it (DOF = 0: off).
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012: with S = H P H^T + R / w and e = S^-1 nu, the residual after the
-    update is r = R / w e, its covariance A = R / w - R / w S^-1 R / w, and w = (dof + 2) / (dof + r^T R^-1 r +
+    the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the residual after the
+    update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
     tr R^-1 A), three times from w = 1.
 
     A filter that is wrong takes all fixes for outliers. So the fix that ends a run of them, long enough, has weight 1,
@@ -313,12 +313,12 @@ def _weigh(w, since):
 
 
 def _adapt(w, since, *, n):
-    """Adapt Q and R to what a fix says, with weight 1 - FORGETTING (1: off).
+    """Adapt Q and R to a fix's innovation, with weight 1 - FORGETTING (1: off).
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
     their weights (1 - b) / (1 - b^(k+1)). R from the residual after the update, eps eps^T + H P+ H^T, positive by
     construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which no negative value is taken. A second fix of the same
-    moment (since = 0) says nothing of Q.
+    time (since = 0) shows nothing about Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):

@@ -21,7 +21,7 @@ _KIND = types.Tuple((int64, *_ARRAYS))
 
 
 class LiveArrays(NamedTuple):
-    """What `live` says they are."""
+    """Arrays of a live filter: see `live`."""
 
     belief: NDArray[np.float64]
     counts: NDArray[np.int64]

@@ -1,9 +1,9 @@
-"""planar5's prediction in closed form; read it beside `models.planar5` and `textbook.UnscentedKalmanFilter`.
+"""planar5's prediction in closed form; compare `models.planar5` and `textbook.UnscentedKalmanFilter`.
 
 The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate,
 with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
 first. Then only its first column (and its mirror image) moves theta, by d = gamma sigma_theta with gamma^2 = n + lambda
-= alpha^2 (n + kappa), and all other sigma points share the centre's g0 = g(theta). With J a turn by 90 degrees,
+= alpha^2 (n + kappa). All other sigma points share the center's g0 = g(theta). With J a turn by 90 degrees,
 
     g(theta +- d) = g0 cos d +- J g0 sin d,       w = 1 / (2 gamma^2) the weight of one sigma point,
     e         = 2 w (cos d - 1) = -(2 / gamma^2) sin^2(d/2)          (no difference of large numbers is left)
@@ -16,9 +16,9 @@ The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and s
 
 An extended Kalman filter is the same with the second-order terms off: gamma = 0, so that e = 0 and k = 1.
 
-The heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, turn along; they are asked
-for anew where something else has turned it, a fix or a start: row FACED is 0 there, and FACED_ALL in all lanes, until
-somebody has looked.
+The heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, turn along; they are
+computed again where something else has turned it, a fix or a start: row FACED is 0 there, and FACED_ALL in all lanes,
+until then.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -48,7 +48,7 @@ def _look_away(w):
 
 @kernel
 def _turn(w, ax, ay, turn):
-    """What the mean heading and its spread do to the acceleration times dt; then the heading turns as the gyro says."""
+    """Turn the acceleration times dt by the mean heading and its variance; then turn the heading by the gyro."""
     for l in range(LANES):
         k_turn, cos_turn = sinc_cos(turn * turn)
         sin_turn = turn * k_turn

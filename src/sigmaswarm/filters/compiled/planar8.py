@@ -2,7 +2,7 @@
 
 u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with b the accelerometer's biases and w the gyro's.
 This is bilinear in theta and b. Take the square root of P with theta first again: its first column moves theta by d and
-b along with it; with theta held, the other columns move b only, and there the process is linear. Write g0 for the mean
+b along with it; with theta fixed, the other columns move b only, and there the process is linear. Write g0 for the mean
 specific force less bias, turned into the world; J for a turn by 90 degrees; t = R P[b, theta]; gamma, d, e and k as in
 planar5, and m = (1 - cos d) / P[theta, theta]. Adding up the sigma points gives
 

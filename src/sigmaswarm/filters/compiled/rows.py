@@ -1,7 +1,7 @@
 """The array that a run works on, on the stack and at the start of a cache line.
 
 Numba's `np.empty` starts at any multiple of 32 bytes, so that with AVX-512 every load and store may lie across two
-cache lines: the whole run then takes a seventh longer, or not, as chance has it.
+cache lines: the whole run then takes a seventh longer, or not, by chance.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false

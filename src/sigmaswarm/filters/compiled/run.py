@@ -35,7 +35,7 @@ NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 
 
 def kept(column: Array) -> Array:
-    """As kernels take what nobody writes to: side by side in memory, not writable; each form would be compiled."""
+    """An input array as kernels take it: contiguous, not writable; each other form would be compiled."""
     view = np.ascontiguousarray(column).view()
     view.flags.writeable = False
     return view

@@ -2,7 +2,7 @@
 
 Numba writes what a function calls into it, and compiles it with it once more; but what a live filter does with its
 memory is the same for each model, and need not hold the model's arithmetic. So a step is a function of its own in
-memory, and whoever takes a filter through steps is told where it stands.
+memory, and the loop over steps gets its address.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -55,7 +55,7 @@ def _one_step(sources, *, step, kept, tape, taped):
 
 @dataclass(frozen=True, eq=False)
 class SingleStep:
-    """A model's step in this process, in others of which it stands elsewhere: a copy of it is looked up anew.
+    """A model's step in this process, in others of which it stands elsewhere: a copy of it looks its address up again.
 
     Attributes
     ----------

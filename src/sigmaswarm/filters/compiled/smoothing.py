@@ -4,8 +4,8 @@
     m^s = m + G (m^s' - m-)
     P^s = P + G (P^s' - P-) G^T
 
-with m, P the filter's state before a step, m-, P- its prediction, and m^s', P^s' what is known behind the step in
-hindsight (H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel
+with m, P the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state behind
+the step (H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel
 smoother, IEEE TAC 53(3), 2008: P A^T is the cross-covariance of its sigma points, see `tape`). With X = G^T the gain is
 the solution of P- X = A P. A model with attitude takes differences and sums in the tangent space: see `tilted`.
 """
@@ -246,17 +246,17 @@ def _kernel_of(name):
 
 
 def smooth_back(name, tape, start, ends, started, sampled, behind, out):
-    """Smooth the steps on a tape, from what is known in hindsight behind the last one.
+    """Smooth the steps on a tape, from the smoothed state behind the last one.
 
     Parameters
     ----------
     name : that of the kernel that ran forward
     tape : (k, t) `tape.taped_rows` of each step
     start : (s,) the filter's state before the first one: its `state_rows`
-    ends, started : (a,) int, (a, s) the steps behind which the filter started anew, and its state then: what lies
+    ends, started : (a,) int, (a, s) the steps behind which the filter was reset, and its state then: what lies
         before is smoothed without what comes behind
     sampled : (k,) bool: the steps whose ends are asked for
-    behind : (s,) changed: what is known in hindsight, behind the last step and then before the first
+    behind : (s,) changed: the smoothed state, behind the last step and then before the first
     out : (r, s) written: what is known at the ends asked for
     """
     _kernel_of(name)(tape, start, ends, started, sampled, behind, out)

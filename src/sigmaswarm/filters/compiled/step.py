@@ -28,7 +28,7 @@ from sigmaswarm.filters.schedule import (
 
 
 def _grow(w, dt, gap, *, tilted):
-    """What nobody saw in a gap of the IMU's samples: `schedule.gap_covariance`."""
+    """Add the unobserved motion in a gap of the IMU's samples: `schedule.gap_covariance`."""
     turn = GAP_TURN_STD * GAP_TURN_STD * gap * dt
     g = GAP_ACCELERATION_STD * GAP_ACCELERATION_STD * gap * dt
     for l in range(LANES):

@@ -1,4 +1,4 @@
-"""A swarm's step: LANES filters of one model at once, and how well each of them has foretold the fixes.
+"""A swarm's step: LANES filters of one model at once, and how well each of them has predicted the fixes.
 
 It stands where a live filter's `single_step` stands. The filter itself is the swarm's first lane; all lanes are behind
 the belief (`live.BEHIND`), so that late fixes take them back with it:
@@ -9,7 +9,7 @@ the belief (`live.BEHIND`), so that late fixes take them back with it:
     TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
 
 The evidence of a lane is the logarithm of the fixes' likelihood, Gaussian, so that a covariance which is wrong costs
-what it is wrong by; it fades with time. A weight is exp(EVIDENCE_COUNTS evidence - held against it), normed.
+what it is wrong by; it fades with time. A weight is exp(EVIDENCE_COUNTS evidence - penalty), normed.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -109,13 +109,13 @@ def weigh(v):
 
 @njit(**OPTIONS)
 def _foretold(w, lane):
-    """Whether a lane said anything of the fix."""
+    """Whether a lane has a finite prediction of the fix."""
     return math.isfinite(w[R.NU1, lane] + w[R.NU2, lane] + w[R.V11, lane] + w[R.V12, lane] + w[R.V22, lane])
 
 
 @njit(**OPTIONS)
 def _note_fix(v, w, now):
-    """What a fix says of each lane: see the module. Before that: how the mixture had foretold it."""
+    """Update the evidence of each lane by a fix: see the module. Before that: the mixture's prediction of it."""
     x, y, total = 0.0, 0.0, 0.0
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]

@@ -1,7 +1,7 @@
 """What a step of the compiled filter leaves for a smoother: the prediction before it absorbed anything, and its cause.
 
-A smoother need not know what is measured. Of each step it takes the state behind it, the prediction (mean, covariance,
-with Q, with what a gap adds and with what a fading factor or a run of outliers stretches), and the covariance of the
+A smoother need not know what is measured. Of each step it takes three things: the state behind it; the prediction
+(mean and covariance, with Q, gaps, fading factor and the inflation after a run of outliers); and the covariance of the
 state before with the state after, P A^T. A is the transition: of an extended filter the Jacobian, of an unscented one
 its statistical linearization, Cov(s', s) P^-1. In planar5.py's and planar8.py's closed form that is the Jacobian with
 k J g0 + m t in place of J g0. The few numbers that make A are noted here, in rows MOVE; `smoothing` reads them.

@@ -1,10 +1,10 @@
-"""tilted12's extended filter, written out; read it beside `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
+"""tilted12's extended filter, written out; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
 
 The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. In the mean's rows I, J and T stands the error about
 east, north and up: 0 but for the moment between a measurement and `fold`, which turns the quaternion by it. All other
 rows are planar8's; K and L are the biases of gx and gy.
 
-F has seven rows beside the identity, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h = dt/2:
+F has seven rows that differ from the identity's, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h = dt/2:
 
     u' = u + g J - a_n T - D11 A - D12 B        x' = x + h (u + u')
     v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')

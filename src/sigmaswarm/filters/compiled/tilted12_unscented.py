@@ -1,4 +1,4 @@
-"""tilted12's unscented filter; read it beside `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
+"""tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
 Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Any square root L of P is right for
 them; take the one with the states first that do not enter linearly, in the order of `tilted.STEP_FIRST` and
@@ -10,9 +10,9 @@ the accelerometer's biases. Only the first columns need points:
 - In a fix, the attitude, which turns the lever arm, also in closed form.
 - In the lateral constraint and the odometer, the attitude, which turns the velocity.
 
-Write a function of the state as its linear part plus r, which is 0 at the centre and at all points that are not drawn.
-With r+ and r- at the points of column c, gamma^2 = alpha^2 (n + kappa), the slope d = (r+ - r-) / (2 gamma) and the
-bend t = (r+ + r-) / (2 gamma^2), adding up the sigma points gives
+Write a function of the state as its linear part plus r, which is 0 at the center and at all points that are not drawn.
+Let r+ and r- be at the points of column c, and gamma^2 = alpha^2 (n + kappa). The slope is d = (r+ - r-) / (2 gamma),
+the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points are
 
     mean of r  = mu = sum of t
     Cov(s, r)  = sum of L_c d^T = P[:, drawn] H,   with L_drawn^T H = d

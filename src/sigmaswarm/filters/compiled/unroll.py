@@ -35,7 +35,7 @@ class Written(NamedTuple):
 
 
 def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
-    """A function as its text says it, with its keyword-only parameters bound to ``known``; see `unrolled`."""
+    """A function's text, with its keyword-only parameters bound to ``known``; see `unrolled`."""
     if not known and (there := getattr(function, "written", None)) is not None:
         return there
     names = function.__globals__ | known
@@ -58,7 +58,7 @@ Change = Callable[[ast.FunctionDef, Names], None]
 
 
 class Kernel:
-    """A function to be written into others, with its keyword-only parameters bound; what it says is made when needed.
+    """A function to be written into others, with its keyword-only parameters bound; its text is made when needed.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def _name(function: Callable[..., Any], known: Names) -> str:
 
 
 def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
-    """What a function says."""
+    """A function's text, changed."""
     definition, names = written_out(function, **known)
     definition = _copied(definition)
     if change is not None:
@@ -152,10 +152,10 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
 
 
 def _told_apart(known: Names) -> str:
-    """What tells a function from others that are made of the same one: a hash of what it is made with.
+    """Distinguish a function from others that are made of the same one: a hash of its bound names.
 
     Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
-    kernels of two models that two processes have compiled may bear one name, and once both are loaded from the cache,
+    kernels of two models that two processes have compiled may have one name, and once both are loaded from the cache,
     one of them would run in place of the other.
     """
     parts: list[str] = []
@@ -219,7 +219,7 @@ class _Writer(ast.NodeTransformer):
         return self._spliced(kernel.written, call.args) if hasattr(kernel, "is_kernel") else node
 
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
-        """A kernel's statements in place of its call; its names become such as nobody else has."""
+        """A kernel's statements in place of its call; its names become unique."""
         self.calls += 1
         definition = _copied(written.definition)
         parameters = [each.arg for each in definition.args.args]

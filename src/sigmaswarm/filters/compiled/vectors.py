@@ -3,7 +3,7 @@
 A kernel is some thousand lines of arithmetic once its loops over states are written out. Numba would ask of each number
 in them what type it has, for half a minute and more; here all are doubles, so each loop over lanes is put into LLVM as
 it stands, as a function of its own that takes the array of rows and the few numbers that all lanes share. Such a
-function bears a hash of what it says, so that it is the same wherever it is called from, and so are its bits.
+function's name has a hash of its text, so that it is the same wherever it is called from, and so are its bits.
 
 The body of a loop over lanes is straight: assignments to names and to ``w[row, l]`` with a row known beforehand,
 arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `numpy.floor`, `abs`, and calls of plain
@@ -112,7 +112,7 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
 
 
 def _hash(body: list[ast.stmt], names: Names) -> str:
-    """Of what a loop says, of the numbers that its names stand for, and of the functions that are written into it."""
+    """Of a loop's text, of the numbers that its names stand for, and of the functions that are written into it."""
     parts = [ast.dump(statement) for statement in body]
     for name in sorted({n.id for s in body for n in ast.walk(s) if isinstance(n, ast.Name)}):
         value = names.get(name)

@@ -47,7 +47,7 @@ def _counts(fixes, f):
 
 @_plain
 def rough_heading(samples, newest, n, fixes, end, gyro_bias):
-    """The heading at the last sample, rad, as `Alignments.course` has it, and turned on; NaN where nothing tells.
+    """The heading at the last sample, rad, as in `Alignments.course`, and turned on; NaN where nothing shows it.
 
     Parameters
     ----------

@@ -116,10 +116,10 @@ class FuzzyNoise:
 class StrongTracking:
     """Inflate P before a fix until it explains the recent size of the innovations.
 
-    After D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with
-    coloured noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two changes:
-    The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look back. And
-    only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would grow on.
+    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two
+    changes: The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look
+    back. And only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would
+    grow on.
 
     Attributes
     ----------

@@ -73,7 +73,7 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
 
 
 def _guess(columns: Wanted) -> Guess:
-    """As the app's documents say."""
+    """Follow the app's documentation."""
     shared = all(_CLOCK in names for names in columns.values())
     utc = "utcTimeMillis*1e-3"
     t = f"{_CLOCK}*1e-9"

@@ -44,7 +44,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Bytes that a chunk becomes, as its record and its packed data say themselves; LZ4 need not, and is tried."""
+    """Unpacked size of a chunk in bytes, from its record and its packed data; LZ4 may not state it, and is unpacked."""
     file.seek(offset + 9 + 16)  # behind the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))

@@ -80,7 +80,7 @@ class Topics:
             roles["truth"] = (self._part(truth, self._motion(truth)),)
         elif poses := sorted(t for t in self.tables if "Odometry" in self.tables[t].kind):
             self.notes.append(
-                f"{names_shown(poses)} not taken as truth, since no name says so; choose one with --truth-topic"
+                f"{names_shown(poses)} not taken as truth, since no name shows it; choose one with --truth-topic"
             )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
@@ -139,7 +139,7 @@ class Topics:
         return found
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Fixes: NavSatFix in degrees, or a pose in metres east and north; deviations where they are stated."""
+        """Fixes: NavSatFix in degrees, or a pose in meters east and north; deviations where they are stated."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
@@ -153,7 +153,7 @@ class Topics:
         found = self._named(topic, _POSITION)
         if "pose.covariance[0]" in columns:
             found |= {"std_x": "sqrt(pose.covariance[0])", "std_y": "sqrt(pose.covariance[7])"}
-        self.notes.append(f"{topic} taken as metres east and north")
+        self.notes.append(f"{topic} taken as meters east and north")
         return found
 
     def _motion(self, topic: str) -> dict[str, str]:
@@ -190,5 +190,5 @@ class Topics:
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):
             self.notes.append(
-                f"{topic} is in the frame {name!r}, axes as REP-103 has them unless --mount says more"
+                f"{topic} is in the frame {name!r}, axes as in REP-103 unless --mount gives others"
             )

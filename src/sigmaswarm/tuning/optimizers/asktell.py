@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class Optimizer(Protocol):
-    """A search algorithm with an ask-and-tell interface; the lowest cost wins.
+    """A search algorithm with ``ask`` and ``tell``; the lowest cost wins.
 
     The class is called as ``Own(low, high, population, rng)``: the bounds in search coordinates, shape (d,); the points
     per batch; and a `numpy.random.Generator`, the only source of random numbers. Points outside the bounds are clipped.

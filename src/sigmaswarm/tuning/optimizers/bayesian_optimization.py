@@ -4,11 +4,11 @@ J. Mockus, V. Tiesis and A. Zilinskas, The application of Bayesian methods for s
 M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-box functions, J. Global Optimization 13,
 455-492, 1998: expected improvement. Several points at a time by the kriging believer of D. Ginsbourger, R. Le Riche and
 L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is believed to cost what is predicted
-for it, until its cost is told.
+for it, until its cost is known.
 
-The lengths over which costs are alike are found by scikit-learn, from the points and costs alone, each time anew, so
-that these and the generator are the whole state. The search for the next point is our own, as it has the slope of the
-expected improvement in closed form; without it, it takes several times as long as all else.
+The lengths over which costs are alike are found by scikit-learn, from the points and costs alone, each time from the
+beginning, so that these and the generator are the whole state. The search for the next point is our own, as it has the
+slope of the expected improvement in closed form; without it, it takes several times as long as all else.
 """
 
 import threading
