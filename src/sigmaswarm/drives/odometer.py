@@ -6,8 +6,10 @@ Slow wheels give few pulses and read zero while the car still creeps.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
@@ -67,12 +69,18 @@ def _measure_all(
             while r < len(readings) and readings[r, 0] <= now:
                 r += 1
             turn[k] = wheels_turn(readings, r, now)
-            slot = np.floor((now - start) / INTERVAL + 1e-6)  # as the live filter's `_slot`
+            slot = slot_of(now, start, INTERVAL)
             if slot != last_slot and mean_reading(readings, r, now, before, taken, rows[n]):
                 absorbs[k] = True
                 n, last_slot, taken = n + 1, slot, now
             before = now
     return n
+
+
+@register_jitable
+def slot_of(t: Any, start: float, interval: float) -> Any:
+    """The number of the interval of time since the start that a moment lies in: a constraint is used once in each."""
+    return np.floor((t - start) / interval + 1e-6)
 
 
 @cached

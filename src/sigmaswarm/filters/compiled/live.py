@@ -29,7 +29,7 @@ from numba.core.dispatcher import Dispatcher
 from sigmaswarm.compilation import once
 from sigmaswarm.drives.frozen import FROZEN, kind_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
-from sigmaswarm.drives.odometer import INTERVAL, STALE, mean_reading, wheels_turn
+from sigmaswarm.drives.odometer import INTERVAL, STALE, mean_reading, slot_of, wheels_turn
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, fixes_stand, is_as_it_was, is_calm
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
@@ -140,12 +140,6 @@ def _same(a, b, n):
 
 
 @_plain
-def _slot(t, start, interval):
-    """The interval that contains a time, as in `schedule._every`; a constraint is absorbed once in each."""
-    return math.floor((t - start) / interval + 1e-6)
-
-
-@_plain
 def is_definite(p, n, factor, first):
     """Whether a covariance of n states is positive semidefinite, but for rounding: by its Cholesky factor.
 
@@ -200,17 +194,17 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
         v[SINCE] = 0.0
     happens = 0
     if v[LATERAL_INTERVAL] > 0.0 and abs(u[AY]) <= CORNERING:
-        slot = _slot(t, v[START], v[LATERAL_INTERVAL])
+        slot = slot_of(t, v[START], v[LATERAL_INTERVAL])
         if slot != v[LATERAL_SLOT]:
             happens |= LATERAL
             v[LATERAL_SLOT] = slot
     if speeds.shape[0] > 0:
-        slot = _slot(t, v[START], INTERVAL)
+        slot = slot_of(t, v[START], INTERVAL)
         if slot != v[ODOMETER_SLOT] and mean_reading(speeds, came, t, before, v[ODOMETER_TIME], wheels):
             happens |= ODOMETER
             v[ODOMETER_SLOT], v[ODOMETER_TIME] = slot, t
     if calm and _stands(v, fixes, end, t, means) and not wheels_turn(speeds, came, t):
-        slot = _slot(t, v[START], v[STANDSTILL_INTERVAL])
+        slot = slot_of(t, v[START], v[STANDSTILL_INTERVAL])
         if slot != v[STANDSTILL_SLOT]:
             happens |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
@@ -449,7 +443,7 @@ def _is_due(v, counts, fixes, t):
     """Whether the filter is to be looked at after a sample: once in each interval, where a fix has just come."""
     if not _sees_more(v, counts, fixes, t):
         return False
-    slot = _slot(t, v[START], LOOK_INTERVAL)
+    slot = slot_of(t, v[START], LOOK_INTERVAL)
     soon = t - v[SEEN_FIX] <= LATEST_LOOK + v[LATE_BY] * counts[CAME_LATE]
     if not soon or slot == v[LOOKED]:
         return False
