@@ -18,8 +18,9 @@ import numpy as np
 from defaults import cases, figures
 from real_drives import KITTI
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, tune
+from sigmaswarm.drives.sensors import receiver_std
 from sigmaswarm.scoring.score import truth_at
-from sigmaswarm.tuning.prior import receiver_std, typical_variance
+from sigmaswarm.tuning.prior import typical_variance
 
 CASES = ("colorado-1", "kingston-1", "comma2k19", *KITTI)
 

@@ -85,7 +85,7 @@ class CompiledCars:
     def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
         assert len(sets) % layout.LANES == 0
         self.line, self.n, self.model = timeline, sets[0].n_states, sets[0].model
-        self.kernel = layout.kernel_name(self.model, sets[0].kind)
+        self.kernel = sets[0].kernel
         self.remembers = (
             sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
             or sets[0].robust_dof is not None

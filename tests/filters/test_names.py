@@ -1,9 +1,9 @@
 """Kernels of different models must not share a name in a process: one would run in place of the other."""
 
 from sigmaswarm.filters.compiled import run, step
-from sigmaswarm.filters.compiled.layout import KERNELS
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.unroll import Kernel, unrolled
+from sigmaswarm.filters.fix_error import FILTERS
 
 
 def _scaled(w, *, n, inner):
@@ -26,7 +26,7 @@ def test_what_is_made_of_one_function_bears_names_of_its_own():
 
 
 def test_kernels_of_models_bear_names_of_their_own():
-    made = [[of(name) for name in KERNELS] for of in (step.step_of, run.run_kernel)]
+    made = [[of(name) for name in FILTERS] for of in (step.step_of, run.run_kernel)]
     for each in made:
         names = [
             one.name if isinstance(one, Kernel) else getattr(one, "py_func", one).__qualname__ for one in each

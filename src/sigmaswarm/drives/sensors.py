@@ -22,6 +22,9 @@ WHITE = 0.4
 M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
 UNSTATED_GPS_STD = 2.1
 """m per axis, for receivers that state none: u-blox M8, 2.5 m CEP."""
+SHOWN = 0.25 * UNSTATED_GPS_STD
+"""m per axis: a receiver that states nothing and errs by that much from one fix to the next does not smooth, and its
+fixes show what it is; of one that errs by less nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class Sensors:
         See `has_white_errors`.
     driven : float
         Time from 20 m of distance to the end of the log, s.
+    receiver_std : (float, float)
+        See `receiver_std`.
     """
 
     name: str
@@ -71,6 +76,7 @@ class Sensors:
     spread: tuple[float, float] | None
     white: bool
     driven: float
+    receiver_std: tuple[float, float]
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
@@ -91,6 +97,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         spread=stated_spread(drive),
         white=has_white_errors(drive),
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
+        receiver_std=receiver_std(drive),
     )
 
 
@@ -155,6 +162,19 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
         return float(np.median(gps.std_x)), float(np.median(gps.std_y))
     std = drive.metadata.get("gps_std_m")
     return None if std is None else (float(std), float(std))
+
+
+def receiver_std(drive: Drive) -> tuple[float, float]:
+    """How far the fixes of a drive's receiver may be off, m east and north.
+
+    As it states; else the white noise that its fixes show, if that is large; else as of a u-blox M8.
+    """
+    if stated := stated_std(drive):
+        return stated
+    gps = drive.gps
+    shown, moved = white_noise(gps.x + 1j * gps.y), motion_in_noise(float(np.median(np.diff(gps.time))))
+    std = shown if shown > max(SHOWN, 3 * moved) else UNSTATED_GPS_STD
+    return std, std
 
 
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:

@@ -31,7 +31,7 @@ from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.optimizers import OPTIMIZERS
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
-from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
+from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.tune import check_apart, tune_problem, tuning_folder
@@ -161,8 +161,8 @@ class _Grid:
 
     def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
         """Return the function that runs a contender with a seed, or reads its outcome."""
-        interval, lock, times = usual_interval(self.problem.sensors), threading.Lock(), out / "times.csv"
-        spaces = {rival.scale: car_space(rival.config, interval) for rival in self.rivals}
+        lock, times = threading.Lock(), out / "times.csv"
+        spaces = {rival.scale: car_space(rival.config, self.problem.sensors) for rival in self.rivals}
         if not times.exists():
             write_whole(times, "optimizer,scale,seed,cpu_seconds\n")
 
@@ -212,7 +212,7 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
     names = given.pop("optimizers", ("pso", "ga", "ga-pso", "de", "cma-es", "random"))
     scales = given.pop("scales", ("log10",))
     shared, _ = with_filter(given, drives)
-    objective = objective_for(drives, given.get("objective", "auto"), shared["model"])
+    objective = objective_for(drives, given.get("objective", "auto"), shared["model"], shared["use"])
     shared |= {"objective": objective, "prior": 0.0, "inflation": 0.0}
     if not names or not scales:
         raise InputError("nothing to compare: name at least one optimizer and one scale")

@@ -16,6 +16,7 @@ from sigmaswarm.exports.features import PARAMETERS, features_of, in_range, liste
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.template import fill
 from sigmaswarm.filters import divergence, schedule
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -68,6 +69,7 @@ def c99(
     features = features_of(parameters)
     fits = all(fits_float(p) for p in lanes.filters(parameters))
     features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
+    features["USE_EXP"] = features["USE_LANES"] or features["USE_FIX_ERROR"]
     features["USE_LANES_OR_NIS"] = features["USE_LANES"] or features["USE_NIS"]
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     values["KERNELS"] = kernels_of(parameters, features, values)
@@ -151,9 +153,10 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
     """alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, which place and weigh the sigma points."""
     of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
     square = p.alpha**2 if p.alpha < 1e150 else math.inf
-    gamma_squared = in_range(square * (p.n_states + p.kappa), of)
+    n = len(FILTERS[p.kernel].states)
+    gamma_squared = in_range(square * (n + p.kappa), of)
     in_range(1 / gamma_squared if gamma_squared else math.inf, of)
-    return gamma_squared, in_range(square * (p.n_states + p.kappa - 1) + p.beta, of)
+    return gamma_squared, in_range(square * (n + p.kappa - 1) + p.beta, of)
 
 
 def fits_float(p: FilterParameters) -> bool:
@@ -161,6 +164,7 @@ def fits_float(p: FilterParameters) -> bool:
     numbers: list[float | None] = [*p.process_noise, *p.measurement_noise]
     numbers += [*p.bias_std, *p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [getattr(p, name) for name in PARAMETERS if name not in ("alpha", "beta", "kappa")]
+    numbers += [p.fix_std**2] if p.fix_error is not None else []
     if p.kind != "ekf":
         gamma_squared, spread = _sigma_points(p)
         numbers += [gamma_squared, spread, 8.0 / gamma_squared]
@@ -171,6 +175,7 @@ def fits_float(p: FilterParameters) -> bool:
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     model = MODELS[p.model]
     stands, names, tilted = p.standstill_noise is not None, model.names, model.tilts is not None
+    weighs, lasting = p.accuracy_scale is not None, p.fix_error is not None
     derived: dict[str, float | None] = {
         "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
         "GAP_TURN": schedule.GAP_TURN_STD,
@@ -196,6 +201,9 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
+        "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
+        "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
+        "BELIEF_NOTE": " /* and the error of fixes that lasts, m east and north */" if lasting else "",
         "GYRO_NOTE": gyro_note,
         "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
         "LEVER_AXES": ", left and up" if tilted else " and left",

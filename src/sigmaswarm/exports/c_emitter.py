@@ -11,15 +11,20 @@ import math
 import re
 import textwrap
 import tokenize
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any
 
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
 from sigmaswarm.filters.compiled.unroll import Kernel
 
-STATES = ("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y")
+STATES = (
+    *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
+    *("FIX_ERROR_X", "FIX_ERROR_Y"),
+)
 """Names of a state's places in C, in the order of the largest model."""
+FIX_ERROR = STATES[-2:]
+"""Of these, the states that are appended to any model."""
 PARAMETERS = {
     "w": ("InsGpsBelief *b", "Work *work"),
     "u": ("real dt", "real steps", "const InsGpsSample *sample"),
@@ -37,7 +42,7 @@ INPUTS = {
     **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
 }
 """What stands for an element of a step, a fix and a reading."""
-CALLS = {"math.sqrt": "SQRT", "np.floor": "FLOOR", "abs": "FABS"}
+CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
 RENAMED = {"b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
 _SIGNS: dict[type, str] = {
@@ -57,10 +62,12 @@ class Emitter:
     rows : dict
         C's text for rows that hold parameters, or a number: terms that it makes 0 are left out. None: a row that C
         does not have.
+    states : sequence of str
+        Names in C of the filter's states.
     """
 
-    def __init__(self, rows: Mapping[str, str | float | None]) -> None:
-        self.rows, self.texts = rows, list[str]()
+    def __init__(self, rows: Mapping[str, str | float | None], states: Sequence[str] = STATES) -> None:
+        self.rows, self.states, self.texts = rows, states, list[str]()
         self.constants: dict[str, float] = {}  # of the kernels' modules
         self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
@@ -85,11 +92,6 @@ class Emitter:
         listed = textwrap.fill(", ".join(names), 110, subsequent_indent=" " * 9)
         struct = f"typedef struct {{\n    real {listed};\n}} Work;\n"
         return "\n".join(["".join(constants), struct, *self.texts])
-
-
-def state(place: int) -> str:
-    """The name of a state's place in C."""
-    return STATES[place]
 
 
 class _Function(ast.NodeTransformer):
@@ -269,7 +271,8 @@ class _Function(ast.NodeTransformer):
             end, value = ast.unparse(steps.args[-1]), self.value(steps.args[-1])
             if value is not None:
                 end = "N" if value in (self.known.get("n"), self.names.get("N")) else str(value)
-            self.put(f"for (int {name} = 0; {name} < {end}; {name}++) {{", depth)
+            first = self.index(steps.args[0]) if len(steps.args) == 2 else "0"
+            self.put(f"for (int {name} = {first}; {name} < {end}; {name}++) {{", depth)
         else:  # from one state around to the one before it
             first, *_ = values = list(self.evaluate(steps))
             assert values == [*range(first, len(values)), *range(first)]
@@ -309,13 +312,13 @@ class _Function(ast.NodeTransformer):
             text = self.emitter.rows[name]
             return (text if isinstance(text, str) else None), ""
         if name in MEAN:
-            return f"b->mean[{STATES[MEAN.index(name)]}]", ""
+            return f"b->mean[{self.emitter.states[MEAN.index(name)]}]", ""
         if name in QUATERNION:
             return f"b->attitude[{QUATERNION.index(name)}]", ""
         if name in COVARIANCE:
-            return self.mirrored(*(STATES[MEAN.index(letter)] for letter in name))
+            return self.mirrored(*(self.emitter.states[MEAN.index(letter)] for letter in name))
         if name[:3] in ("C1_", "C2_"):
-            return f"work->{name[:2]}[{STATES[MEAN.index(name[3:])]}]", ""
+            return f"work->{name[:2]}[{self.emitter.states[MEAN.index(name[3:])]}]", ""
         return f"work->{name.lower()}", ""
 
     def place_in_loop(self, index: ast.expr) -> tuple[str | None, str]:
@@ -334,7 +337,7 @@ class _Function(ast.NodeTransformer):
 
     def index(self, node: ast.expr) -> str:
         place = self.value(node)
-        return ast.unparse(node) if place is None else STATES[place]
+        return ast.unparse(node) if place is None else str(self.emitter.states[place])
 
     # ---- expressions ----
 
@@ -356,7 +359,7 @@ class _Function(ast.NodeTransformer):
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
         value = self.evaluate(node)
-        return ast.Name(STATES[value]) if isinstance(value, int) else _numeral(value)
+        return ast.Name(self.emitter.states[value]) if isinstance(value, int) else _numeral(value)
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
         match node:

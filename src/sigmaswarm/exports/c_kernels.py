@@ -6,34 +6,37 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sigmaswarm.exports.c_emitter import STATES, Emitter
-from sigmaswarm.filters.compiled import lanes, measurements, planar5, planar8, tilted12
+from sigmaswarm.exports.c_emitter import FIX_ERROR, STATES, Emitter
+from sigmaswarm.filters.compiled import fix_error, lanes, measurements, planar5, planar8, tilted12
 from sigmaswarm.filters.compiled.layout import MEAN
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.parameters import FilterParameters
 
 
 def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
     """The prediction and the measurements of a filter, in C."""
-    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features))
-    model = MODELS[p.model]
+    model = FILTERS[p.kernel]
     n, tilted = len(model.states), int(model.tilts is not None)
+    states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)
+    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features), states)
     emitter.add(lanes._series, "sine_series")
     emitter.add(lanes._near, "sine_cosine_near")
     emitter.add(lanes.sincos, "sine_cosine")
     if features["USE_SCALAR"]:
         emitter.add(measurements._absorb_one, n=n)
     if tilted:
-        _add_tilted(emitter, features)
+        _add_tilted(emitter, features, n)
     else:
         if p.kind != "ekf":
             emitter.add(lanes.spread_of)
         _add_planar(emitter, p.model, features, n)
+    if model.fix_error:
+        _add_fix_error(emitter, n, features)
     both = {"n": n, "tilted": tilted}
     emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
         emitter.add(measurements._take_velocity, n=n, _absorb_two=measurements._absorb_two)
-    emitter.add(measurements._keep_digits, **both, unscented=0)
+    emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
         emitter.add(measurements._stretch, n=n)
     if features["USE_ADAPTIVE"]:
@@ -62,16 +65,24 @@ def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: i
         emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
 
 
-def _add_tilted(emitter: Emitter, features: Mapping[str, bool]) -> None:
+def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> None:
+    if not features["USE_TILTED"]:
+        emitter.add(fix_error.carry, "carry_fix_error", n=n, biases=int(features["USE_BIASES"]))
+    emitter.add(fix_error.age_fix_error)
+    emitter.add(fix_error.move_fix_error, n=n, noted=0)
+    emitter.add(fix_error.see_fix_error, n=n)
+
+
+def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
     for function in (lanes.sinc_cos, tilted12._turn_far, tilted12._half_turn, tilted12._move, tilted12.fold):
         emitter.add(function)
-    emitter.add(tilted12.measure_fix_tilted, "measure_fix")
+    emitter.add(tilted12.measure_fix_tilted, "measure_fix", n=n)
+    along = tilted12.measure_along_tilted
     if features["USE_LATERAL"]:
-        lateral = tilted12.measure_lateral_tilted
-        emitter.add(lateral, "measure_lateral")
-        emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=lateral)
+        emitter.add(along, "measure_lateral", n=n, **tilted12.ALONG["lateral"])
+        emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=along)
     if features["USE_ODOMETER"]:
-        emitter.add(tilted12.measure_odometer_tilted, "measure_odometer")
+        emitter.add(along, "measure_odometer", n=n, **tilted12.ALONG["odometer"])
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
@@ -100,6 +111,7 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",
         "FORGETTING": "FORGETTING",
         "OK": "b->failed",
+        **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
         **dict.fromkeys(("FACED", "FACED_ALL"), "b->faced" if turns_along else None),
         **dict.fromkeys(("TINY", "GRAVITY")),
     }

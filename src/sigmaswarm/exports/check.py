@@ -140,6 +140,7 @@ def _replay(
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     tilted = MODELS[parameters.model].tilts is not None
+    takes_std = parameters.accuracy_scale is not None or parameters.fix_error is not None
     (_, (begin, *start)), *others = events
     lever_arm, gyro = (*start[:2], start.pop(32) if tilted else 0.0), start[32:]
     board = module.Filter(begin, start[2:7], start[7:32], lever_arm, library, gyro)
@@ -151,7 +152,7 @@ def _replay(
                 means.append(board.mean)
         elif name == "fix":
             velocity = None if len(z) < 4 or np.isnan(z[2]) else z[2:4]
-            std = {} if parameters.accuracy_scale is None else {"std": z[4:6]}
+            std = {"std": z[4:6] or [0.0, 0.0]} if takes_std else {}
             board.update(time, z[:2], velocity=velocity, **std)
         elif parameters.odometer_noise is not None:
             board.odometer(time, z[0])

@@ -33,6 +33,10 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "NIS": gate or rules,
         "GATE_OR_STRETCH": gate or tracking or rules or robust,
         "ACCURACY": p.accuracy_scale is not None,
+        "FIX_ERROR": p.fix_error is not None,
+        "PLANAR_FIX_ERROR": p.fix_error is not None and not has_tilts,
+        "STD": p.accuracy_scale is not None or p.fix_error is not None,
+        "SINCE": adaptive or p.fix_error is not None,
         "ROBUST": robust,
         "STRETCH": tracking or robust,
         "VELOCITY": velocity,
@@ -62,7 +66,7 @@ PARAMETERS = (
         "velocity_noise",
     ),
     *("lateral_noise", "rear_axle", "tire_slip", "standstill_noise"),
-    *("odometer_noise", "odometer_scale", "odometer_latency"),
+    *("odometer_noise", "odometer_scale", "odometer_latency", "fix_error"),
 )
 """Those of a filter that templates name as the filter does."""
 CONSTANTS: tuple[tuple[ModuleType, str, str], ...] = (
@@ -85,7 +89,10 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
     constants = {
         prefix + name: getattr(module, name) for module, prefix, names in CONSTANTS for name in names.split()
     }
-    return plain(
+    states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
+    texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
+    texts |= {"BELIEF_STATES": states, "N": states if p.fix_error is None else f"({states})"}
+    numbers = plain(
         {
             **constants,
             **{name.upper(): getattr(p, name) for name in PARAMETERS},
@@ -94,8 +101,12 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
             **dict(zip(("FUZZY_WIDTH_RATIO", "FUZZY_WIDTH_TREND"), p.fuzzy_widths, strict=True)),
             **dict(zip(("FUZZY_GAIN_R", "FUZZY_GAIN_Q"), p.fuzzy_gains, strict=True)),
             "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
+            "FIX_ERROR_RATE": interval / p.fix_error_time,
+            "FIX_VAR": p.fix_std**2,
+            "FIX_ERROR_START": (p.fix_error or 0.0) * p.fix_std**2,
         }
-    ) | {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
+    )
+    return numbers | texts
 
 
 def in_range(value: float, of: str) -> float:

@@ -88,6 +88,10 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
         raise InputError(
             f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
         )
+    if parameters.fix_error is not None and target != "c99":
+        raise InputError(
+            f"{target} has no fix-error; tune without it for this target, or run it with LiveFilter"
+        )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)
     if parameters.nominal_interval is None:

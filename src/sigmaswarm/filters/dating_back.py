@@ -104,7 +104,7 @@ def _ended(ready: PreparedDrive, parameters: FilterParameters, found: InitialSta
     line = replay.timeline
     stop = int(np.searchsorted(line.end, found.time, side="right"))
     run_steps(replay, array, rows, new_place(), stop)
-    mean, covariance = unpack_states(rows[state_rows(parameters.model), :1], parameters.model)
-    if not sound_lanes(rows[np.newaxis], parameters.model)[0, 0]:
+    mean, covariance = unpack_states(rows[state_rows(parameters.kernel), :1], parameters.kernel)
+    if not sound_lanes(rows[np.newaxis], parameters.kernel)[0, 0]:
         return found
     return InitialState(mean[0], covariance[0], found.time)

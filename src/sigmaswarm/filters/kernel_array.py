@@ -24,15 +24,14 @@ from sigmaswarm.filters.compiled.layout import (
     N_STATE,
     Q0,
     R,
-    kernel_name,
     lanes_for,
     most_lanes,
 )
-from sigmaswarm.filters.models import MODELS, THETA
-from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import SHOWN, pack_states, sound_lanes
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, starts_of, switches
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, start_std, starts_of, switches
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.filters.table import ParameterTable
 
@@ -113,19 +112,20 @@ class KernelArray:
     def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
         table = ParameterTable.of(parameter_sets)
         self.like, self._first, self.size = table.like, 0, len(table)
-        kinds = MODELS[self.like.model].kinds
+        kinds = FILTERS[self.kernel].kinds
         if self.like.kind not in kinds:
             raise InputError(
                 f"{self.like.model} is not compiled as {self.like.kind}; take kind {' or '.join(kinds)}, "
                 "or run_textbook"
             )
         # A full block may begin at any set.
-        columns = np.minimum(np.arange(len(table) + most_lanes(self.model) - 1), len(table) - 1)
+        columns = np.minimum(np.arange(len(table) + most_lanes(self.kernel) - 1), len(table) - 1)
         self._constants = _constants(table)[:, columns]
         self._interval = table.column("nominal_interval")[columns]
-        self._bias_std = np.array([self.like.bias_std])
-        if "bias_std" in table.columns:
-            self._bias_std = table.column("bias_std")[columns]
+        self._start_std = start_std(self.like)[np.newaxis]
+        if not {"bias_std", "fix_error"}.isdisjoint(table.columns):
+            error = np.sqrt(table.column("fix_error")) * table.column("fix_std")
+            self._start_std = np.column_stack([table.column("bias_std"), error])[columns]
         accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
         self.reads = self.like.model, accuracy, switches(self.like)
         self._starts: Starts = {}
@@ -137,14 +137,9 @@ class KernelArray:
         return part
 
     @property
-    def model(self) -> ModelName:
-        """Model of all its sets."""
-        return self.like.model
-
-    @property
     def kernel(self) -> str:
-        """Name of the kernel that runs all its sets."""
-        return kernel_name(self.like.model, self.like.kind)
+        """Name in `fix_error.FILTERS` of the kernel that runs all its sets."""
+        return self.like.kernel
 
     @property
     def width(self) -> int:
@@ -154,7 +149,7 @@ class KernelArray:
     @property
     def blocks(self) -> int:
         """Number of blocks."""
-        return -(-self.size // most_lanes(self.model))
+        return -(-self.size // most_lanes(self.kernel))
 
     @property
     def _columns(self) -> slice:
@@ -176,21 +171,22 @@ class KernelArray:
         constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
         constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
         constants[R.PATIENCE - CONSTANT_ROWS.start] = _patience(nominal_interval)
+        constants[R.FIX_ERROR_RATE - CONSTANT_ROWS.start] *= nominal_interval
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
         """Compute where all sets start, for the parts made afterwards: it takes as long as for a few sets."""
         unknown = tuple(dict.fromkeys(initial))
-        if len(unknown) * len(self._bias_std) <= MOST_STARTS:
-            self._starts = self._starts_at(unknown, self._bias_std)
+        if len(unknown) * len(self._start_std) <= MOST_STARTS:
+            self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
         """Rows of the filters at m starts, shape (blocks * m, N_KEPT, width); intervals (s) are the drives'."""
         columns, blocks, m = self._columns, self.blocks, len(initial)
-        shared = len(self._bias_std) == 1
+        shared = len(self._start_std) == 1
         starts, chosen = self._starts, slice(None) if shared else columns
         if not all(start in starts for start in initial):
-            starts = self._starts_at(tuple(dict.fromkeys(initial)), self._bias_std[chosen])
+            starts = self._starts_at(tuple(dict.fromkeys(initial)), self._start_std[chosen])
             chosen = slice(None)
         own, constants = self._interval[columns], _in_blocks(self._constants[:, columns], blocks)
         rows = np.empty((blocks, m, N_KEPT, self.width))
@@ -201,18 +197,19 @@ class KernelArray:
             ratio = interval / np.where(own > 0.0, own, interval)
             rows[:, k, Q0 : Q0 + len(MEAN)] *= _in_blocks(ratio[np.newaxis], blocks)
             rows[:, k, R.PATIENCE] = _patience(interval)
+            rows[:, k, R.FIX_ERROR_RATE] *= interval
             rows[:, k, :N_STATE] = _in_blocks(state[:, chosen], blocks)
             rows[:, k, R.HEADING] = _in_blocks(heading[np.newaxis, chosen], blocks)[:, 0]
         return rows.reshape(-1, N_KEPT, self.width)
 
-    def _starts_at(self, initial: tuple[InitialState, ...], bias_std: Array) -> Starts:
-        if len(bias_std) == 1 and len(initial) <= MOST_CACHED:
-            return _shared_starts(initial, self.model, self.like.bias_std)
-        return _starts_of(initial, self.model, bias_std)
+    def _starts_at(self, initial: tuple[InitialState, ...], std: Array) -> Starts:
+        if len(std) == 1 and len(initial) <= MOST_CACHED:
+            return _shared_starts(initial, self.kernel, tuple(std[0].tolist()))
+        return _starts_of(initial, self.kernel, std)
 
     def sums(self, rows: Array) -> Sums:
         """Sums of the sets from the final rows of m replays, which began as `start` gives them."""
-        found, sums = sound_lanes(rows, self.model), rows[:, SHOWN].swapaxes(0, 1)
+        found, sums = sound_lanes(rows, self.kernel), rows[:, SHOWN].swapaxes(0, 1)
         if self.blocks > 1:  # all of a replay's side by side
             found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
         sound = found[:, : self.size] & self.plausible
@@ -232,18 +229,16 @@ def _patience(nominal_interval: float) -> float:
     return (OUTLIERS_SPAN - 1e-6) / nominal_interval
 
 
-def _starts_of(initial: tuple[InitialState, ...], model: ModelName, bias_std: Array) -> Starts:
-    mean, covariance = starts_of(initial, MODELS[model], bias_std)
+def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Starts:
+    mean, covariance = starts_of(initial, FILTERS[model], std)
     found = zip(pack_states(mean, covariance, model), mean[..., THETA], strict=True)
     return dict(zip(initial, found, strict=True))
 
 
 @lru_cache(4)
-def _shared_starts(
-    initial: tuple[InitialState, ...], model: ModelName, bias_std: tuple[float, float]
-) -> Starts:
-    """Starts of sets that agree in ``bias_std``; kept, since all generations of a search have the same."""
-    return _starts_of(initial, model, np.array([bias_std]))
+def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
+    """Starts of sets that agree in `start_std`; kept, since all generations of a search have the same."""
+    return _starts_of(initial, model, np.array([std]))
 
 
 def _in_blocks(rows: Array, blocks: int) -> Array:
@@ -261,22 +256,22 @@ def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
 def _constants(table: ParameterTable) -> Array:
     """The kernel's constants, shape (N_CONSTANTS, n). Q is per the sets' own interval; PATIENCE is left at 0."""
     constants = np.zeros((len(CONSTANTS), len(table)))
-    for row, value in _values(table.field, table.like.model).items():
+    for row, value in _values(table.field, table.like.kernel).items():
         constants[row - CONSTANT_ROWS.start] = value
     return constants
 
 
-def _values(of: Callable[[str], Any], model: ModelName) -> dict[int, Any]:
+def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
     """The value of each constant, by its row, of a function that gives a field's values."""
     kind, forgetting = of("kind"), of("forgetting")
     q = np.transpose(of("process_noise"))
-    alpha2, n_kappa = np.square(of("alpha")), len(q) + np.asarray(of("kappa"))
+    alpha2, n_kappa = np.square(of("alpha")), len(FILTERS[model].states) + np.asarray(of("kappa"))
     gamma2, second = alpha2 * n_kappa, np.where(kind == "ekf", 0.0, 1.0)
     rx, ry = np.transpose(of("measurement_noise"))
     width_ratio, width_trend = np.transpose(of("fuzzy_widths"))
     gain_r, gain_q = np.transpose(of("fuzzy_gains"))
     r_gyro, r_accel = np.transpose(of("imu_noise"))
-    measures = MODELS[model].measures_imu
+    measures = FILTERS[model].measures_imu
     return {
         R.R_RATE: r_gyro if measures else STANDSTILL_RATE_NOISE,
         R.QUARTER_GAMMA: second * np.sqrt(gamma2) / 4,
@@ -305,4 +300,7 @@ def _values(of: Callable[[str], Any], model: ModelName) -> dict[int, Any]:
         R.GATE: of("gate"),
         R.ACCURACY: of("accuracy_scale"),
         R.DOF: of("robust_dof"),
+        R.FIX_ERROR: of("fix_error"),
+        R.FIX_ERROR_RATE: 1 / np.asarray(of("fix_error_time")),  # times the nominal interval
+        R.FIX_VAR: np.square(of("fix_std")),
     }

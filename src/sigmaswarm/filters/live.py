@@ -14,11 +14,12 @@ from sigmaswarm.drives.table_files import LARGEST
 from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.compiled.layout import N_KEPT, R, kernel_name, state_rows
+from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.watch import WATCHED
 from sigmaswarm.filters.divergence import Check, DivergenceMonitor, aligned_by, at_fix, steps_since
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA, require_driven_by_imu
@@ -137,8 +138,8 @@ class LiveFilter:
         p = parameters
         require_driven_by_imu(p.model, "a live filter or filter bank")
         self.parameters = p
-        self._calls, kernel = live.live_calls(), kernel_name(p.model, p.kind)
-        self._state = state_rows(p.model)
+        self._calls, kernel = live.live_calls(), p.kernel
+        self._state = state_rows(kernel)
         self._axes = MODELS[p.model].imu
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
         self._plausible = bool(KernelArray((p,)).plausible[0])
@@ -210,7 +211,7 @@ class LiveFilter:
         """Take a fix: x, y (m), and perhaps its velocity, m/s east and north.
 
         ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
-        needs it.
+        needs it, one with ``fix_error`` uses it.
 
         Returns
         -------
@@ -223,7 +224,8 @@ class LiveFilter:
             If the filter needs ``std`` and does not get it.
         """
         try:
-            var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
+            takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
+            var_x, var_y = _squared(std) if takes else (0.0, 0.0)
             seen = fix[0], fix[1], 0.0, 0.0, 0.0
             if velocity is not None and self._takes_velocity:
                 seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
@@ -334,7 +336,7 @@ class LiveFilter:
 
     def _estimate(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
-        mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.model)
+        mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.kernel)
         return mean[0], covariance[0]
 
     @property
@@ -384,7 +386,7 @@ class LiveFilter:
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
         """``packed``: the model's state rows, (s,)."""
         with np.errstate(all="ignore"):  # overflow is reported as failed
-            mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.model))
+            mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.kernel))
         lost = self._monitor is not None and self._monitor.lost
         sound = definite and self._belief[live.OK] == 1.0 and self._plausible
         return told(time, mean, covariance, lost, sound)
@@ -431,5 +433,5 @@ def _believe(
     nothing = len(given)  # behind the model's axes come zeros
     v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]
     v[live.STOP_TIME] = -np.inf
-    v[live.DIMENSION] = len(MODELS[p.model].states)
+    v[live.DIMENSION] = len(FILTERS[p.kernel].states)
     return v

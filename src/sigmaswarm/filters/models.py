@@ -230,6 +230,8 @@ class CarModel:
         is in the body's frame: robot_localization. Such a model runs over drives; it is neither smoothed nor live.
     options : tuple of str or None
         Measurements and features that it can use; None: all.
+    fix_error : bool
+        Its last two states are the error of fixes that lasts: see `filters.fix_error`.
     """
 
     states: tuple[State, ...]
@@ -245,6 +247,7 @@ class CarModel:
     tilts: Tilts | None = None
     measures_imu: bool = False
     options: tuple[str, ...] | None = None
+    fix_error: bool = False
     kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property

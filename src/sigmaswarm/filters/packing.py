@@ -15,22 +15,22 @@ from sigmaswarm.filters.compiled.layout import (
     R,
     state_rows,
 )
-from sigmaswarm.filters.models import MODELS, THETA
-from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.fix_error import FILTERS, own_name
+from sigmaswarm.filters.models import THETA
 
 _FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET
 """Rows of `kernel_array.Sums`, in its order."""
 SHOWN = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
 
 
-def pack_states(mean: Array, covariance: Array, model: ModelName) -> Array:
+def pack_states(mean: Array, covariance: Array, model: str) -> Array:
     """State rows (..., N_STATE, lanes) of means (..., lanes, n) and covariances (..., lanes, n, n)."""
     rows, columns = _upper(mean.shape[-1])
     state = np.zeros((*mean.shape[:-2], N_STATE, mean.shape[-2]))
-    if MODELS[model].measures_imu:
+    if FILTERS[model].measures_imu:
         mean, covariance = _turned(mean, covariance, -1.0)
     parts = [mean]
-    if MODELS[model].tilts:
+    if FILTERS[model].tilts:
         parts = [mean.copy(), tilted.quaternion_of(mean)]
         parts[0][..., tilted.ATTITUDE] = 0.0  # the error's place
     packed = np.concatenate([*parts, covariance[..., rows, columns]], axis=-1)
@@ -38,12 +38,12 @@ def pack_states(mean: Array, covariance: Array, model: ModelName) -> Array:
     return state
 
 
-def unpack_states(state: Array, model: ModelName) -> tuple[Array, Array]:
+def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
     """Means (..., r, n) and covariances (..., r, n, n) of a filter, from its `state_rows`, (..., s, r)."""
-    n = len(MODELS[model].states)
+    n = len(FILTERS[model].states)
     rows, columns = _upper(n)
     mean, packed = state[..., :n, :].swapaxes(-1, -2).copy(), state[..., -len(rows) :, :].swapaxes(-1, -2)
-    if MODELS[model].tilts:
+    if FILTERS[model].tilts:
         mean[..., tilted.ATTITUDE] = tilted.angles_of(state[..., n : n + 4, :].swapaxes(-1, -2))
     covariance = np.empty((*packed.shape[:-1], n, n))
     covariance[..., rows, columns] = packed
@@ -51,15 +51,20 @@ def unpack_states(state: Array, model: ModelName) -> tuple[Array, Array]:
     return mean, covariance
 
 
-def state_estimate(state: Array, model: ModelName) -> tuple[Array, Array]:
+def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
     """As `unpack_states`, with the covariance of the mean: of a tilted model's angles, not of its error.
 
-    Of a model that measures the IMU the five states of planar5, the velocity in m/s east and north.
+    Of a model that measures the IMU the five states of planar5, the velocity in m/s east and north; the lasting error
+    of fixes is left out.
     """
     mean, covariance = unpack_states(state, model)
-    if MODELS[model].measures_imu:
+    if FILTERS[model].fix_error:
+        model = own_name(model)
+        n = len(FILTERS[model].states)
+        mean, covariance = mean[..., :n], covariance[..., :n, :n]
+    if FILTERS[model].measures_imu:
         return _turned(mean[..., : THETA + 1], covariance[..., : THETA + 1, : THETA + 1], 1.0)
-    tilts = MODELS[model].tilts
+    tilts = FILTERS[model].tilts
     return mean, tilts.as_angles(mean, covariance) if tilts else covariance
 
 
@@ -82,10 +87,10 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return rows, columns
 
 
-def sound_lanes(rows: Array, model: ModelName) -> NDArray[np.bool_]:
+def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
     """Lanes of final rows (m, N_KEPT, lanes) that never failed and end with a definite covariance, (m, lanes)."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
-    _find_sound(rows, P0, len(MODELS[model].states), R.OK, found)
+    _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found
 
 

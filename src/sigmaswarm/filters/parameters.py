@@ -12,8 +12,10 @@ import tomli_w
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError, SigmaswarmWarning, first_mistake
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.records import read_content
@@ -91,6 +93,13 @@ class FilterParameters:
     accuracy_scale : float or None
         s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the receiver
         reports. None: ``measurement_noise`` alone.
+    fix_error : float or None
+        g: variance of the error of fixes that lasts, over the variance that the receiver states of a fix, or
+        ``fix_std`` squared: see `filters.fix_error`. None: errors of fixes are independent.
+    fix_error_time : float
+        s: time constant of that error.
+    fix_std : float
+        m per axis: standard deviation of the fixes of a receiver that states none, for ``fix_error``.
     robust_dof : float or None
         Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
         Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; smaller for more outliers. None: Gaussian errors.
@@ -125,6 +134,9 @@ class FilterParameters:
     latency: Real = _option(0.0)
     accuracy_scale: Positive | None = _option(None)
     robust_dof: Positive | None = _option(None)
+    fix_error: Positive | None = _option(None)
+    fix_error_time: Positive = _option(5.0)
+    fix_std: Positive = _option(UNSTATED_GPS_STD)
 
     def __post_init__(self) -> None:
         n = self.n_states
@@ -141,10 +153,16 @@ class FilterParameters:
             raise ValueError(reason)
         known = MODELS[self.model].options
         for field in (
-            () if known is None else ("velocity_noise", "standstill_noise", "odometer_noise", "robust_dof")
+            ()
+            if known is None
+            else ("velocity_noise", "standstill_noise", "odometer_noise", "robust_dof", "fix_error")
         ):
             if getattr(self, field) is not None:
                 raise ValueError(f"{self.model} has no {field}; leave it out")
+        if self.kernel not in FILTERS:
+            raise ValueError(
+                f"fix_error does not go with {self.model} as {self.kind}; take ekf, or leave it out"
+            )
         if known is not None and self.latency:
             raise ValueError(f"{self.model} has no latency; set smooth_lagged_data where fixes are late")
 
@@ -152,6 +170,11 @@ class FilterParameters:
     def n_states(self) -> int:
         """Number of the model's states."""
         return len(MODELS[self.model].states)
+
+    @property
+    def kernel(self) -> str:
+        """Name in `fix_error.FILTERS` of the kernel, and of the model with all states that the filter has."""
+        return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":
         """Multiply all variances by a factor, which scales the covariance and hardly changes the estimates.
@@ -247,9 +270,16 @@ class FilterParameters:
         return parameters
 
 
-_EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof"}
+_EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof", "fix-error": "fix_error"}
 """Options that exclude others, and the fields that switch them on."""
-_SCALED = ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "accuracy_scale")
+_SCALED = (
+    "velocity_noise",
+    "lateral_noise",
+    "standstill_noise",
+    "odometer_noise",
+    "accuracy_scale",
+    "fix_error",
+)
 """Variances, or factors of them, besides Q and R."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
@@ -263,6 +293,8 @@ def clash(kind: str, use: Collection[str]) -> str | None:
         return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
     if "accuracy" in use and kind == "adaptive-ukf":
         return "accuracy does not go with adaptive-ukf, which finds R by itself; take another kind, or leave it out"
+    if "fix-error" in use and kind not in ("ukf", "ekf"):
+        return f"fix-error does not go with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
     return None
 
 
@@ -292,6 +324,9 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "latency": "s",
         "accuracy_scale": "of the stated variance, dimensionless",
         "robust_dof": "dimensionless",
+        "fix_error": "of the stated variance, dimensionless",
+        "fix_error_time": "s",
+        "fix_std": "m",
     }
     stated = parameters.to_dict()
     return {k: v for k, v in known.items() if k in stated} | {"states": [s.name for s in states]}

@@ -121,7 +121,7 @@ class Recording:
         self._replay, self._array, self._samples = replay, KernelArray((parameters,)), samples
         self.initial = replay.initial
         self._rows, self._place = start_replays([replay], self._array), new_place()
-        self._state = state_rows(parameters.model)
+        self._state = state_rows(parameters.kernel)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._checks = check_times(replay.timeline) if recover else None
         if self._checks is not None:
@@ -210,7 +210,7 @@ class Recording:
         assert times is not None
         first, last = np.searchsorted(times.step, [steps[0], steps[-1] + 1]).tolist()
         rows = np.searchsorted(steps, times.step[first:last])
-        means, covariances = state_estimate(record[rows, :-1, 0].T, self._array.model)
+        means, covariances = state_estimate(record[rows, :-1, 0].T, self._array.kernel)
         sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # elsewhere it has failed
         ends = self._replay.timeline.end[times.step[first:last][sound]].tolist()
         if not ends:
@@ -250,7 +250,7 @@ class Recording:
 
     def _estimate(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
-        mean, covariance = state_estimate(self._rows[0, self._state, :1], self._array.model)
+        mean, covariance = state_estimate(self._rows[0, self._state, :1], self._array.kernel)
         return mean[0], covariance[0]
 
     def _variance_of(self, fix: int) -> Array:
@@ -266,7 +266,7 @@ class Recording:
         self._rows[0] = fresh
 
     def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> Piece:
-        mean, covariance = state_estimate(record[:, :-1, 0].T, self._array.model)
+        mean, covariance = state_estimate(record[:, :-1, 0].T, self._array.kernel)
         sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._array.plausible
         sound = np.logical_and.accumulate(sound & definite(covariance) & (self.failure is None))
         mean[:, THETA] = wrap_angle(mean[:, THETA])

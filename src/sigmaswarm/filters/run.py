@@ -263,4 +263,5 @@ def run_textbook(
     failure = failure_at(line, line.end[run.failed]) if run.failed >= 0 else None
     tilts = car.model.tilts
     covariance = tilts.as_angles(run.mean, run.covariance) if tilts else run.covariance
-    return Estimate(line.imu_time, run.mean, covariance, replay.initial, failure)
+    n = parameters.n_states
+    return Estimate(line.imu_time, run.mean[:, :n], covariance[:, :n, :n], replay.initial, failure)

@@ -12,6 +12,7 @@ from sigmaswarm.drives.gyro_seen import GyroSeen, together
 from sigmaswarm.drives.odometer import slot_of
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.fix_error import FILTERS, add_start, known_states
 from sigmaswarm.filters.models import MODELS, SENSORS, THETA, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -164,18 +165,25 @@ def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArra
 
 def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
     """Mean (n,) and covariance (n, n) at the start of a drive."""
-    mean, covariance = starts_of([initial], MODELS[p.model], np.array([p.bias_std]))
+    mean, covariance = starts_of([initial], FILTERS[p.kernel], start_std(p)[np.newaxis])
     return mean[0, 0], covariance[0, 0]
 
 
-def starts_of(initial: Sequence[InitialState], model: CarModel, bias_std: Array) -> tuple[Array, Array]:
-    """Means (m, r, n) and covariances (m, r, n, n) at m starts of one length for bias_std of shape (r, 2).
+def start_std(p: FilterParameters) -> Array:
+    """Standard deviations at the start: of the biases, m/s2 and rad/s, and of `fix_error`, m; (3,)."""
+    return np.array([*p.bias_std, np.sqrt(p.fix_error or 0.0) * p.fix_std])
 
-    States that a start lacks begin at 0: a bias with ``bias_std``, roll and pitch with the ``start_std`` of their
-    state. Gyro biases observed at the start are included: see `GyroSeen.tell`.
+
+def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
+    """Means (m, r, n) and covariances (m, r, n, n) at m starts of one length for std of shape (r, 3).
+
+    States that a start lacks begin at 0: a bias with its ``std``, roll and pitch with the ``start_std`` of their
+    state, the lasting error of fixes as `fix_error.add_start`. Gyro biases observed at the start are included: see
+    `GyroSeen.tell`.
     """
-    n, known = len(model.states), min(len(model.states), len(initial[0].mean))
-    shape = len(initial), len(bias_std), n
+    n = len(model.states)
+    known = known_states(n, len(initial[0].mean))
+    shape = len(initial), len(std), n
     mean, covariance = np.zeros(shape), np.zeros((*shape, n))
     for each_mean, each_covariance, start in zip(mean, covariance, initial, strict=True):
         each_mean[..., :known] = start.mean[:known]
@@ -183,13 +191,15 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, bias_std: Array)
     sensors = [*SENSORS]
     for i, state in enumerate(model.states[known:], known):
         if state.bias_of is not None:
-            covariance[..., i, i] = bias_std[:, sensors.index(state.bias_of)] ** 2
+            covariance[..., i, i] = std[:, sensors.index(state.bias_of)] ** 2
         else:
             covariance[..., i, i] = state.start_std**2
     if model.gyro_places:
-        std = bias_std[:, sensors.index("gyro")]
+        gyro = std[:, sensors.index("gyro")]
         for some, seen in _seen(initial):
-            seen.tell(mean[some], covariance[some], model.gyro_places, std)
+            seen.tell(mean[some], covariance[some], model.gyro_places, gyro)
+    if model.fix_error and known < n:
+        add_start(mean, covariance, std[:, 2] ** 2)
     return mean, covariance
 
 

@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.compiled.layout import kernel_name
 from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, taped_kernel
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
-from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
@@ -103,7 +101,7 @@ class _Forward(Recording):
         require_readable(replay, self._array)
         self.checkpoints: list[_Checkpoint] = []
         self._switches = switches(parameters)
-        name = kernel_name(parameters.model, parameters.kind)
+        name = parameters.kernel
         self._kernel: Any = taped_kernel(name)
         self._width = len(taped_rows(name)) + 1  # and whether it is sound
         self._first, self._logged = 0, np.empty((0, self._width, 1))
@@ -184,8 +182,7 @@ class Smoothing:
         recover: bool = False,
     ) -> None:
         self._line = replay.timeline
-        self._model: ModelName = parameters.model
-        self._name = kernel_name(parameters.model, parameters.kind)
+        self._kernel = parameters.kernel
         self._forward = forward = _Forward(replay, parameters, samples=samples, recover=recover)
         self._sizes: list[tuple[int, int]] = []  # samples of each piece, and how many of them are sound
         for piece in forward:
@@ -230,7 +227,7 @@ class Smoothing:
     def _smoothed(self, log: _ForwardLog, behind: Array, samples: int) -> tuple[Array, Array]:
         """States at the samples, (samples, s), and before the first step, (s,)."""
         out, before = np.empty((samples, len(behind))), behind.copy()
-        smooth_back(self._name, log.steps, log.start, log.ends, log.started, log.sampled, before, out)
+        smooth_back(self._kernel, log.steps, log.start, log.ends, log.started, log.sampled, before, out)
         return out, before
 
     def _piece(self, number: int, first: int, size: int, sound: int) -> Piece:
@@ -247,7 +244,7 @@ class Smoothing:
 
     def _estimate(self, states: Array) -> tuple[Array, Array]:
         """Means (r, n), the heading wrapped, and covariances (r, n, n) of states (r, s)."""
-        mean, covariance = state_estimate(states.T, self._model)
+        mean, covariance = state_estimate(states.T, self._kernel)
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         return mean, covariance
 
@@ -271,5 +268,6 @@ def smooth_textbook(
     mean[:, THETA] = wrap_angle(mean[:, THETA])
     failure = failure_at(line, line.end[found.failed]) if found.failed >= 0 else None
     covariance = tilts.as_angles(mean, covariance) if tilts else covariance
-    start = InitialState(found.mean[0], found.covariance[0], replay.initial.time)
-    return Estimate(line.imu_time[: len(sampled)], mean, covariance, start, failure)
+    n = parameters.n_states
+    start = InitialState(found.mean[0, :n], found.covariance[0, :n, :n], replay.initial.time)
+    return Estimate(line.imu_time[: len(sampled)], mean[:, :n], covariance[:, :n, :n], start, failure)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.filters.compiled.layout import kernel_name
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import Switches, switches
 
@@ -17,7 +16,7 @@ _ABSENT: dict[str, float] = {
     **dict.fromkeys(
         ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "gate"), math.inf
     ),
-    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof"), 0.0),
+    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
 """The number that stands for None in the fields that may be None."""
 
@@ -87,5 +86,5 @@ def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[NDArray[
         return [(np.arange(len(parameter_sets)), parameter_sets)]
     alike: dict[tuple[str, Switches], list[int]] = {}
     for i, p in enumerate(parameter_sets):
-        alike.setdefault((kernel_name(p.model, p.kind), switches(p)), []).append(i)
+        alike.setdefault((p.kernel, switches(p)), []).append(i)
     return [(np.array(at), ParameterTable.of([parameter_sets[i] for i in at])) for at in alike.values()]

@@ -17,9 +17,9 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.models import MODELS, THETA
-from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import definite, pack_states, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps
@@ -48,9 +48,10 @@ class Displacements:
 
     def __init__(self, replay: Replay, parameters: FilterParameters) -> None:
         self._replay = replay
-        self._model: ModelName = parameters.model
-        self._array = KernelArray((parameters,) * (parameters.n_states + 1))
-        tilts = MODELS[parameters.model].tilts
+        self._model = parameters.kernel
+        n = len(FILTERS[self._model].states)
+        self._array = KernelArray((parameters,) * (n + 1))
+        tilts = FILTERS[self._model].tilts
         self._plus, self._minus = (tilts.plus, tilts.minus) if tilts else (np.add, np.subtract)
 
     def update(self, begin: Begin, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
@@ -99,7 +100,7 @@ class Displacements:
         )
         rows[state_rows(self._model)] = packed[state_rows(self._model)]
         rows[R.FACED] = 0.0
-        if MODELS[self._model].tilts:
+        if FILTERS[self._model].tilts:
             rows[R.HEADING] = mean[THETA]
         return True
 

@@ -15,7 +15,6 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.kernel_array import KernelArray, Sums
-from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_array
 from sigmaswarm.filters.student import INNOVATION_DOF
@@ -164,7 +163,7 @@ class Replayer:
         return {name: _divisors_of(replays) for name, replays in self._passes.items()}
 
     @cached_property
-    def _jobs(self) -> dict[tuple[int, ModelName, int], list[Job]]:
+    def _jobs(self) -> dict[tuple[int, str, int], list[Job]]:
         """Results of `jobs_for`, since all generations of a search have the same jobs."""
         return {}
 
@@ -195,7 +194,7 @@ class Replayer:
         for places, table in tables_of(parameter_sets):
             array = KernelArray(table)
             array.compute_starts(self.initial)
-            key = len(table), array.model, workers
+            key = len(table), array.kernel, workers
             if key not in self._jobs:
                 self._jobs[key] = jobs_for(self._steps, *key)
             work += [

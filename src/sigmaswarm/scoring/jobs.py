@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
-from sigmaswarm.filters.names import ModelName
 
 Result = TypeVar("Result")
 
@@ -36,11 +35,11 @@ class Job:
         return self.steps * len(self.sets)
 
 
-def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int) -> list[Job]:
+def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, workers: int) -> list[Job]:
     """Divide a batch into jobs, in the order of passes, replays and sets; ``steps``: of each replay, by pass."""
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(SHORT, total / workers)))
-    most = MOST_SETS if workers == 1 else most_lanes(model)
+    most = MOST_SETS if workers == 1 else most_lanes(kernel)
     # Whole rounds of all workers are wide; the shortest parts, which are left over, are split among the workers.
     left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]
     narrow = min(most, -(-n_sets // workers // WIDEST) * WIDEST)

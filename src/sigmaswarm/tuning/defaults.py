@@ -23,6 +23,8 @@ WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 good filters from bad ones. Where errors last, the forecasts follow them: with a u-blox M8 the filter ended at 11 m
 instead of 4. A planar filter gains on its own roads too, but trusts them more: on another car's roads its error was 3.6
 times that of the fixes."""
+WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
+"""With truth and states for errors of fixes that last: the likelihood separates these errors from white noise."""
 MIN_DRIVEN = 30.0
 """Seconds of driving that a drive needs before fixes can be hidden in it."""
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
@@ -83,15 +85,19 @@ def _fits(name: str, options: dict[str, Any]) -> bool:
     return kind is None or clash(kind, [name]) is None
 
 
-def objective_for(data: Sequence[Drive | Sensors | Log], objective: str, model: str = PLAIN) -> str:
-    """Return the objective; for ``auto`` the one that suits the data and the filter's model."""
+def objective_for(
+    data: Sequence[Drive | Sensors | Log], objective: str, model: str = PLAIN, use: Sequence[str] = ()
+) -> str:
+    """Return the objective; for ``auto`` the one that suits the data and the filter's model and options."""
     if objective != "auto":
         return objective
     logs = any(isinstance(one, Log) for one in data)
     with_truth, without = OBJECTIVES_OF_LOGS if logs else OBJECTIVES_OF_CARS
     cars = [sensors_of(one) for one in data if not isinstance(one, Log)]
     tilts = model in MODELS and MODELS[model].tilts
-    if not logs and tilts and _allows_forecasts(cars):
+    if "fix-error" in use:
+        with_truth = WITH_FIX_ERROR
+    elif not logs and tilts and _allows_forecasts(cars):
         without = WITH_FORECASTS
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
@@ -110,8 +116,10 @@ def _allows_forecasts(cars: Sequence[Sensors]) -> bool:
 
 def settled(config: C, data: Sequence[Sensors | Log]) -> C:
     """Replace the defaults of a configuration that depend on the data."""
-    model = config.model if isinstance(config, TuneConfig) else PLAIN
-    return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective, model)}))
+    car = isinstance(config, TuneConfig)
+    model, use = (config.model, config.use) if car else (PLAIN, ())
+    objective = objective_for(data, config.objective, model, use)
+    return with_guards(config.model_copy(update={"objective": objective}))
 
 
 def with_guards(config: C) -> C:

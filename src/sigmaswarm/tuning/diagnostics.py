@@ -22,6 +22,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.divergence import said_of_restarts
+from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.recording import Recording
@@ -46,6 +47,10 @@ LOOK = 600.0
 REMEDY = (
     "DON'T USE IT; look at the drive with `sigmaswarm doctor`, tune with more --trials, or on more drives"
 )
+CORRELATED = 0.3
+"""Lag-1 autocorrelation of innovations above which a warning is given. Medians of three seeds of filters tuned without
+truth: -0.05 and 0.12 on drives with white errors, 0.15 with a simulated u-blox M8, 0.33 to 0.91 with real receivers."""
+CORRELATION_REMEDY = "add fix-error to --use"
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not depend on the covariance."""
 SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
@@ -99,6 +104,30 @@ def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str
     start = float(ready.drive.imu.time[0])
     replay = replay_of(_part(ready, start, start + WATCHED))
     return ready.drive.name, Recording(replay, parameters, recover=True).finished().restarts
+
+
+def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
+    """Return the lag-1 autocorrelation of a filter's innovations in a drive's first hour, the mean of both axes."""
+    start = float(ready.drive.imu.time[0])
+    replay = replay_of(_part(ready, start, start + WATCHED))
+    found = Recording(replay, parameters).finished().innovations
+    with np.errstate(all="ignore"):  # of a filter that failed
+        nu = found.innovation / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+        return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
+
+
+def correlation_warnings(parameters: FilterParameters, found: Iterable[float]) -> list[str]:
+    """Warn where the innovations of most drives are correlated, and states for lasting errors would explain it."""
+    known = [value for value in found if np.isfinite(value)]
+    augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
+    supported = parameters.kind in ("ukf", "ekf") and augmented in FILTERS
+    if parameters.fix_error is not None or not supported or not known or np.median(known) < CORRELATED:
+        return []
+    why = (
+        f"the innovations are correlated from fix to fix (lag 1: {np.median(known):.2f}), so errors of the fixes last, "
+        "and the stated covariance is too small"
+    )
+    return [to_do(CORRELATION_REMEDY, why)]
 
 
 def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:

@@ -16,7 +16,16 @@ OptimizerName = Literal[
     "pso", "ga", "ga-pso", "de", "de-qpso", "cma-es", "bo", "nelder-mead", "random", "sobol"
 ]
 Option = Literal[
-    "velocity", "lateral", "slip", "standstill", "odometer", "gate", "latency", "accuracy", "robust"
+    "velocity",
+    "lateral",
+    "slip",
+    "standstill",
+    "odometer",
+    "gate",
+    "latency",
+    "accuracy",
+    "robust",
+    "fix-error",
 ]
 
 INERTIA = 0.7298

@@ -11,29 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, motion_in_noise, stated_std, white_noise
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.table import ParameterTable
 
 DECADES = 0.5
 """Standard deviation of log10 R below that of the receiver."""
-SHOWN = 0.25 * UNSTATED_GPS_STD
-"""m per axis: a receiver that states nothing and errs by that much from one fix to the next does not smooth, and its
-fixes show what it is; of one that errs by less nothing is known."""
-
-
-def receiver_std(drive: Drive) -> tuple[float, float]:
-    """How far the fixes of a drive's receiver may be off, m east and north.
-
-    As it states; else the white noise that its fixes show, if that is large; else as of a u-blox M8.
-    """
-    if stated := stated_std(drive):
-        return stated
-    gps = drive.gps
-    shown, moved = white_noise(gps.x + 1j * gps.y), motion_in_noise(float(np.median(np.diff(gps.time))))
-    std = shown if shown > max(SHOWN, 3 * moved) else UNSTATED_GPS_STD
-    return std, std
+DECADES_ABOVE = 0.25
+"""The same above it, with states for the errors of fixes that last: a large R takes their part."""
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -49,14 +34,20 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
     -------
     ndarray, shape (n, m)
         0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0; the mean over both axes. R of a filter
-        that goes by each fix's own accuracy is that of the median fix.
+        that goes by each fix's own accuracy is that of the median fix. With `FilterParameters.fix_error` R includes the
+        variance of the errors that last, and 0.25 stands in place of 0.5 where it is larger.
     """
-    short = np.minimum(np.log10(typical_variance(parameter_sets, std) / std**2) / DECADES, 0.0)
-    return 0.5 * np.mean(short**2, axis=2)
+    log = np.log10(typical_variance(parameter_sets, std) / std**2)
+    lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
+    off = np.minimum(log / DECADES, 0.0) + np.where(lasts, np.maximum(log / DECADES_ABOVE, 0.0), 0.0)
+    return 0.5 * np.mean(off**2, axis=2)
 
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """R of the median fix, m2 east and north, shape (n, m, 2); ``std`` as in `prior_costs`."""
+    """Variance of the median fix, m2 east and north, shape (n, m, 2); ``std`` as in `prior_costs`."""
     table = ParameterTable.of(parameter_sets)
-    floor, scale = table.column("measurement_noise"), table.column("accuracy_scale")
+    floor, scale = (
+        table.column("measurement_noise"),
+        table.column("accuracy_scale") + table.column("fix_error"),
+    )
     return floor[:, None, :] + scale[:, None, None] * std**2

@@ -16,8 +16,8 @@ from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.compiled.layout import kernel_name
 from sigmaswarm.filters.compiled.run import run_kernel
+from sigmaswarm.filters.fix_error import kernel_name
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_named_axes
 from sigmaswarm.scoring.batch import Scores
@@ -25,10 +25,16 @@ from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
-from sigmaswarm.tuning.diagnostics import loss_warnings, scale_warnings
+from sigmaswarm.tuning.diagnostics import correlation_of, correlation_warnings, loss_warnings, scale_warnings
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.prior import prior_costs, receiver_std
-from sigmaswarm.tuning.receiver import accuracy_warnings, fix_noise, noise_warnings, prior_warnings, stated
+from sigmaswarm.tuning.prior import prior_costs
+from sigmaswarm.tuning.receiver import (
+    accuracy_warnings,
+    fix_noise,
+    noise_warnings,
+    prior_warnings,
+    stated,
+)
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -116,7 +122,7 @@ class CarProblem(Problem[FilterParameters]):
     @cached_property
     def _receiver_std(self) -> Array:
         """Standard deviation of each drive's receiver, shape (m, 2), m."""
-        return np.array(self.replays.dataset.map(receiver_std))
+        return np.array([one.receiver_std for one in self.sensors])
 
     @property
     def seen(self) -> Sequence[Landmarks]:
@@ -178,6 +184,9 @@ class CarProblem(Problem[FilterParameters]):
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             found += decided or noise_warnings(parameters, noise)
+            found += correlation_warnings(
+                parameters, replays.of_each_prepared(partial(correlation_of, parameters=parameters))
+            )
         return found
 
 
@@ -232,18 +241,22 @@ def car_problem(
     replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
     data = dataset.map(described)
     # Written out here, before threads start that would all wait for it.
-    run_kernel(kernel_name(config.model, config.kind))
-    return CarProblem(config, space or car_space(config, usual_interval(have)), data, replays)
+    run_kernel(kernel_name(config.model, config.kind, "fix-error" in config.use))
+    return CarProblem(config, space or car_space(config, have), data, replays)
 
 
-def car_space(config: TuneConfig, interval: float) -> SearchSpace:
-    """The search space of a configuration; ``interval``: s between two IMU samples, to which Q refers."""
-    return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
-
-
-def usual_interval(drives: Sequence[Drive | Sensors]) -> float:
-    """The drives' usual time between two IMU samples, s."""
-    return float(np.median([sensors_of(drive).interval for drive in drives]))
+def car_space(config: TuneConfig, drives: Sequence[Drive | Sensors]) -> SearchSpace:
+    """The search space of a configuration; Q refers to the drives' usual time between two IMU samples."""
+    have = [sensors_of(drive) for drive in drives]
+    return search_space(
+        config.model,
+        config.scale,
+        float(np.median([one.interval for one in have])),
+        kind=config.kind,
+        use=config.use,
+        fix_std=float(np.median([one.receiver_std for one in have])),
+        has_truth=objective_named(config.objective).needs_truth,
+    )
 
 
 def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:

@@ -64,7 +64,7 @@ def stated(drive: Drive) -> float:
 
 def noise_warnings(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
     """Warn of an R that contradicts the fixes of the training drives; for tunings without truth."""
-    if parameters.accuracy_scale is not None or not drives:
+    if parameters.accuracy_scale is not None or parameters.fix_error is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))

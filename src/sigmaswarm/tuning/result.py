@@ -253,7 +253,10 @@ class Tuning(Generic[P]):
         parameters: Any = record.filter if own else FilterParameters.load(file)
         values: dict[str, Any] = {**record.filter}
         if isinstance(config, TuneConfig):
-            space = search_space(config.model, config.scale, kind=config.kind, use=config.use)
+            has_truth = objective_named(config.objective).needs_truth
+            space = search_space(
+                config.model, config.scale, kind=config.kind, use=config.use, has_truth=has_truth
+            )
             values = space.values_of(parameters)
         sensitivities = tuple(
             Sensitivity(

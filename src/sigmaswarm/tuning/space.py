@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Any, get_args
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters, clash
@@ -43,7 +45,16 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
     "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
     "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
+    "fix-error": (
+        Dimension("fix_error", "fix_error", 0, 1e-3, 4.0),
+        Dimension("fix_error_time", "fix_error_time", 0, 0.5, 300.0),
+    ),
 }
+TIME = "fix_error_time"
+"""Searched with truth alone: the likelihood is flat in it, or largest at the bound."""
+LEAST_WHITE = 0.04
+"""Least R of a fix over the receiver's variance, with states for errors that last and without truth. With less,
+Student's t takes the wander for outliers."""
 ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R in addition to the stated variance of each fix."""
 LEAST = {
@@ -121,11 +132,14 @@ def search_space(
     *,
     kind: FilterKind = "ukf",
     use: Sequence[Option] = (),
+    fix_std: float = UNSTATED_GPS_STD,
+    has_truth: bool = False,
 ) -> SearchSpace:
     """Make the search space of a filter, with the paper's bounds for planar5; ``scale`` is that of the variances.
 
     All but planar5 without the lateral constraint share the noise of east and north: q_xy, q_vxy, r_xy. Bounds per
-    second are converted to ``nominal_interval``, or to 10 ms.
+    second are converted to ``nominal_interval``, or to 10 ms. With fix-error, ``fix_std`` (m) is the receiver's
+    standard deviation per axis, and ``has_truth`` is True where the objective compares with truth.
 
     Raises
     ------
@@ -147,11 +161,27 @@ def search_space(
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
+    if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
+        raise InputError(f"fix-error does not go with {model} as {kind}; take ekf, or leave it out")
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
+    if "fix-error" in use:
+        fixed["fix_std"] = fix_std
     if kind == "ekf":  # it has no sigma points
         fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
     dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
+    if "fix-error" in use and not has_truth:
+        dimensions = tuple(_without_truth(dimensions, fix_std, "accuracy" in use))
     return SearchSpace(dimensions, scale, fixed)
+
+
+def _without_truth(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
+    """Dimensions with fix-error and without truth; ``weighs``: R grows with the stated variance of a fix."""
+    field, least = (
+        ("accuracy_scale", LEAST_WHITE) if weighs else ("measurement_noise", LEAST_WHITE * fix_std**2)
+    )
+    for one in dimensions:
+        if one.field != TIME:
+            yield replace(one, lowest=max(one.lowest, least)) if one.field == field else one
 
 
 def _dimensions(

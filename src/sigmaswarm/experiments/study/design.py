@@ -162,7 +162,7 @@ class Design:
     def _default_options(self) -> dict[str, Any]:
         """Default filter of `tune` for these drives."""
         found, _ = with_filter({}, self.drives)
-        return {**found, "objective": objective_for(self.drives, "auto", found["model"])}
+        return {**found, "objective": objective_for(self.drives, "auto", found["model"], found["use"])}
 
     def members(self, group: str) -> list[int]:
         """Return the indices of a group's drives."""

@@ -44,7 +44,7 @@ from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.tracks import Picture, save_tracks
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import require_packages
-from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
+from sigmaswarm.tuning.problem import CarProblem, car_space
 from sigmaswarm.tuning.search import Search, Trial
 from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import ResultFolder
@@ -201,8 +201,8 @@ def _run(
     progress: Callable[[StudyProgress], None],
     watch: Stopwatch,
 ) -> Study:
-    elsewhere, interval = designs_elsewhere(design, pool), usual_interval(design.drives)
-    spaces = {(p, m): car_space(design.tune_config(m, p), interval) for p, m in design.config.tuned}
+    elsewhere = designs_elsewhere(design, pool)
+    spaces = {(p, m): car_space(design.tune_config(m, p), design.drives) for p, m in design.config.tuned}
     total = len(list(design.tasks)) * design.config.generations + sum(t.epochs for t in trainings(design))
 
     def report(done: int, task: Task) -> None:

@@ -23,14 +23,14 @@ from sigmaswarm.filters.bank.search import SCALED, Evidence, Found, Steps, searc
 from sigmaswarm.filters.bank.spread import FIXED, START, Spread
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, kernel_name, state_rows
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
 from sigmaswarm.filters.divergence import DivergenceMonitor
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter, LiveState, told
-from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
-from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.models import GYRO_BIAS, THETA
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
@@ -64,7 +64,7 @@ class Mixture:
 
     @classmethod
     @np.errstate(all="ignore")  # a lane may fail, and does not count then
-    def of(cls, states: Array, weights: Array, model: ModelName) -> "Mixture":
+    def of(cls, states: Array, weights: Array, model: str) -> "Mixture":
         """Mix the state rows (k, s, LANES) with the weights (k, LANES) of a bank; NaN where all weights are 0."""
         mean, covariance = state_estimate(states, model)  # (k, LANES, n), (k, LANES, n, n)
         sound = np.isfinite(mean.sum(axis=2) + covariance.sum(axis=(2, 3)))
@@ -196,8 +196,7 @@ class LiveFilterBank(LiveFilter):
         self.spread = Spread(parameters)
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets * self.spread.lasting
-        self._model: ModelName = parameters.model
-        self._kernel = kernel_name(parameters.model, parameters.kind)
+        self._kernel = parameters.kernel
         self._settled = len(self._memory.arrays.history)  # as many samples back nothing changes any more
         self._memory = self._with_lanes(nominal_interval)
         self._belief[live.BELIEVES_TIMES] = believe_times
@@ -236,7 +235,7 @@ class LiveFilterBank(LiveFilter):
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = self._started(start)[:, lanes]
         rows[CONSTANT_ROWS, lanes] = self.spread.constants(self._own_constants, self.offsets[lanes])
-        sound = np.isfinite(rows[state_rows(self._model)]).all(axis=0) & (rows[R.OK] == 1.0)
+        sound = np.isfinite(rows[state_rows(self._kernel)]).all(axis=0) & (rows[R.OK] == 1.0)
         self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
         self._numbers[swarm.AGAINST] = self.spread.penalty(self.offsets)
         self._numbers[swarm.AGAINST][self._counted :] = np.inf
@@ -404,7 +403,7 @@ class LiveFilterBank(LiveFilter):
     @property
     def _biases(self) -> list[int]:
         """Indices of the biases among the model's states."""
-        return [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+        return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """State estimate (n,), (n, n) with the biases from before it was lost: at a fix, lanes forget them."""
@@ -438,7 +437,7 @@ class LiveFilterBank(LiveFilter):
             return
         lanes = [lane for lane in range(1, LANES) if lane >= len(FIXED) or START not in FIXED[lane]]
         biases = self._biases
-        rows, state = self._rows_of(self._numbers), state_rows(self._model)
+        rows, state = self._rows_of(self._numbers), state_rows(self._kernel)
         of_state = state[:, np.newaxis], np.array(lanes)
         rows[of_state] = self._started(replace(start, gyro=None))[of_state]
         for i in biases:
@@ -524,11 +523,11 @@ class LiveFilterBank(LiveFilter):
 
     def lanes(self) -> tuple[Array, Array]:
         """State rows (s, LANES) and weights (LANES,) now, to mix many moments at once."""
-        return self._rows_of(self._numbers)[state_rows(self._model)], self.weights
+        return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:
         states, weights = self.lanes()
-        mixed = Mixture.of(states[np.newaxis], weights[np.newaxis], self._model)
+        mixed = Mixture.of(states[np.newaxis], weights[np.newaxis], self._kernel)
         return mixed.mean[0], mixed.covariance[0]
 
     @property

@@ -13,9 +13,9 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.models import MODELS, THETA
-from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Innovations, Piece, failure_at
 from sigmaswarm.filters.replay import Replay, require_readable
@@ -107,7 +107,7 @@ class BankRun:
     ) -> None:
         require_readable(replay, KernelArray((parameters,)))
         self._line, self.initial = replay.timeline, replay.initial
-        self._model: ModelName = parameters.model
+        self._model = parameters.kernel
         self.bank = LiveFilterBank(
             parameters,
             replay.initial,
@@ -131,7 +131,7 @@ class BankRun:
     def __iter__(self) -> Iterator[Piece]:
         line, drive, bank = self._line, self._line.drive, self.bank
         last = len(drive.imu) - 1
-        imu = [drive.imu.time, *(getattr(drive.imu, axis) for axis in MODELS[self._model].imu)]
+        imu = [drive.imu.time, *(getattr(drive.imu, axis) for axis in FILTERS[self._model].imu)]
         begins = int(np.searchsorted(drive.imu.time, self.initial.time, side="right"))
         events = _events(drive)
         event = next(events, None)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.fix_error import FILTERS
 
 LANES = 16
 """Parameter sets side by side in a row; a compile-time constant, two AVX-512 or four AVX2 vectors."""
@@ -23,21 +23,10 @@ BLOCKS = 2
 """A run may take so many times LANES: the lanes from LANES on stand in rows of their own, behind all of the first."""
 
 
-UNSCENTED = "tilted12, unscented"
-"""The kernel of tilted12's filters with sigma points."""
-KERNELS = {**MODELS, UNSCENTED: MODELS["tilted12"]}
-"""The model of each kernel, by the kernel's name. A planar model's kernel runs all types of filters."""
-
-
-def kernel_name(model: str, kind: str) -> str:
-    """The kernel that runs a model as a type of filter."""
-    return UNSCENTED if model == "tilted12" and kind != "ekf" else model
-
-
 def most_lanes(kernel: str) -> int:
     """Filters that a run takes at once: many, for they hide what each waits for, but all in a core's nearest cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
-    return LANES if KERNELS[kernel].tilts or uncompiled else BLOCKS * LANES
+    return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
 
 def lanes_for(n_sets: int) -> int:
@@ -49,10 +38,11 @@ LETTERS = {
     "x": "X", "y": "Y", "vx": "U", "vy": "V", "theta": "T",
     "accel_bias_x": "A", "accel_bias_y": "B", "gyro_bias_z": "W",
     "roll": "I", "pitch": "J", "gyro_bias_x": "K", "gyro_bias_y": "L",
+    "fix_error_x": "M", "fix_error_y": "N",
 }  # fmt: skip
 """One for each state of any model; two of them name an element of the covariance."""
 
-_LARGEST = max(MODELS.values(), key=lambda model: len(model.states))
+_LARGEST = max(FILTERS.values(), key=lambda model: len(model.states))
 _STATES = [LETTERS[name] for name in _LARGEST.names]
 
 MEAN = tuple(_STATES)
@@ -70,6 +60,7 @@ CONSTANTS = (
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
     "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
+    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix that states none
 )  # fmt: skip
 """Of a parameter set."""
 SUMS = (
@@ -92,6 +83,7 @@ SCRATCH = (
     "N1", "N2",  # nu
     "G11", "G12", "G22", "USE",  # the gain's G
     "FACTOR",  # by which P is stretched
+    "PHI", "GAINED_X", "GAINED_Y",  # of `fix_error`
     "ARM",  # of the lateral constraint: see `models.lateral_arm`
     # A prediction's: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
@@ -135,8 +127,8 @@ N_STATE: int = STATE_ROWS.stop
 @cache
 def state_rows(kernel: str) -> NDArray[np.intp]:
     """The rows that hold a model's state: mean (n,), quaternion (4,) if any, upper triangle of the covariance."""
-    n = len(KERNELS[kernel].states)
-    quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if KERNELS[kernel].tilts else ()
+    n = len(FILTERS[kernel].states)
+    quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if FILTERS[kernel].tilts else ()
     return np.array([*range(n), *quaternion, *range(P0, P0 + n * (n + 1) // 2)], dtype=np.intp)
 
 

@@ -15,13 +15,14 @@ import math
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
+from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, see_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import C1, C2, KERNELS, LANES, Q0, SLOPE, UNSCENTED, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, SLOPE, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
+    ALONG,
     fold,
+    measure_along_tilted,
     measure_fix_tilted,
-    measure_lateral_tilted,
-    measure_odometer_tilted,
 )
 from sigmaswarm.filters.compiled.tilted12_unscented import (
     OUTPUTS,
@@ -30,6 +31,7 @@ from sigmaswarm.filters.compiled.tilted12_unscented import (
     measure_odometer_unscented,
 )
 from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED
 from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
 from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
@@ -48,7 +50,7 @@ def axis_of(bias):
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
-def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
+def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
     """A position fix of the antenna, a row of `Timeline.fixes`; ``since`` is Q's scale since the last fix.
 
     What no lane needs is left out; what other lanes need does not change a bit.
@@ -59,7 +61,12 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
         adapting += w[R.FORGETTING, l] < 1.0
         fuzzy += w[R.FUZZY, l] >= 0.0
         robust += w[R.DOF, l] > 0.0
+    if fix_error:
+        age_fix_error(w, z, since)
+        move_fix_error(w)
     _measure_fix(w, z, lever)
+    if fix_error:
+        see_fix_error(w)
     for l in range(LANES):
         inside = (_look(w, l) <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
         w[R.USE, l] = 1.0 if inside else 0.0
@@ -92,9 +99,12 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
     _keep_digits(w)
 
 
-def forecast_fix(w, z, lever, *, n):
+def forecast_fix(w, z, lever, since, *, n, fix_error):
     """A fix that the filter does not get to see: only its forecast is scored."""
     _measure_fix(w, z, lever)
+    if fix_error:
+        age_fix_error(w, z, since)
+        see_fix_error(w)
     for l in range(LANES):
         nis = _look(w, l)
         w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
@@ -162,11 +172,11 @@ def _turn_lever(w, lever_x, lever_y):
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
 
-def _keep_digits(w, *, n, tilted, unscented):
+def _keep_digits(w, *, n, tilted, unscented, fix_error):
     """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
-    P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position, -latency at
-    the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
+    P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position and at the
+    lasting error of fixes, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0
@@ -189,6 +199,9 @@ def _keep_digits(w, *, n, tilted, unscented):
             elif tilted:
                 x -= w[R.LEVER_UP, l] * w[at(j, R.J), l]
                 y += w[R.LEVER_UP, l] * w[at(j, R.I), l]
+            if fix_error:
+                x -= w[at(j, n - 2), l]
+                y -= w[at(j, n - 1), l]
             if j != R.Y:
                 w[at(j, R.X), l] = x if used else w[at(j, R.X), l]
             w[at(j, R.Y), l] = y if used else w[at(j, R.Y), l]
@@ -491,9 +504,12 @@ def _absorb_two(w, *, n, tilted):
         fold(w)
 
 
-def absorbers(name: str, note_prior=None):
-    """`forecast_fix` and the five `absorb_...` functions of a kernel's name; for `note_prior` see `tape`."""
-    model, unscented = KERNELS[name], int(name == UNSCENTED)
+def absorbers(name: str, note_prior=None, noted=0):
+    """`forecast_fix` and the five `absorb_...` functions of a kernel's name.
+
+    ``note_prior``: see `tape`; ``noted``: see `move_fix_error`.
+    """
+    model, unscented = FILTERS[name], int(name == UNSCENTED)
     ready = {
         "note_prior": note_prior,
         "n": len(model.states),
@@ -501,9 +517,12 @@ def absorbers(name: str, note_prior=None):
         "adaptive": int(name in ("planar5", "planar8", UNSCENTED)),
         "tilted": int(model.tilts is not None),
         "unscented": unscented,
+        "fix_error": int(model.fix_error),
+        "noted": noted,
     }
     parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _weigh)
     parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
+    parts += (age_fix_error, move_fix_error, see_fix_error) if model.fix_error else ()
     parts += () if ready["tilted"] else (_measure_fix,)
     if unscented:
         ready["_measure_fix"] = measure_fix_unscented
@@ -512,10 +531,10 @@ def absorbers(name: str, note_prior=None):
             measure_odometer_unscented,
         )
     elif ready["tilted"]:
-        ready["_measure_fix"] = measure_fix_tilted
+        ready["_measure_fix"] = kernel(measure_fix_tilted, n=ready["n"])
+        along = {"n": ready["n"], **ALONG["lateral"]}, {"n": ready["n"], **ALONG["odometer"]}
         ready["measure_lateral"], ready["measure_odometer"] = (
-            measure_lateral_tilted,
-            measure_odometer_tilted,
+            kernel(measure_along_tilted, **known) for known in along
         )
     else:
         for name, bias in (("lateral", model.gyro_bias), ("odometer", model.accel_bias)):

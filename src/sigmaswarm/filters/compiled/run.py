@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from sigmaswarm.compilation import Recipe, cached, once
 from sigmaswarm.drives import alignment, frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
-from sigmaswarm.filters import fuzzy, models, schedule, student, tilted
+from sigmaswarm.filters import fix_error, fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
-from sigmaswarm.filters.compiled.layout import KERNELS, LANES, N_KEPT, N_ROWS, R, state_rows
+from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
@@ -212,7 +213,20 @@ def _store(w, rows):
                 rows[r, lane] = w[below + r, lane - first]
 
 
-_ELSEWHERE = alignment, frozen, fuzzy, gaps, odometer, standstill, timeline, models, schedule, student, tilted
+_ELSEWHERE = (
+    alignment,
+    fix_error,
+    frozen,
+    fuzzy,
+    gaps,
+    odometer,
+    standstill,
+    timeline,
+    models,
+    schedule,
+    student,
+    tilted,
+)
 """What kernels take from other folders."""
 
 
@@ -294,7 +308,7 @@ def _machine_code(sources, *, steps_to):
 
 def _kernel_of(model, step, rows, name):
     """``step`` gives the model's step, written into the kernel where that has to be compiled."""
-    described = KERNELS[model]
+    described = FILTERS[model]
     heading = R.HEADING if described.tilts else R.T
 
     def known():

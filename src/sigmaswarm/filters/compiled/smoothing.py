@@ -19,9 +19,11 @@ from numba import njit
 
 from sigmaswarm.compilation import once
 from sigmaswarm.filters.compiled.lanes import OPTIONS
-from sigmaswarm.filters.compiled.layout import KERNELS, QUATERNION, UNSCENTED, state_rows
+from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
+from sigmaswarm.filters.compiled.tape import phi_place
 from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
 from sigmaswarm.filters.tilted import GRAVITY, STEP_FIRST
 
 
@@ -31,21 +33,21 @@ def _plain(function, **known):
 
 
 @_plain
-def _moved_planar5(move, p, ap):
+def _moved_planar5(move, p, ap, n):
     """A P."""
     h, je, jn = 0.5 * move[0], move[1], move[2]
-    for c in range(5):
+    for c in range(n):
         vx, vy = p[2, c] + je * p[4, c], p[3, c] + jn * p[4, c]
         ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
         ap[2, c], ap[3, c], ap[4, c] = vx, vy, p[4, c]
 
 
 @_plain
-def _moved_planar8(move, p, ap):
+def _moved_planar8(move, p, ap, n):
     """A P."""
     dt, je, jn, cos, sin = move[0], move[1], move[2], move[3], move[4]
     h = 0.5 * dt
-    for c in range(8):
+    for c in range(n):
         vx = p[2, c] + je * p[4, c] - (cos * p[5, c] - sin * p[6, c])
         vy = p[3, c] + jn * p[4, c] - (sin * p[5, c] + cos * p[6, c])
         ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
@@ -54,11 +56,11 @@ def _moved_planar8(move, p, ap):
 
 
 @_plain
-def _moved_tilted12(move, p, ap):
+def _moved_tilted12(move, p, ap, n):
     """A P, of the error; its third, first and second part stand in rows 4, 8 and 9."""
     dt, east, north = move[0], move[1], move[2]
     h, g = 0.5 * dt, GRAVITY * dt
-    for c in range(12):
+    for c in range(n):
         e, n, up = p[8, c], p[9, c], p[4, c]
         vx = p[2, c] + g * n - north * up - move[3] * p[5, c] - move[4] * p[6, c]
         vy = p[3, c] - g * e + east * up - move[6] * p[5, c] - move[7] * p[6, c]
@@ -71,10 +73,10 @@ def _moved_tilted12(move, p, ap):
             ap[a, c] = p[a, c]
 
 
-def _moved_unscented(move, p, ap, *, first):
+def _moved_unscented(move, p, ap, n, *, first):
     """A P, of the error: what makes it are the rows D and the slopes."""
     h = 0.5 * move[0]
-    for c in range(12):
+    for c in range(n):
         vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
         vy = p[3, c] - move[3] * p[5, c] - move[4] * p[6, c]
         e, n, up = p[8, c], p[9, c], p[4, c]
@@ -164,13 +166,17 @@ def _turned(q, x, y, z, out):
     out[0], out[1], out[2], out[3] = one * w0, one * w1, one * w2, one * w3
 
 
-def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, moved, spread, solve):
+def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, phi, moved, spread, solve):
     """From what is known behind a step to what is known before it: ``behind`` (n_state,), in place."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
     spread(before, p)
-    moved(noted[2 * n_state :], p, x)
+    moved(noted[2 * n_state :], p, x, n)
+    if phi:
+        for b in (n - 2, n - 1):
+            for a in range(n):
+                x[b, a] = noted[2 * n_state + phi] * p[b, a]
     spread(prior, s)
     spread(behind, change)
     for a in range(n):
@@ -231,13 +237,13 @@ def _backwards(sources, *, n, step_back):
 
 @once
 def _kernel_of(name):
-    model = KERNELS[name]
-    n, tilted = len(model.states), int(model.tilts is not None)
+    n, tilted = len(FILTERS[name].states), int(FILTERS[name].tilts is not None)
     first = n + (len(QUATERNION) if tilted else 0)
 
     def known():
         step_back = _plain(
-            _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, moved=_MOVED[name],
+            _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, moved=_MOVED[own_name(name)],
+            phi=phi_place(name),
             spread=_plain(_spread, n=n, first=first), solve=_plain(_solve, n=n),
         )  # fmt: skip
         return {"n": n, "step_back": step_back}

@@ -5,14 +5,15 @@
 from functools import cache
 
 from sigmaswarm.drives.timeline import DT, GAP
-from sigmaswarm.filters.compiled import robot_localization, tape
+from sigmaswarm.filters.compiled import fix_error, robot_localization, tape
 from sigmaswarm.filters.compiled.lanes import kernel
-from sigmaswarm.filters.compiled.layout import KERNELS, LANES, UNSCENTED, R
+from sigmaswarm.filters.compiled.layout import LANES, R
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
-from sigmaswarm.filters.compiled.tilted12 import predict_tilted12, settle
+from sigmaswarm.filters.compiled.tilted12 import COLUMNS, predict_tilted12, settle
 from sigmaswarm.filters.compiled.tilted12_unscented import predict_unscented
+from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
 from sigmaswarm.filters.schedule import (
     COMPARED,
     FIX,
@@ -25,6 +26,7 @@ from sigmaswarm.filters.schedule import (
     STANDSTILL,
     VELOCITY,
 )
+from sigmaswarm.filters.tilted import N
 
 
 def _grow(w, dt, gap, *, tilted):
@@ -46,7 +48,7 @@ def _grow(w, dt, gap, *, tilted):
 
 def _step(
     w, u, happens, z, wheels, lever, since,
-    *, predict, grow, settle, note_move, note_prior,
+    *, predict, carry, grow, settle, note_move, note_prior,
     absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_odometer, absorb_standstill,
 ):  # fmt: skip
     """Predict, and absorb what there is.
@@ -57,6 +59,8 @@ def _step(
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:
         predict(w, u)
+        if carry:
+            carry(w, u)
         if gap > 0.0:
             grow(w, dt, gap)
     if note_prior:
@@ -67,7 +71,7 @@ def _step(
         if happens & VELOCITY:
             absorb_velocity(w, z)
     if happens & HIDDEN:
-        forecast_fix(w, z, lever)
+        forecast_fix(w, z, lever, since)
     if happens & LATERAL:
         absorb_lateral(w, u)
     if happens & ODOMETER:
@@ -82,7 +86,8 @@ def _step(
 _PREDICTIONS = {
     "planar5": (predict_planar5, None),
     "planar8": (predict_planar8, None),
-    "tilted12": (predict_tilted12, settle),
+    "tilted12": (kernel(predict_tilted12, columns=COLUMNS), settle),
+    "tilted12+fix-error": (kernel(predict_tilted12, columns=(*COLUMNS, (N, N + 1))), settle),
     UNSCENTED: (predict_unscented, settle),
 }
 
@@ -93,17 +98,20 @@ def step_of(name, *, noted=False):
 
     ``noted``: it leaves in the rows of the first lane what a smoother needs of it: see `tape`.
     """
-    model = KERNELS[name]
+    model = FILTERS[name]
     if model.measures_imu:
         return robot_localization.step
-    predict, settle = _PREDICTIONS[name]
+    predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[own_name(name)]
+    carries = model.fix_error and not model.tilts  # a prediction with tilts carries all columns
+    biases = int(model.gyro_bias is not None)
     note_prior = tape.note_prior(name) if noted else None
     return kernel(
         _step,
         predict=predict,
+        carry=kernel(fix_error.carry, n=len(model.states), biases=biases) if carries else None,
         settle=settle,
         note_move=tape.note_move(name) if noted else None,
         note_prior=note_prior,
         grow=kernel(_grow, tilted=int(model.tilts is not None)),
-        **absorbers(name, note_prior=note_prior),
+        **absorbers(name, note_prior, tape.phi_place(name) if noted else 0),
     )

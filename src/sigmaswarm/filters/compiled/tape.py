@@ -12,8 +12,9 @@ k J g0 + m t in place of J g0. The few numbers that make A are noted here, in ro
 import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import kernel
-from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, SLOPE, UNSCENTED, R, state_rows
+from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, SLOPE, R, state_rows
 from sigmaswarm.filters.compiled.tilted12_unscented import OUTPUTS
+from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, own_name
 
 MOVES = {
     "planar5": (R.JEAST, R.JNORTH),
@@ -28,20 +29,31 @@ MOVES = {
         *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
     ),
 }
-"""By kernel: the rows that make A beside the step's length, all in proportion to it."""
+"""By kernel: the rows that make A beside the step's length, all in proportion to it. Then comes phi of `fix_error`."""
+
+
+def _moves_of(name):
+    return MOVES[own_name(name)]
 
 
 def taped_rows(name):
     """The rows of a step on tape: the state behind it, the prediction, the step's length and what else makes A."""
-    state = state_rows(name)
-    return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + 1 + len(MOVES[name]))], dtype=np.intp)
+    state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
+    return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
 
-def _note_move(w, dt, *, places, moves):
+def phi_place(model):
+    """Number of phi among the rows MOVE; 0 of a model without one."""
+    return 1 + len(_moves_of(model)) if FILTERS[model].fix_error else 0
+
+
+def _note_move(w, dt, *, places, moves, phi):
     for l in range(LANES):
         w[MOVE, l] = dt
         for i in places:  # a step of no length predicts nothing: A is one
             w[MOVE + 1 + i, l] = w[moves[i], l] if dt > 0.0 else 0.0
+        if phi:
+            w[MOVE + phi, l] = 1.0  # but at a fix: see `move_fix_error`
 
 
 def _note_prior(w, *, state):
@@ -52,7 +64,7 @@ def _note_prior(w, *, state):
 
 def note_move(name):
     """The kernel that notes what makes A, right after a prediction."""
-    return kernel(_note_move, places=range(len(MOVES[name])), moves=MOVES[name])
+    return kernel(_note_move, places=range(len(_moves_of(name))), moves=_moves_of(name), phi=phi_place(name))
 
 
 def note_prior(name):

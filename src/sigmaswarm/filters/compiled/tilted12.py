@@ -44,14 +44,14 @@ KEPT = (R.A, R.B, R.W, R.K, R.L)
 
 # What shares most of its numbers is done in one loop: fewer of them are loaded, and the processor finds more to do.
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
-"""Of F P; KEPT's last: the others read what they overwrite."""
+"""Of F P; KEPT's last: the others read what they overwrite. Behind them may come what does not enter F."""
 ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)
 """Of (F P) F'."""
 
 
 def fp(i, j):
     """Row of (F P)[i, j], i among MOVED: in scratch, but where it is P' already."""
-    return at(i, j) if j in KEPT else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
+    return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
 @kernel
@@ -118,13 +118,12 @@ def _move(w, u):
         w[R.V, l] += north
 
 
-@kernel
-def predict_tilted12(w, u):
-    """One step of the process model."""
+def predict_tilted12(w, u, *, columns):
+    """One step of the process model; ``columns``: `COLUMNS`, and those of states that do not enter it."""
     _half_turn(w, u)
     _move(w, u)
     h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]
-    for group in COLUMNS:
+    for group in columns:
         for l in range(LANES):
             for j in group:
                 pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
@@ -195,8 +194,7 @@ def settle(w):
         w[R.HEADING, l] = angle_of(2.0 * (q1 * q2 + q0 * q3), 1.0 - 2.0 * (q2 * q2 + q3 * q3))
 
 
-@kernel
-def measure_fix_tilted(w, z, lever):
+def measure_fix_tilted(w, z, lever, *, n):
     """z = p + (R lever) - latency v: nu, H P H^T, C and R; of the error's part e x (R lever), see `tilted.Antenna`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
@@ -218,7 +216,7 @@ def measure_fix_tilted(w, z, lever):
         w[R.N2, l] = zy - (w[R.Y, l] - tau * w[R.V, l] + north)
     for l in range(LANES):
         tau, je, jn, up = w[R.LATENCY, l], w[R.JEAST, l], w[R.JNORTH, l], w[R.LEVER_UP, l]
-        for i in range(N):
+        for i in range(n):
             w[C1 + i, l] = (
                 w[at(i, R.X), l] - tau * w[at(i, R.U), l] + je * w[at(i, R.T), l] + up * w[at(i, R.J), l]
             )
@@ -230,7 +228,7 @@ def measure_fix_tilted(w, z, lever):
         w[R.S22, l] = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + jn * w[C2 + R.T, l] - up * w[C2 + R.I, l]
 
 
-def _measure_along(w, u, wheels, *, lateral, bias):
+def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
     """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:
         shown = u[GZ]
@@ -256,7 +254,7 @@ def _measure_along(w, u, wheels, *, lateral, bias):
             gained = shown - w[bias, l] - GRAVITY * e2
             w[R.N1, l] = w[R.ODOMETER_SCALE, l] * speed + arm * gained - (e0 * vx + e1 * vy + e2 * vz)
             hi, hj = hi + arm * GRAVITY * e1, hj - arm * GRAVITY * e0
-        for i in range(N):
+        for i in range(n):
             w[C1 + i, l] = (
                 d0 * w[at(i, R.U), l] + d1 * w[at(i, R.V), l] + arm * w[at(i, bias), l]
                 + hi * w[at(i, R.I), l] + hj * w[at(i, R.J), l] + ht * w[at(i, R.T), l]
@@ -267,5 +265,5 @@ def _measure_along(w, u, wheels, *, lateral, bias):
         )  # fmt: skip
 
 
-measure_lateral_tilted = kernel(_measure_along, lateral=1, bias=R.W)
-measure_odometer_tilted = kernel(_measure_along, lateral=0, bias=R.A)
+ALONG = {"lateral": {"lateral": 1, "bias": R.W}, "odometer": {"lateral": 0, "bias": R.A}}
+"""What `measure_along_tilted` is bound to."""

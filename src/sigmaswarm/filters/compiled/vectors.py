@@ -5,9 +5,9 @@ in them what type it has, for half a minute and more; here all are doubles, so e
 it stands, as a function of its own that takes the array of rows and the few numbers that all lanes share. Such a
 function's name has a hash of its text, so that it is the same wherever it is called from, and so are its bits.
 
-The body of a loop over lanes is straight: assignments to names and to ``w[row, l]`` with a row known beforehand,
-arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `numpy.floor`, `abs`, and calls of plain
-functions of that kind, which are written into it. A name that is only added to counts lanes: ``n += test``.
+The body of a loop over lanes has no branches. It has assignments to names and to ``w[row, l]`` with a known row,
+arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`. Calls of
+plain functions of that kind are written into it. A name that is only added to counts lanes: ``n += test``.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -41,7 +41,7 @@ _ARITHMETIC = {
 }
 _LOGIC = {ast.BitAnd: "and_", ast.BitOr: "or_"}
 _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "=="}
-_FUNCTIONS = {math.sqrt: "sqrt", math.log: "log", np.floor: "floor", abs: "fabs"}
+_FUNCTIONS = {math.sqrt: "sqrt", math.log: "log", math.exp: "exp", np.floor: "floor", abs: "fabs"}
 
 
 def put_loops(definition: ast.FunctionDef, names: Names) -> None:

@@ -9,7 +9,9 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.models import MODELS, THETA, CarModel, lateral_arm, require_driven_by_imu
+from sigmaswarm.filters import fix_error
+from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     FIX,
@@ -32,7 +34,7 @@ from sigmaswarm.filters.schedule import (
 )
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
-from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Measurement
+from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Measurement, Prediction
 from sigmaswarm.filters.textbook.manifold import (
     ErrorStateKalmanFilter,
     Manifold,
@@ -73,7 +75,7 @@ class TextbookCar:
         require_driven_by_imu(p.model, "run_textbook")
         self.timeline, self.parameters = timeline, p
         mean, covariance = start_of(initial, p)
-        self.model = MODELS[p.model]
+        self.model = FILTERS[p.kernel]
         require_axes(timeline.drive, p.model)
         first = STEP_FIRST if self.model.tilts else (THETA,)
         points = SigmaPoints(p.alpha, p.beta, p.kappa, first=first if heading_first else ())
@@ -85,6 +87,7 @@ class TextbookCar:
             points=None if p.kind == "ekf" else points,
             redraw_sigma_points=redraw_sigma_points,
         )
+        self._beyond = np.zeros(len(mean) - p.n_states)  # states without process noise from step to step
         q = converted(p, timeline.nominal_interval)
         r = np.array(p.measurement_noise)
         fuzzy = p.kind == "fuzzy-ukf"
@@ -111,7 +114,8 @@ class TextbookCar:
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
         for tilt in ATTITUDE[:2] if model.tilts else ():
             unseen[tilt, tilt] += GAP_TILT_STD**2 * line.gap[i] * line.dt[i]
-        self.filter.predict(line.dt[i], imu, np.diag(self.noise.process_noise) * line.q_scale[i] + unseen)
+        q = np.concatenate([self.noise.process_noise, self._beyond])
+        self.filter.predict(line.dt[i], imu, np.diag(q) * line.q_scale[i] + unseen)
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
             fix = line.fixes[self._fix_of_step[i]]
@@ -139,6 +143,8 @@ class TextbookCar:
     def _update_with_fix(self, fix: Array, stated: Array, time: float) -> None:
         times = self.fuzzy.times_r if self.fuzzy else 1.0
         noise = self.noise.measurement_noise + times * (self.parameters.accuracy_scale or 0.0) * stated
+        if self.model.fix_error:
+            self._age_fix_error(stated)
         innovation = self.filter.measure(fix, np.diag(noise))
         gate = self.parameters.gate
         if gate is None or innovation.nis <= gate or self._rejected >= MOST_REJECTED:
@@ -155,6 +161,15 @@ class TextbookCar:
         else:
             self._rejected += 1
         self._since = 0.0
+
+    def _age_fix_error(self, stated: Array) -> None:
+        """Take the lasting error of the last fix to that of the next, whose ``stated`` variances are (2,) m2 or 0."""
+        p, filter = self.parameters, self.filter
+        phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
+        f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
+        q[-2:, -2:] = fix_error.grown((p.fix_error or 0.0) * np.where(stated > 0, stated, p.fix_std**2), phi)
+        filter.mean, filter.covariance = f @ filter.mean, f @ filter.covariance @ f.T + q
+        filter.prediction = Prediction(filter.mean, filter.covariance, filter.prediction.cross @ f.T)
 
 
 def _filter(

@@ -1,0 +1,73 @@
+"""The errors of fixes that last, as two states behind those of a model: `filters.fix_error` in closed form.
+
+The states do not enter the process. So a prediction takes their columns of P through F and leaves all else: the rows
+that a model's prediction leaves in scratch make F, in an unscented filter too (its statistical linearization, see
+`tape`). What changes b from fix to fix is done at the fix. Measurements loop over all n states; b is the last two.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+from sigmaswarm.drives.timeline import DT, FIX_VAR_X, FIX_VAR_Y
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
+
+
+def carry(w, u, *, n, biases):
+    """Take the columns of b through a planar model's step; ``biases``: it has planar8's."""
+    dt = u[DT]
+    h = 0.5 * dt
+    for l in range(LANES):
+        ke, kn = w[R.JEAST, l], w[R.JNORTH, l]
+        for j in range(n - 2, n):
+            ub, vb, tb = w[at(R.U, j), l], w[at(R.V, j), l], w[at(R.T, j), l]
+            u1, v1 = ub + ke * tb, vb + kn * tb
+            if biases:
+                ab, bb, c, s = w[at(R.A, j), l], w[at(R.B, j), l], w[R.COS, l], w[R.SIN, l]
+                u1, v1 = u1 - (c * ab - s * bb), v1 - (s * ab + c * bb)
+                w[at(R.T, j), l] = tb - dt * w[at(R.W, j), l]
+            w[at(R.X, j), l] += h * (ub + u1)
+            w[at(R.Y, j), l] += h * (vb + v1)
+            w[at(R.U, j), l], w[at(R.V, j), l] = u1, v1
+
+
+def age_fix_error(w, z, since):
+    """phi, and the variance that b gains from the last fix to this one, ``since`` nominal steps later."""
+    var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
+    for l in range(LANES):
+        phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])
+        gained = w[R.FIX_ERROR, l] * (1.0 - phi * phi)
+        w[R.PHI, l] = phi
+        w[R.GAINED_X, l] = gained * (var_x if var_x > 0.0 else w[R.FIX_VAR, l])
+        w[R.GAINED_Y, l] = gained * (var_y if var_y > 0.0 else w[R.FIX_VAR, l])
+
+
+def move_fix_error(w, *, n, noted):
+    """Take b from the last fix to this one; ``noted``: number of phi among the rows of `tape`, 0 without one."""
+    for l in range(LANES):
+        phi = w[R.PHI, l]
+        for j in range(n - 2, n):
+            w[j, l] *= phi
+            for i in range(n):
+                w[at(i, j), l] *= phi
+            w[at(j, j), l] *= phi
+        w[at(n - 2, n - 2), l] += w[R.GAINED_X, l]
+        w[at(n - 1, n - 1), l] += w[R.GAINED_Y, l]
+        if noted:
+            w[MOVE + noted, l] = phi
+        w[R.PHI, l], w[R.GAINED_X, l], w[R.GAINED_Y, l] = 1.0, 0.0, 0.0
+
+
+def see_fix_error(w, *, n):
+    """Add phi b, and what it gains, to z = p of a fix: to nu, H P H^T and C."""
+    for l in range(LANES):
+        phi = w[R.PHI, l]
+        w[R.N1, l] -= phi * w[n - 2, l]
+        w[R.N2, l] -= phi * w[n - 1, l]
+        xx, xy, yy = w[at(n - 2, n - 2), l], w[at(n - 2, n - 1), l], w[at(n - 1, n - 1), l]
+        w[R.S11, l] += phi * (2.0 * w[C1 + n - 2, l] + phi * xx) + w[R.GAINED_X, l]
+        w[R.S12, l] += phi * (w[C1 + n - 1, l] + w[C2 + n - 2, l] + phi * xy)
+        w[R.S22, l] += phi * (2.0 * w[C2 + n - 1, l] + phi * yy) + w[R.GAINED_Y, l]
+        for i in range(n):
+            w[C1 + i, l] += phi * w[at(i, n - 2), l]
+            w[C2 + i, l] += phi * w[at(i, n - 1), l]

@@ -1,0 +1,138 @@
+"""Fix errors that last, as two Gauss-Markov states: an option of every model that the IMU drives.
+
+Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
+those of a model. They do not enter its process. A fix measures p + b + v; between two fixes dt apart
+
+    b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
+
+with s the standard deviation that the receiver states of the later fix, or that of the receiver. A filter starts at a
+fix, so that its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2.
+
+The estimates that users see have the states of the model alone.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.filters.models import MODELS, CarModel, State, Tilts
+
+Array = NDArray[np.float64]
+
+STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
+SUFFIX = "+fix-error"
+"""Of the name of a model with these states."""
+
+
+@dataclass(frozen=True)
+class Appended:
+    """A measurement of a model that has b behind its own states; ``gain`` is 1 where b adds to it, else 0."""
+
+    own: Any
+    gain: float = 0.0
+
+    def __call__(self, state: Array) -> Array:
+        measured = self.own(state[:-2])
+        return measured + state[-2:] if self.gain else measured
+
+    def jacobian(self, state: Array) -> Array:
+        """H, (m, n)."""
+        own = self.own.jacobian(state[:-2])
+        return np.hstack([own, self.gain * np.eye(len(own), 2)])
+
+
+def _appended(measure: Callable[[Any, Any], Any], gain: float = 0.0) -> Callable[[Any, Any], Appended]:
+    return lambda a, b: Appended(measure(a, b), gain)
+
+
+def augmented(model: CarModel) -> CarModel:
+    """A model with the states b behind its own."""
+
+    def process(state: Array, dt: float, imu: Array) -> Array:
+        return np.concatenate([model.process(state[:-2], dt, imu), state[-2:]])
+
+    return replace(
+        model,
+        states=(*model.states, *STATES),
+        process=process,
+        position=_appended(model.position, 1.0),
+        velocity=Appended(model.velocity),
+        lateral=_appended(model.lateral),
+        odometer=_appended(model.odometer),
+        rates_at_rest=Appended(model.rates_at_rest),
+        tilts=_tilts(model.tilts) if model.tilts else None,
+        kinds=("ekf",) if model.tilts else ("ukf", "ekf"),
+        fix_error=True,
+    )
+
+
+def _tilts(own: Tilts) -> Tilts:
+    def beside(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+        both = np.add if function is own.plus else np.subtract
+        return lambda a, b: np.concatenate([function(a[:-2], b[:-2]), both(a[-2:], b[-2:])])
+
+    def nearest(a: Array, b: Array) -> Array:
+        return np.concatenate([own.nearest(a[:-2], b[:-2]), a[-2:]])
+
+    def transition(state: Array, dt: float, imu: Array) -> Array:
+        f = np.eye(len(state))
+        f[:-2, :-2] = own.transition(state[:-2], dt, imu)
+        return f
+
+    def as_angles(state: Array, covariance: Array) -> Array:
+        return own.as_angles(state[..., :-2], covariance[..., :-2, :-2])
+
+    return Tilts(beside(own.plus), beside(own.minus), nearest, transition, as_angles)
+
+
+UNSCENTED = "tilted12, unscented"
+"""The kernel of tilted12's filters with sigma points; a planar model's kernel runs all types of filters."""
+FILTERS = (
+    MODELS
+    | {name + SUFFIX: augmented(model) for name, model in MODELS.items() if not model.measures_imu}
+    | {UNSCENTED: MODELS["tilted12"]}
+)
+"""The models that are compiled, by the name of the kernel."""
+
+
+def kernel_name(model: str, kind: str, fix_error: bool = False) -> str:
+    """Name in `FILTERS` of the kernel that runs a model as a type of filter."""
+    name = UNSCENTED if model == "tilted12" and kind != "ekf" else model
+    return name + SUFFIX if fix_error else name
+
+
+def own_name(model: str) -> str:
+    """Name of the model without the states b."""
+    return model.removesuffix(SUFFIX)
+
+
+_LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
+
+
+def known_states(n: int, given: int) -> int:
+    """How many of the n states of a model a start with ``given`` states sets."""
+    if n == given:
+        return n
+    return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)
+
+
+def transition(n: int, phi: float) -> Array:
+    """F of n states from fix to fix, (n, n)."""
+    return np.diag([1.0] * (n - 2) + [phi] * 2)
+
+
+def grown(variance: Array, phi: float) -> Array:
+    """Q of b from fix to fix, (2, 2), of its stationary variance g s^2, (2,) m2."""
+    return np.diag(variance * (1.0 - phi * phi))
+
+
+def add_start(mean: Array, covariance: Array, variance: Array) -> None:
+    """Put b into starts (..., n), (..., n, n), in place, of variance g s^2, (...) m2."""
+    for position, b in ((0, -2), (1, -1)):
+        mean[..., b] = 0.0
+        covariance[..., b, b] = variance
+        covariance[..., position, position] += variance
+        covariance[..., position, b] = covariance[..., b, position] = -variance
