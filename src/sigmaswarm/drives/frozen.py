@@ -27,7 +27,7 @@ NO_REST = 2.0
 """m/s: a repeat that begins above is no evidence of a standstill."""
 BRAKING = 4.0
 """m/s2: harder braking in the fixes is noise."""
-ENOUGH = 3
+ENOUGH = 3.0
 """New fixes that show a braking; fewer show a mean speed only."""
 
 

@@ -24,7 +24,7 @@ BLOCK = 0.05
 """s: length of a block."""
 SECOND = 20
 """Complete blocks that must be calm, next to the current one: a second."""
-MOST_OF_IT = 16
+MOST_OF_IT = 16.0
 """Blocks since the oldest of them, at least, for a full second."""
 QUARTER = 5
 """Complete blocks, next to the current one, that show a departure."""
@@ -181,7 +181,7 @@ def _begin_block(memory: Array, begun: int) -> None:
     if whole[COUNT] > 0.0:
         level[AGE] = level[PLACE] - whole[FIRST]
         if level[AGE] <= 0.0:
-            level[AGE] += SECOND
+            level[AGE] += float(SECOND)
 
 
 @cached

@@ -43,7 +43,7 @@ INPUTS = {
 }
 """What stands for an element of a step, a fix and a reading."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
-RENAMED = {"b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
+RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
 _SIGNS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"},
@@ -131,13 +131,14 @@ class _Function(ast.NodeTransformer):
             signature.append([p for p in ours if _uses(code, p.split()[-1].lstrip("*"))])
         self.emitter.signatures[self.definition.name] = self.name, signature
         parameters = [p for each in signature for p in each] + [f"real *{out}" for out in self.outs]
+        parameters = [p.replace(" ", "\0") for p in parameters]  # a line does not end within one
         head = f"static {self.returns or 'void'} {self.name}({', '.join(parameters)})"
         if "P[" in code:
             self.lines.insert(0, "    real(*P)[N] = b->covariance;")
         documented = (ast.get_docstring(self.definition) or "").split("\n\n")[0].split()
         doc = textwrap.fill(" ".join(documented), 116, subsequent_indent=" * ")
         comment = f"/* {doc} */\n" if documented else ""
-        head = textwrap.fill(head, 118, subsequent_indent="    ")
+        head = textwrap.fill(head, 118, subsequent_indent="    ").replace("\0", " ")
         return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
 
     def parameters_of(self, name: str) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ FIELDS = {"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": 
 """Names of columns."""
 TIMES = ("now", "before", "taken")
 ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "FROZEN": "FROZEN", "FROZEN_MOVING": "FROZEN_MOVING"}
-_TIME = "ins_gps_time"
+_TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
 _TYPES = {float: "real", int: "int", bool: "bool", None: "void"}
 _CALLS = {"min": "SMALLER", "max": "LARGER", "math.hypot": "HYPOT"}
 _CASTS = {"int": "(int)", "float": "(real)"}
@@ -57,7 +57,7 @@ class _Rule(_Function):
         self.types = {name: _TYPES.get(kind, "real *") for name, kind in function.__annotations__.items()}
         self.types |= {name: kind for name, kind in POINTERS.items() if name in self.types}
         self.types |= {name: _TIME for name in self.types if name in TIMES}
-        self.returns = self.types.pop("return")
+        self.returns = {"kind_of": _KIND}.get(self.name, self.types["return"])
         module = inspect.getsource(inspect.getmodule(function) or function)
         found = re.findall(r'^(\w+) = .*\n"""([^"]*)"""', module, re.MULTILINE)
         self.described = {name: " ".join(text.split()) for name, text in found}
@@ -79,6 +79,7 @@ class _Rule(_Function):
                 case ast.For(ast.Name(name), ast.Call(_, bounds), body):
                     self.types[name] = "int"
                     first, end = ("0", *map(self.c, bounds))[-2:]
+                    name = self.local(name)
                     self.nested(f"for (int {name} = {first}; {name} < {end}; {name}++) {{", body, depth)
                 case ast.If():
                     self.branch("if", statement, depth)
@@ -99,6 +100,11 @@ class _Rule(_Function):
                     self.branch("} else if", other, depth)
                 case body:
                     self.nested("} else {", body, depth)
+        elif head != "if":  # as MISRA's rule 15.7 asks
+            self.lines.pop()
+            self.put("} else {", depth)
+            self.put("/* nothing */", depth + 1)
+            self.put("}", depth)
 
     def nested(self, head: str, body: list[ast.stmt], depth: int) -> None:
         self.put(head, depth)
@@ -135,7 +141,9 @@ class _Rule(_Function):
                 return _TIME
             case ast.Subscript(ast.Name("memory"), index) if not isinstance(index, ast.Tuple):
                 return "real *"
-            case ast.Subscript(ast.Name("kinds")) | ast.Call(ast.Name("int")):
+            case ast.Subscript(ast.Name("kinds")):
+                return _KIND
+            case ast.Call(ast.Name("int")):
                 return "int"
             case ast.BinOp(left, _, right):
                 kinds = [self.type_of(left), self.type_of(right)]
@@ -189,8 +197,10 @@ class _Rule(_Function):
 
     def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
         name = ast.unparse(node.func)
-        if name in _CASTS:
+        if name in _CASTS and self.type_of(node.args[0]) != _KIND:
             return _CASTS[name] + self.print(self.fold(node.args[0]), 8)
         if name in _CALLS:
             return f"{_CALLS[name]}({', '.join(map(self.c, node.args))})"
+        if name == "int":
+            return self.c(node.args[0])
         return super().call(node)
