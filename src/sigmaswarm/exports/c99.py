@@ -20,6 +20,7 @@ from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.versions import __version__
 
 FILES = (
@@ -181,6 +182,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "GAP_TURN": schedule.GAP_TURN_STD,
         "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
         "GAP_TILT": schedule.GAP_TILT_STD,
+        "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
         "LOST_AFTER": divergence.DIVERGED_AFTER,
         "FEWEST_LOOKS": divergence.FEWEST_CHECKS,
         "SLOTS": round(1.0 / schedule.LATERAL_INTERVAL),  # of the standstill and the odometer, too

@@ -36,7 +36,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "FIX_ERROR": p.fix_error is not None,
         "PLANAR_FIX_ERROR": p.fix_error is not None and not has_tilts,
         "STD": p.accuracy_scale is not None or p.fix_error is not None,
-        "SINCE": adaptive or p.fix_error is not None,
+        "SINCE": adaptive or robust or p.fix_error is not None,
         "ROBUST": robust,
         "STRETCH": tracking or robust,
         "VELOCITY": velocity,
