@@ -2,6 +2,8 @@
 
 import os
 import signal
+from collections.abc import Generator
+from pathlib import Path
 
 # Before NumPy is imported: as many processes as cores run the tests, and threads of BLAS would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,6 +27,13 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
 def pytest_xdist_auto_num_workers() -> int:
     """One more than there are processors: tests of servers and of killed processes mostly wait."""
     return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    """Leave the docstrings of tests alone: the plugin for Markdown would import each file a second time for them."""
+    found = yield
+    return [file for file in found if type(file).__name__ != "MarkdownDocstringCodeModule"]
 
 
 @pytest.fixture

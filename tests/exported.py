@@ -1,9 +1,7 @@
 """Builds and runs exported filters, as whoever gets them would: with a C compiler, and with a Python of their own."""
 
-import os
 import shutil
 import subprocess
-import sys
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -12,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+import processes
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
@@ -26,6 +25,7 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 needs_clang = pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not installed")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
 SANITIZERS = (
+    "-O0",  # the optimizer takes four fifths of the build, and removes what the sanitizers look for
     "-g",
     "-fsanitize=address,undefined,float-divide-by-zero,float-cast-overflow",
     "-fno-sanitize-recover",
@@ -83,18 +83,20 @@ def replay(program: Path, drive: Drive, model: ModelName = "planar5") -> Replaye
 def run_script(
     folder: Path, parameters: FilterParameters, drive: Drive | Path, *, as_recorded: bool = False
 ) -> Replayed:
-    """Run the FilterPy script over a drive, in a Python that can't find sigmaswarm."""
+    """Run the FilterPy script over a drive."""
     (script,) = export_filter(parameters, "filterpy", folder, as_recorded=as_recorded)
     if isinstance(drive, Drive):
         drive = write_drive(drive, folder / "drive")
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    environment["OPENBLAS_NUM_THREADS"] = "1"  # more of them only get in each other's way
-    command = [sys.executable, "-c", _ISOLATED, script, drive, folder / "estimate.csv"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    done = run_alone(script, drive, folder / "estimate.csv")
     assert done.returncode == 0, done.stderr
     rows = np.loadtxt(folder / "estimate.csv", delimiter=",", skiprows=1)
     n = (rows.shape[1] - 1) // 2
     return Replayed(rows[:, 0], rows[:, 1 : n + 1], rows[:, n + 1 :] ** 2)
+
+
+def run_alone(script: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run an exported script in a process that has imported NumPy and FilterPy, and can't find sigmaswarm."""
+    return processes.run(_ISOLATED, script, *arguments)
 
 
 _ISOLATED = """

@@ -113,6 +113,7 @@ def _line(channel: socket.socket, begun: bytes) -> bytes:
 
 def _serve(channel: socket.socket) -> None:
     """In the template: fork, and tell of who has ended."""
+    import filterpy.kalman  # noqa: F401
     import matplotlib.pyplot  # noqa: F401
     import scipy.stats  # noqa: F401
 

@@ -64,9 +64,9 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     SigmaswarmWarning
         Each assumption that was made.
     """
-    from sigmaswarm.importing.convert import import_drive
+    from sigmaswarm.importing.convert import import_drive, request_of
 
-    request = _request(log, settings)
+    request = request_of(log, settings)
     imported = import_drive(request, name or Path(log).resolve().stem)
     for note in imported.notes:
         warnings.warn(SigmaswarmWarning(f"{log}: {note}"), stacklevel=2)
@@ -81,31 +81,10 @@ def inspect_log(log: str | Path, **settings: Any) -> "Look":
     log, **settings
         As of `import_log`.
     """
+    from sigmaswarm.importing.convert import request_of
     from sigmaswarm.importing.look import look
 
-    return look(_request(log, settings))
-
-
-def _request(log: str | Path, settings: dict[str, Any]) -> Any:
-    from dataclasses import fields, replace
-
-    from sigmaswarm.importing.convert import Request
-    from sigmaswarm.importing.recipe import Recipe
-    from sigmaswarm.wording import names_shown
-
-    recipe = settings.pop("recipe", None)
-    recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
-    if "format" in settings:
-        settings["form"] = settings.pop("format")
-    own = {f.name for f in fields(Request)} - {"source", "recipe"}
-    if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
-        raise InputError(
-            f"no setting of an import is called {unknown[0]!r}; there are {names_shown(sorted(own))}"
-        )
-    logs = {key: Path(settings[key]) for key in ("gps", "truth", "odometer") if settings.get(key)}
-    given: dict[str, Any] = {key: value for key, value in settings.items() if key in own} | logs
-    changed: dict[str, Any] = {key: value for key, value in settings.items() if key not in own}
-    return Request(source=Path(log), recipe=replace(recipe, **changed), **given)
+    return look(request_of(log, settings))
 
 
 def split(drive: Drive, train_fraction: float = 0.7, *, at: float | None = None) -> tuple[Drive, Drive]:
@@ -179,7 +158,7 @@ def evaluate(
     parameters : FilterParameters, Tuning, or the path of a tuning
         A `Tuning` also states which drives it saw: the evaluation warns where they overlap.
     against : the same, optional
-        A second filter, of any model.
+        A second filter, of any model; also the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
         ``cluster``.
@@ -202,7 +181,7 @@ def evaluate(
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
     if isinstance(parameters, Tuning):
         options = {"seen": parameters.seen or None} | options
-    other = None if against is None else filter_of(against)
+    other = filter_of(against) if isinstance(against, Tuning) else against
     return evaluation.evaluate(drives, filter_of(parameters), against=other, **options)
 
 

@@ -1,10 +1,6 @@
 """Errors and warnings. Each message is one sentence that states the place and the remedy."""
 
 import warnings
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
 
 
 class SigmaswarmError(Exception):
@@ -25,25 +21,6 @@ class AlignmentError(DriveError):
 
 class SigmaswarmWarning(UserWarning):
     """Something looks wrong, but the work continues."""
-
-
-class Mistake(NamedTuple):
-    """The first error that pydantic found.
-
-    ``key`` has dots, and is empty for the whole record; ``kind`` is pydantic's name of the error.
-    """
-
-    key: str
-    value: Any
-    kind: str
-    message: str
-
-
-def first_mistake(error: "ValidationError") -> Mistake:
-    """Return the first error that pydantic found."""
-    first = error.errors()[0]
-    message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
-    return Mistake(".".join(str(part) for part in first["loc"]), first["input"], first["type"], message)
 
 
 class DriveWarning(SigmaswarmWarning):

@@ -52,15 +52,19 @@ def require_regular(path: Path) -> None:
         raise InputError(f"{path}: is no regular file; copy what it holds into a file, and name that")
 
 
-def require_text(path: Path) -> bytes:
-    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes; return its first line."""
+def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
+    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes.
+
+    ``shown_as`` is its name in messages, where it was unpacked to another place. Returns its first line and the number
+    of its lines, empty ones as well: polars makes a row of each.
+    """
     require_regular(path)
     with path.open("rb") as file:
-        _require_unpacked(path, file.read(8))
+        _require_unpacked(shown_as or path, file.read(8))
         file.seek(0)
-        _require_lines(path, file)
+        lines = _require_lines(shown_as or path, file)
         file.seek(0)
-        return file.readline()
+        return file.readline(), lines
 
 
 def _require_unpacked(path: Path, head: bytes) -> None:
@@ -69,7 +73,7 @@ def _require_unpacked(path: Path, head: bytes) -> None:
             raise InputError(f"{path}: is compressed ({kind}); unpack it, and name the unpacked file")
 
 
-def _require_lines(path: Path, file: BinaryIO) -> None:
+def _require_lines(path: Path, file: BinaryIO) -> int:
     begun, lines = 0, 0  # bytes since the last line's end
     while block := file.read(LONGEST_LINE):
         first, last = block.find(b"\n"), block.rfind(b"\n")
@@ -79,6 +83,7 @@ def _require_lines(path: Path, file: BinaryIO) -> None:
             )
         begun = begun + len(block) if last < 0 else len(block) - last - 1
         lines += block.count(b"\n")
+    return lines
 
 
 def read_bounded(path: Path, most: int) -> bytes:

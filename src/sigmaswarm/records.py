@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
-from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.errors import InputError
 from sigmaswarm.files import finite, read_arrays
 from sigmaswarm.limits import MOST_JSON, read_bounded, read_toml_text
+from sigmaswarm.wording import first_mistake, shown
 
 R = TypeVar("R")
 ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")
@@ -59,7 +60,8 @@ def read_content(
             return {**read_arrays(path)}
         if path.suffix == ".json":
             content = json.loads(read_bounded(path, MOST_JSON))
-            content = content if infinite else finite(content)
+            numbers = finite(content)  # which also refuses what is nested too deep to be walked
+            content = content if infinite else numbers
         else:
             content = tomllib.loads(read_toml_text(path))
     except FileNotFoundError:
@@ -69,8 +71,8 @@ def read_content(
     except (
         Exception
     ) as error:  # a damaged archive raises anything, a nested text RecursionError, a number ValueError
-        said = " ".join(str(error).split())[:160]
-        raise InputError(f"{path}: not readable: {said or type(error).__name__}; {remedy}") from None
+        said = shown(" ".join(str(error).split()) or type(error).__name__, 160)
+        raise InputError(f"{path}: not readable: {said}; {remedy}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: the file: should be a table of keys; {remedy}")
     return cast("dict[str, Any]", content)

@@ -1,6 +1,10 @@
 """Show names and cells of files in messages: on one line, without control characters, and cut to a length."""
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 MOST_CHARACTERS = 60
 """Longest name or cell in a message."""
@@ -44,6 +48,35 @@ def quoted(text: object, most: int = MOST_CHARACTERS) -> str:
     """Show a name or a cell in quotes."""
     whole = str(text)
     return repr(whole[:most]) + ("..." if len(whole) > most else "")
+
+
+def value_shown(value: object) -> str:
+    """Show a value of a file in a message; an integer of 5000 digits has no text form."""
+    try:
+        return shown(repr(value))
+    except (ValueError, RecursionError):
+        return "what stands there"
+
+
+class Mistake(NamedTuple):
+    """The first error that pydantic found, as a message shows it.
+
+    ``key`` has dots, and is empty for the whole record; ``value`` is empty for a table; ``kind`` is pydantic's name of
+    the error.
+    """
+
+    key: str
+    value: str
+    kind: str
+    message: str
+
+
+def first_mistake(error: "ValidationError") -> Mistake:
+    """Return the first error that pydantic found."""
+    first = error.errors(include_url=False)[0]
+    message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
+    value = "" if isinstance(first["input"], dict) else value_shown(first["input"])
+    return Mistake(shown(".".join(map(str, first["loc"]))), value, first["type"], shown(message, 600))
 
 
 def names_shown(names: Iterable[object], mark: str = "") -> str:

@@ -44,6 +44,17 @@ def sigmaswarm(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
     return run
 
 
+@pytest.fixture
+def painted() -> None:
+    """For tests that look at pictures."""
+
+
+@pytest.fixture(autouse=True)
+def unpainted_unless_painted(request: pytest.FixtureRequest) -> None:
+    if "painted" not in request.fixturenames:
+        request.getfixturevalue("unpainted")
+
+
 @pytest.fixture(scope="session")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two simulated drives."""

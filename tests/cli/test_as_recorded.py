@@ -12,7 +12,6 @@ from sigmaswarm.drives.writer import write_drive
 
 
 @pytest.mark.parametrize("as_recorded", [False, True])
-@pytest.mark.usefixtures("unpainted")
 def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as_recorded: bool):
     folder = write_drive(rough(), tmp_path / "rough")
     options = ["--particles", "4", "--generations", "2", *(["--as-recorded"] if as_recorded else [])]
@@ -30,7 +29,6 @@ def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as
     assert ("no filter used 5 of the fixes" in said) is not as_recorded
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_a_tuning_of_an_older_version_is_told(sigmaswarm, tmp_path: Path):
     folder = write_drive(rough(), tmp_path / "rough")
     options = ["--particles", "4", "--generations", "2"]

@@ -82,6 +82,7 @@ def test_version(sigmaswarm):
     assert sigmaswarm("--version").out.strip() == library.__version__
 
 
+@pytest.mark.usefixtures("painted")
 def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm("tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2)
     assert ended.code == 0
@@ -110,7 +111,6 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     assert tomllib.loads(Path("t/tuning.toml").read_text()) == table
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path):
     options = [
         "--particles",
@@ -155,7 +155,6 @@ def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path)
     assert said["filter"] == tomllib.loads(Path("t/tuning.toml").read_text())["filter"]
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm(
         "tune",
@@ -187,6 +186,7 @@ def test_evaluate_says_the_same_as_the_library(sigmaswarm, drives: Path, tuned: 
     assert list(here.iterdir()) == []
 
 
+@pytest.mark.usefixtures("painted")
 def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tuned: Path, here: Path, caplog):
     ended = sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4)
     assert ended.code == 0
@@ -222,7 +222,6 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_the_tuned_filter_is_called_what_it_is(sigmaswarm, drives: Path, tuned: Path, here: Path):
     text = tuned.read_text().replace("[filter]\n", '[filter]\nkind = "ekf"\n')
     Path("ekf.toml").write_text(text)
@@ -234,7 +233,6 @@ def test_the_tuned_filter_is_called_what_it_is(sigmaswarm, drives: Path, tuned: 
     assert "tuned UKF" not in ended.out + page
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tuned: Path, here: Path):
     assert sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4).code == 0
     ended = sigmaswarm("report", "e")
@@ -247,6 +245,7 @@ def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tu
     assert Path("other.html").read_text() == text
 
 
+@pytest.mark.usefixtures("painted")
 def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, here: Path):
     library.write_drive(library.simulate(duration=40.0, run=3), "blind")
     Path("blind/truth.csv").unlink()
@@ -398,6 +397,7 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
     assert len(train.imu) + len(test.imu) == len(read_drive(drives / "urban-clear-00").imu)
 
 
+@pytest.mark.usefixtures("painted")
 def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest.MonkeyPatch):
     """With a smaller swarm and fewer drives than at home; a second demo continues the first."""
     small = {"maneuvers": ("turns", "brake"), "environments": ("clear",), "particles": 6, "generations": 3}
@@ -437,7 +437,6 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
     assert sigmaswarm("demo", "--out", "show", "--seed", "1").code == 2
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives: Path, here: Path):
     first, second = sorted(drives.iterdir())[:2]
     assert sigmaswarm("tune", first, "--out", "t", *QUICK).code == 0
@@ -479,7 +478,6 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning never saw")
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
     """Also where a folder was named that holds the drive, and where names have blanks."""
     drive = replace(read_drive(min(drives.iterdir())), name="it's monday")
@@ -512,7 +510,6 @@ def test_a_drive_without_velocity_can_not_use_it(sigmaswarm, here: Path):
     assert not (here / "t").exists()
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
     drive = make_drive(duration=20.0)
     write_drive(replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)), here / "plain")

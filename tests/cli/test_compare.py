@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 
+@pytest.mark.usefixtures("painted")
 def test_compare_writes_and_prints_its_table(sigmaswarm, drives: Path, here: Path):
     few = ["--seeds", 2, "--particles", 6, "--generations", 3]
     asked = ["--optimizers", "pso", "de:racing=true", "--scales", "log10", "linear", *few]
@@ -23,7 +24,6 @@ def test_compare_writes_and_prints_its_table(sigmaswarm, drives: Path, here: Pat
     assert (again.code, again.out) == (0, ended.out)
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_tune_tells_what_racing_saved(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm("tune", drives, "--out", "t", "--racing", "--particles", 8, "--generations", 2)
     assert ended.code == 0, ended.err
@@ -32,7 +32,6 @@ def test_tune_tells_what_racing_saved(sigmaswarm, drives: Path, here: Path):
     assert result["filter_steps"] / result["filter_steps_without_racing"] < 0.8
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_tune_as_in_the_paper(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm("tune", drives, "--out", "t", "--paper", "--scale", "linear")
     assert ended.code == 0, ended.err

@@ -42,7 +42,6 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "-> change the sign of gz (--fix does it)" in ended.out
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
     sigmaswarm, sick: Path, tuned: Path
 ):

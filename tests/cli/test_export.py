@@ -25,6 +25,33 @@ def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path
     assert json.loads(ended.out) == {"written": ["py/run_filter.py"]}
 
 
+def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: Path, here: Path):
+    drive = drives / "urban-clear-00"
+    texts = "imu0_config: [" + "false, " * 11 + "true, true, true, false]\ntwo_d_mode: true\n"
+    Path("ekf.yaml").write_text(texts)
+    search = ("--particles", 4, "--generations", 2)
+    ended = sigmaswarm("tune", drive, "--start", "ekf.yaml", "--out", "t", *search)
+    assert ended.code == 0, ended.err
+    assert "model:    robot-localization" in ended.out and "of the start" in ended.out
+    ended = sigmaswarm("evaluate", "t", drive, "--against", "ekf.yaml", "--trust-log")
+    assert ended.code == 0 and "other EKF" in ended.out
+    out = ("--to", "robot-localization", "--out", "ekf")
+    ended = sigmaswarm("export", "t", *out, "--check", drive, "--against", "ekf.yaml")
+    assert ended.code == 0, ended.err
+    page = Path("ekf/README.md").read_text()
+    assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization |" in page
+    assert "The tuning has seen urban-clear-00" in page
+    for wrong, said in (
+        (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against goes with --check"),
+        (("--to", "filterpy", "--out", "ekf"), "filterpy does not support robot-localization"),
+    ):
+        ended = sigmaswarm("export", "t", *wrong)
+        assert (ended.code, ended.err.count("\n")) == (2, 1) and said in ended.err
+    Path("ekf.yaml").write_text("frequency: 30.0")
+    ended = sigmaswarm("evaluate", "t", drive, "--against", "ekf.yaml")
+    assert (ended.code, ended.err.count("\n")) == (2, 1) and "ekf.yaml: has neither" in ended.err
+
+
 @needs_gcc
 def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"

@@ -13,6 +13,8 @@ from processes import COMMAND, Process, run
 from sigmaswarm import FilterParameters, evaluate, files, read_drive
 from sigmaswarm.reports.evaluation import save_evaluation
 
+pytestmark = pytest.mark.usefixtures("painted")  # the same bytes in processes of their own
+
 DYING = """
 import os, signal, sys
 sync, left = os.fsync, [int(sys.argv.pop(1))]

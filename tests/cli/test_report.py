@@ -8,7 +8,6 @@ import pytest
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity"])
-@pytest.mark.usefixtures("unpainted")
 def test_scores_with_nan(sigmaswarm, drives: Path, tuned: Path, here: Path, number: str):
     assert sigmaswarm("evaluate", tuned, drives / "urban-clear-00", "--out", "e").code == 0
     setup = here / "e" / "evaluation.json"  # no hashes, as an older version wrote it

@@ -169,6 +169,7 @@ def test_a_failure_on_the_way_is_one_line_and_can_be_resumed(sigmaswarm, here: P
     assert digests("s") == digests("t")
 
 
+@pytest.mark.usefixtures("painted")
 def test_plot_draws_a_simulated_drive(sigmaswarm, here: Path):
     write = library.write_drive(library.simulate("outages", "rain"), "somewhere")
     ended = sigmaswarm("plot", write)
@@ -178,6 +179,7 @@ def test_plot_draws_a_simulated_drive(sigmaswarm, here: Path):
     assert Path("again.png").read_bytes() == Path("outages-rain-00.png").read_bytes()
 
 
+@pytest.mark.usefixtures("painted")
 def test_plot_draws_a_recorded_drive_without_truth(sigmaswarm, here: Path, caplog):
     library.write_drive(make_drive(duration=20.0, truth=False, name="by-me"), "recorded")
     ended = sigmaswarm("plot", "recorded", "--json")

@@ -32,7 +32,6 @@ def test_run_writes_what_is_known_in_hindsight(sigmaswarm, drives: Path, tuned: 
     assert np.mean(whole.covariance[:, 0, 0]) < 0.6 * np.mean(causal.covariance[:, 0, 0])
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
     ended = sigmaswarm("evaluate", tuned, drive, "--smooth", "--out", "evaluation")

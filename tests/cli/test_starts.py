@@ -1,10 +1,12 @@
 """Commands around the start of a drive: a stated heading, parts without a start, ideal sensors."""
 
 import numpy as np
+import polars as pl
 import pytest
 from tests.cli.conftest import Command
 
-from sigmaswarm import Drive, read_drive, write_drive
+from sigmaswarm import Drive, read_drive, simulate, split_time, write_drive
+from sigmaswarm.drives.alignment import initial_state
 
 
 def still(length: float = 60.0) -> Drive:
@@ -26,6 +28,38 @@ def test_import_writes_a_heading_from_north(
     )  # fmt: skip
     assert ended.code == 0, ended.err
     assert read_drive(tmp_path / "new").metadata["heading_deg"] == heading
+
+
+@pytest.mark.parametrize("unit", ["rad from east", "deg from north"])
+def test_a_heading_column_starts_a_filter_without_travel(sigmaswarm: Command, tmp_path, unit: str) -> None:
+    log = write_drive(still(), tmp_path / "log")
+    heading = {"rad from east": 2.0, "deg from north": np.degrees(np.pi / 2 - 2.0) % 360}[unit]
+    gps = pl.read_csv(log / "gps.csv").with_columns(pl.lit(heading).alias("yaw of antennas"))
+    gps.write_csv(log / "gps.csv")
+    source = ("import", log / "imu.csv", "--gps", log / "gps.csv", "--out", tmp_path / "new")
+    ended = sigmaswarm(*source, "--map", "heading=`yaw of antennas`")
+    assert ended.code == 0, ended.err
+    assert ("degrees clockwise from north" in ended.out) == (unit == "deg from north")
+    drive = read_drive(tmp_path / "new")
+    for part in (drive, *split_time(drive)):
+        start = initial_state(part)
+        assert start.mean[4] == pytest.approx(2.0, abs=1e-3) and start.time < part.imu.time[0] + 1.0
+
+
+def test_a_heading_column_of_a_moving_vehicle_is_in_the_convention_that_its_course_shows(
+    sigmaswarm: Command, tmp_path
+) -> None:
+    drive = simulate("urban", duration=40.0, gps="white-1m")
+    log = write_drive(drive, tmp_path / "log")
+    theta = np.interp(drive.gps.time, drive.truth.time, np.unwrap(drive.truth.theta))
+    gps = pl.read_csv(log / "gps.csv").with_columns(pl.Series("yaw", np.degrees(np.pi / 2 - theta) % 360))
+    gps.write_csv(log / "gps.csv")
+    source = ("import", log / "imu.csv", "--gps", log / "gps.csv", "--out", tmp_path / "new")
+    assert sigmaswarm(*source, "--map", "heading=yaw").code == 0
+    got = read_drive(tmp_path / "new")
+    assert got.gps.heading == pytest.approx(np.angle(np.exp(1j * theta)), abs=1e-6)
+    start = initial_state(got)
+    assert start.mean[4] == pytest.approx(theta[0], abs=0.05) and start.time <= initial_state(drive).time
 
 
 def test_split_says_that_a_part_has_no_start(sigmaswarm: Command, tmp_path) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-import pytest
 
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.filters.bank.run import run_bank
@@ -32,7 +31,6 @@ def test_run_writes_the_mixture_and_what_the_swarm_said(sigmaswarm, drives: Path
     assert sigmaswarm("run", told["settled"], drive, "--out", "again.csv").code == 0
 
 
-@pytest.mark.usefixtures("unpainted")
 def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
     ended = sigmaswarm("evaluate", tuned, drive, "--swarm", "--out", "evaluation")

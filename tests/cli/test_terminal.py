@@ -54,6 +54,7 @@ def test_a_path_is_no_markup(sigmaswarm, tuned: Path, drives: Path, here: Path, 
         assert out in ended.out
 
 
+@pytest.mark.usefixtures("painted")
 @pytest.mark.parametrize(
     "name",
     quickly([("$^$",), ("a$b$c",), (EVIL,), ("日本語",), ("[x]",)], lambda name: name in ("$^$", EVIL)),

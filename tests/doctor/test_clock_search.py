@@ -57,4 +57,7 @@ def robot(reverse: bool, seed: int) -> Drive:
 def test_a_log_that_begins_in_reverse(seed: int):
     found = {f.code: f for f in sigmaswarm.diagnose(robot(True, seed)).findings}
     assert found["reverse-start"].span[1] == pytest.approx(16, abs=2)
+    assert "--at 18 --out parts" in found["reverse-start"].remedy
+    known = replace(robot(True, seed), metadata={"heading_deg": 40.0})
+    assert "reverse-start" not in sigmaswarm.diagnose(known).codes
     assert "reverse-start" not in sigmaswarm.diagnose(robot(False, seed)).codes

@@ -14,6 +14,7 @@ from sigmaswarm.doctor.checks.mounting import moved
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.fixes import course_of
 from sigmaswarm.doctor.mounting import angle_of, mounting_of, turned
+from sigmaswarm.drives.drive import Gps, Imu
 from sigmaswarm.drives.split import clip
 from support import DRIVES, needs_shared, quickly
 
@@ -127,6 +128,42 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: flo
     assert found["mounting-changed"].span[0] == pytest.approx(80, abs=6)
     assert "split" in found["mounting-changed"].remedy
     assert moved(drive) is None
+
+
+def blind(drive: Drive) -> Drive:
+    """The IMU of a drive with the fixes of a parked receiver: no course shows an axis."""
+    noise = np.random.default_rng(1).standard_normal((2, len(drive.gps)))
+    return replace(drive, gps=type(drive.gps)(drive.gps.time, *noise))
+
+
+def test_without_a_course_an_imu_on_its_head_is_turned_and_a_wrong_sign_of_az_is_changed():
+    drive = blind(sigmaswarm.simulate("urban", duration=90, gps="white-1m", terrain="hilly", vibration=1.0))
+    head = replace(drive, imu=turned(drive.imu, np.diag([1.0, -1.0, -1.0])))
+    flipped = replace(drive, imu=replace(drive.imu, az=-drive.imu.az))
+    for sick, code in ((head, "mounting"), (flipped, "accelerometer-up")):
+        found = sigmaswarm.diagnose(sick)
+        assert {f.code for f in found.findings if f.repair} == {code}
+        mended = sigmaswarm.repair(sick, found)
+        for name in ("ax", "ay", "az", "gx", "gy", "gz"):
+            np.testing.assert_array_equal(getattr(mended.imu, name), getattr(drive.imu, name), err_msg=name)
+
+
+def test_a_slow_robot_in_circles_with_z_down():
+    rng, t = np.random.default_rng(2), np.arange(0, 100, 0.025)
+    rate = 0.25 * np.clip(3 * np.sin(2 * np.pi * t / 60), -1, 1)
+    speed = 2.2 + 0.4 * np.sin(t / 7)
+    theta = np.cumsum(rate) * 0.025
+    place = np.cumsum(speed * np.exp(1j * theta)) * 0.025
+    noise = 0.03 * rng.standard_normal((6, len(t)))
+    force = np.array([np.gradient(speed, 0.025), speed * rate, np.full(len(t), 9.81)]) + noise[:3]
+    roll = 0.03 * np.cos(3 * t)
+    gyro = np.array([roll, roll[::-1], rate]) + 0.1 * noise[3:]
+    imu = Imu(t, *force[:2], gyro[2], az=force[2], gx=gyro[0], gy=gyro[1])
+    fixes = place[::40] + 0.1 * (rng.standard_normal(100) + 1j * rng.standard_normal(100))
+    drive = Drive("robot", turned(imu, np.diag([1.0, -1.0, -1.0])), Gps(t[::40], fixes.real, fixes.imag))
+    found = {f.code: f for f in sigmaswarm.diagnose(drive).findings}
+    assert "roll 180.0, pitch 0.0, yaw 0.0" in found["mounting"].what
+    assert [code for code, f in found.items() if f.severity != "note"] == ["mounting"]
 
 
 def test_windows_of_a_minute_are_never_called_sure_and_reversed():

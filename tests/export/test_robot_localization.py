@@ -3,15 +3,18 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import yaml
 
 from exported import tuned
+from sigmaswarm import evaluate
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.robot_localization import robot_localization, yaml_number
+from sigmaswarm.exports.robot_localization import accuracy_section, robot_localization, yaml_number
 from sigmaswarm.exports.targets import Target, export_texts
 from sigmaswarm.filters.parameters import FilterParameters
+from support import make_drive
 
 ORDER = ["x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az"]
 
@@ -74,6 +77,7 @@ KNOWN = re.compile(
     r"frequency|sensor_timeout|two_d_mode|smooth_lagged_data|history_length|dynamic_process_noise_covariance"
     r"|(map|odom|base_link|world)_frame|(odom|pose|twist|imu)0(_config|_differential|_relative)?"
     r"|odom0_pose_rejection_threshold|imu0_remove_gravitational_acceleration|initial_state"
+    r"|odom1(_config|_differential|_relative)?|imu0_(twist|linear_acceleration)_rejection_threshold"
     r"|initial_estimate_covariance|process_noise_covariance"
 )
 """Fields that robot_localization reads."""
@@ -110,6 +114,53 @@ def test_what_its_own_model_does_not_use_is_left_out():
     assert "twist0" not in inside and "odom0_pose_rejection_threshold" not in inside
     assert "no_slip" not in texts["README.md"] + texts["ekf.launch.py"].replace("NO_SLIP", "")
     assert "0.5 times the receiver's variance, plus 1.5" in texts["README.md"]
+
+
+NAVSAT = {
+    *("frequency", "delay", "magnetic_declination_radians", "yaw_offset", "zero_altitude"),
+    *("publish_filtered_gps", "use_odometry_yaw", "wait_for_datum"),
+}
+"""Fields that navsat_transform_node reads."""
+
+
+def test_odometer_and_thresholds_of_the_imu_are_written_and_read_back(tmp_path: Path):
+    p = replace(ROBOT, odometer_noise=0.09, imu_gate=(16.0, 25.0))
+    texts = robot_localization(p, 0.01)
+    content = yaml.safe_load(texts["ekf.yaml"])
+    inside = content["ekf_filter_node"]["ros__parameters"]
+    assert [name for name in inside if not KNOWN.fullmatch(name)] == []
+    assert set(content["navsat_transform_node"]["ros__parameters"]) == NAVSAT
+    assert [k for k, on in zip(ORDER, inside["odom1_config"], strict=True) if on] == ["vx"]
+    assert inside["imu0_twist_rejection_threshold"] == 4.0
+    assert inside["imu0_linear_acceleration_rejection_threshold"] == 5.0
+    assert "0.09 m2/s2, ten messages per second" in texts["README.md"]
+    assert 'executable="navsat_transform_node"' in texts["ekf.launch.py"]
+    (tmp_path / "ekf.yaml").write_text(texts["ekf.yaml"])
+    found = FilterParameters.load(tmp_path / "ekf.yaml")
+    assert (found.imu_gate, found.gate) == ((16.0, 25.0), 9.0)
+    assert found.odometer_noise is not None
+
+
+def test_the_page_compares_it_with_its_defaults_and_another_filter():
+    drive = make_drive(duration=40.0)
+    own = tuned("planar8", "ekf", 0.01, everything=False)
+    found = evaluate([drive], ROBOT, against=own)
+    text = accuracy_section(found)
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    assert [row[0] for row in rows] == [
+        *("| filter", "| default process noise, same inputs", "| ekf.yaml", "| other EKF, planar8"),
+    ]
+    assert float(rows[2][1]) == pytest.approx(found.mean("tuned", "position_rmse_m"), rel=5e-3)
+    noisy = replace(ROBOT, measurement_noise=(1e-3, 1e-3))  # follows each fix
+    for own, rival, said in ((noisy, ROBOT, "you would gain"), (ROBOT, noisy, "lower than with")):
+        text = accuracy_section(evaluate([drive], own, against=rival))
+        assert said in text.splitlines()[-1]
+
+
+def test_the_page_without_truth_has_the_drift_alone():
+    found = evaluate([replace(make_drive(duration=40.0), truth=None)], ROBOT)
+    text = accuracy_section(found)
+    assert "| filter | 5 s outage drift, m |" in text and "position RMSE" not in text
 
 
 @pytest.mark.parametrize("target", ["c99", "filterpy"])

@@ -1,8 +1,11 @@
 """A bag is read back by rosbags as what the filter believed, turned into ROS's frames."""
 
+import json
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from exported import tuned
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.ros import NOT_ESTIMATED, TOPIC
+from sigmaswarm.exports.ros import FIX, INNOVATION, INNOVATION_SIGMA, NIS, NOT_ESTIMATED, SIGMA, TOPIC
 from sigmaswarm.exports.trajectory import check_target, true_trajectory, write_estimate
-from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
+from sigmaswarm.geodesy import geodetic_to_enu
 from support import make_drive
 
 DRIVE = make_drive(duration=8.0)
@@ -28,8 +32,9 @@ def test_odometry_is_read_back(tmp_path: Path, estimate: Estimate):
     reader = pytest.importorskip("rosbags.highlevel").AnyReader
     write_estimate(estimate, tmp_path / "e.ros2")
     with reader([tmp_path / "e.ros2"]) as bag:
-        assert list(bag.topics) == [TOPIC]
-        read = [(t, bag.deserialize(raw, connection.msgtype)) for connection, t, raw in bag.messages()]
+        assert set(bag.topics) == {TOPIC, SIGMA}
+        kept = [c for c in bag.connections if c.topic == TOPIC]
+        read = [(t, bag.deserialize(raw, connection.msgtype)) for connection, t, raw in bag.messages(kept)]
     assert len(read) == len(estimate.time)
     for (nanoseconds, m), t, mean, p in zip(
         read, estimate.time, estimate.mean, estimate.covariance, strict=True
@@ -73,7 +78,8 @@ def test_a_tilted_twist_lies_in_the_road(tmp_path: Path):
     )
     write_estimate(estimate, tmp_path / "e.ros2")
     with reader([tmp_path / "e.ros2"]) as bag:
-        read = [bag.deserialize(raw, connection.msgtype) for connection, _, raw in bag.messages()]
+        kept = [c for c in bag.connections if c.topic == TOPIC]
+        read = [bag.deserialize(raw, connection.msgtype) for connection, _, raw in bag.messages(kept)]
     for m, state, p in zip(read, mean, estimate.covariance, strict=True):
         turned, velocity = on_the_road(state)
         q, v = m.pose.pose.orientation, m.twist.twist.linear
@@ -112,3 +118,71 @@ def test_truth_goes_into_a_bag_too(tmp_path: Path):
     write_estimate(true_trajectory(DRIVE), tmp_path / "truth.ros2")
     with reader([tmp_path / "truth.ros2"]) as bag:
         assert bag.message_count == 801
+
+
+def paths_of(config: Any) -> Iterator[str]:
+    """Topics and paths that a layout's panels show."""
+    for panel in config["configById"].values():
+        yield from (path["value"] for path in panel.get("paths", ()))
+        yield from [panel["followTopic"]] if "followTopic" in panel else []
+
+
+def panels_in(arranged: Any) -> list[str]:
+    """Panels of a layout's tree, in order."""
+    if isinstance(arranged, str):
+        return [arranged]
+    assert arranged["direction"] in ("row", "column") and 0 < arranged["splitPercentage"] < 100
+    return panels_in(arranged["first"]) + panels_in(arranged["second"])
+
+
+def test_fixes_innovations_and_sigmas_are_topics_and_the_layout_shows_them(tmp_path: Path):
+    reader = pytest.importorskip("rosbags.highlevel").AnyReader
+    p, origin = tuned("planar5", "ukf", 0.01, everything=False), (49.0, 8.4, 110.0)
+    estimate, found = run_filter(DRIVE, p), run_innovations(DRIVE, p)
+    write_estimate(estimate, tmp_path / "e.ros2", origin=origin, innovations=found)
+    read: dict[str, list[tuple[int, Any]]] = {}
+    with reader([tmp_path / "e.ros2"]) as bag:
+        times = []
+        for connection, t, raw in bag.messages():
+            read.setdefault(connection.topic, []).append((t, bag.deserialize(raw, connection.msgtype)))
+            times.append(t)
+    assert times == sorted(times)
+    assert set(read) == {TOPIC, SIGMA, FIX, INNOVATION, INNOVATION_SIGMA, NIS}
+    assert [t for t, _ in read[NIS]] == pytest.approx(1e9 * found.time, abs=1)
+    assert [m.data for _, m in read[NIS]] == found.nis.tolist()
+    assert [(m.vector.x, m.vector.y) for _, m in read[INNOVATION]] == [
+        tuple(nu) for nu in found.innovation.tolist()
+    ]
+    sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    assert [(m.vector.x, m.vector.y) for _, m in read[INNOVATION_SIGMA]] == [tuple(s) for s in sigma.tolist()]
+
+    rows = np.searchsorted(1e9 * estimate.time, [t - 1 for t, _ in read[SIGMA]])
+    assert np.diff(estimate.time[rows]) == pytest.approx(0.1, abs=0.011)
+    std = np.sqrt(np.diagonal(estimate.covariance[rows], axis1=1, axis2=2))
+    found_std = [(m.vector.x, m.vector.y, m.vector.z) for _, m in read[SIGMA]]
+    np.testing.assert_allclose(found_std, std[:, [0, 1, 4]], rtol=1e-12)
+    degrees = np.array([(m.latitude, m.longitude, m.altitude) for _, m in read[FIX]])
+    back = geodetic_to_enu(*degrees.T, origin)
+    np.testing.assert_allclose(back[:, :2], estimate.mean[rows, :2], atol=1e-6)
+    fix = read[FIX][-1][1]
+    assert (fix.position_covariance_type, fix.status.status) == (3, 0)
+    np.testing.assert_array_equal(
+        fix.position_covariance.reshape(3, 3)[:2, :2], estimate.covariance[rows[-1], :2, :2]
+    )
+
+    config = json.loads((tmp_path / "e.ros2" / "foxglove-layout.json").read_text())
+    assert sorted(panels_in(config["layout"])) == sorted(config["configById"])
+    assert set(config) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+    for path in paths_of(config):
+        topic, *fields = path.split(".")
+        value = read[topic][0][1]
+        for name in fields:
+            value = getattr(value, name)
+    assert {path.split(".")[0] for path in paths_of(config)} == set(read)
+
+
+def test_a_layout_shows_only_topics_that_are_there(tmp_path: Path, estimate: Estimate):
+    pytest.importorskip("rosbags")
+    write_estimate(estimate, tmp_path / "e.ros2")
+    config = json.loads((tmp_path / "e.ros2" / "foxglove-layout.json").read_text())
+    assert {path.split(".")[0] for path in paths_of(config)} == {TOPIC, SIGMA}

@@ -1,13 +1,11 @@
 """What a user of the exported script can do wrong: one line, exit code 2, and no estimate."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from exported import tuned
+from exported import run_alone, tuned
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.exports.targets import export_filter
 from support import make_drive
@@ -79,16 +77,12 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_filter(tuned("planar5", "ukf", 0.01), "filterpy", tmp_path_factory.mktemp("script"))[0]
 
 
-def called(*command: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *command], capture_output=True, text=True, check=False)
-
-
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_mistake_gets_one_line(tmp_path: Path, script: Path, fault: str):
     break_it, said = FAULTS[fault]
     folder = write_drive(DRIVE, tmp_path / "drive")
     break_it(folder)
-    done = called(script, folder, tmp_path / "e.csv")
+    done = run_alone(script, folder, tmp_path / "e.csv")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
 
     assert re.search(said, done.stderr), done.stderr
@@ -97,16 +91,16 @@ def test_a_mistake_gets_one_line(tmp_path: Path, script: Path, fault: str):
 
 def test_an_estimate_that_can_not_be_written_gets_one_line(tmp_path: Path, script: Path):
     folder = write_drive(DRIVE, tmp_path / "drive")
-    done = called(script, folder, tmp_path / "nowhere" / "e.csv")
+    done = run_alone(script, folder, tmp_path / "nowhere" / "e.csv")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "nowhere/e.csv: No such file or directory" in done.stderr
 
 
 def test_blank_lines_and_spaced_names_are_no_mistake(tmp_path: Path, script: Path):
     folder = write_drive(DRIVE, tmp_path / "drive")
-    assert called(script, folder, tmp_path / "before.csv").returncode == 0
+    assert run_alone(script, folder, tmp_path / "before.csv").returncode == 0
     header, *rows = lines_of(folder / "imu.csv")
     put(folder / "imu.csv", [header.replace(",", ", "), *rows[:5], "", *rows[5:]])
-    done = called(script, folder, tmp_path / "after.csv")
+    done = run_alone(script, folder, tmp_path / "after.csv")
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "after.csv").read_bytes() == (tmp_path / "before.csv").read_bytes()

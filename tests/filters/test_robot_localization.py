@@ -12,20 +12,20 @@ import pytest
 from filter_cases import equipped
 from sigmaswarm import evaluate, export, tune
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.drive import Array, Odometer
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.compiled.layout import R, state_rows
-from sigmaswarm.filters.compiled.robot_localization import R_AY, R_VY, USES_AY, USES_VY
+from sigmaswarm.filters.compiled.robot_localization import GATE_AX, GATE_GZ, R_AY, R_VY, USES_AY, USES_VY
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.packing import pack_states, state_estimate, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.robot_localization import NAME, TextbookRobotLocalization
-from sigmaswarm.filters.run import run_textbook
-from sigmaswarm.filters.schedule import FIX, IMU
+from sigmaswarm.filters.run import replay_of, run_filter, run_textbook
+from sigmaswarm.filters.schedule import FIX, IMU, LATERAL, ODOMETER, flags_of, switches
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.tuning.result import Tuning
@@ -88,6 +88,7 @@ class Messages:
         rows = np.zeros((run.N_KEPT, array.width))
         rows[[R.DET, R.TAIL, R.OK]] = 1.0
         rows[run.R.QUARTER_GAMMA : run.R.QUARTER_GAMMA + len(array.constants(1.0))] = array.constants(1.0)
+        rows[[GATE_GZ, GATE_AX]] = np.inf
         rows[R_AY], rows[R_VY] = self.parameters.imu_noise[1], self.parameters.lateral_noise
         i, j = np.array([(i, j) for j in range(8) for i in range(j + 1)]).T
         rows[state_rows(NAME)] = np.concatenate([self.mean, self.covariance[i, j]])[:, np.newaxis]
@@ -214,6 +215,56 @@ def test_compiled_agrees_with_the_textbook(uses_ay: bool):
     assert difference(free.textbook()[0], means) > 0.1  # the threshold has rejected some
 
 
+@pytest.mark.parametrize("imu_noise", [(1e-3, 0.5), (1e-3, 0.5, 0.3)], ids=["ax", "ax and ay"])
+@pytest.mark.parametrize(
+    "changes", [{}, {"odometer_noise": 0.04, "imu_gate": (1e-5, 1e-4)}], ids=["usual", "all"]
+)
+def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...], changes: dict[str, Any]):
+    drive, rng = equipped(), np.random.default_rng(4)
+    assert drive.truth is not None
+    time = np.arange(0.003, 20.0, 0.02)
+    speed = np.interp(time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
+    drive = replace(drive, odometer=Odometer(time, speed + rng.normal(scale=0.2, size=len(time))))
+    p = replace(P, imu_noise=imu_noise, gate=1.0, **changes)
+    found = run_filter(drive, p, recover=False)
+    replay = replay_of(drive)
+    line, array = replay.timeline, KernelArray((p,))
+    mean, covariance = unpack_states(
+        array.start([replay.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
+    )
+    filter = TextbookRobotLocalization(p, mean[0], covariance[0])
+    flags = flags_of(line, *switches(p))
+    fixes, wheels, means, used = (
+        iter(line.fixes),
+        iter(line.wheels.rows if line.wheels else ()),
+        list[Array](),
+        0,
+    )
+    for k, (dt, happens) in enumerate(zip(line.dt, flags, strict=True)):
+        ax, ay, gz = line.imu(("ax", "ay", "gz"))[k]
+        if dt > 0:
+            filter.predict(dt)
+        if happens & IMU:
+            filter.imu(gz, ax, ay if len(imu_noise) > 2 else None)
+            if happens & LATERAL:
+                filter.twist()
+        if happens & ODOMETER:
+            filter.odometer(next(wheels)[0])
+        if happens & FIX:
+            before, fix, turn = filter.mean, next(fixes), np.exp(1j * filter.mean[YAW])
+            arm = turn * complex(*line.lever[:2])
+            filter.fix(fix[:2] - [arm.real, arm.imag], fix[4:])
+            used += before is not filter.mean
+        if happens & IMU:
+            moves = (filter.mean[2] + 1j * filter.mean[3]) * np.exp(1j * filter.mean[YAW])
+            means.append(np.array([*filter.mean[:2], moves.real, moves.imag, filter.mean[YAW]]))
+    assert difference(np.array(means), found.mean) < 1e-9
+    assert 0 < used < len(line.fixes)  # the thresholds have rejected some
+    assert ("odometer_noise" in changes) == bool((flags & ODOMETER).any())
+    free = run_filter(drive, replace(p, imu_gate=(np.inf, np.inf)), recover=False)
+    assert (difference(free.mean, found.mean.copy()) > 1e-3) == ("imu_gate" in changes)
+
+
 def test_an_estimate_has_the_velocity_of_the_map():
     rng = np.random.default_rng(2)
     mean, root = rng.normal(size=(3, 8)), rng.normal(size=(3, 8, 8))
@@ -263,7 +314,7 @@ def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):
     with pytest.raises(ValueError, match=said):
         replace(P, **change)
     with pytest.raises(
-        InputError, match="robot-localization can't use 'velocity'; choose from lateral, gate"
+        InputError, match="robot-localization can't use 'velocity'; choose from lateral, odometer, gate"
     ):
         search_space(NAME, "log10", kind="ekf", use=("velocity",))
 
@@ -285,6 +336,14 @@ def test_the_box_has_the_stated_variances_and_the_baseline_its_defaults():
     space = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "gate"))
     names = ["q_xy", "q_vx", "q_vy", "q_theta", "q_ax", "q_ay", "q_yaw_rate", "r_xy", "r_gyro", "r_accel"]
     assert list(space.names) == [*names, "lateral_noise", "gate"]
+    more = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "odometer", "imu_gate"))
+    assert list(more.names) == [*names, "lateral_noise", "odometer_noise", "gate_gyro", "gate_accel"]
+    assert search_space(NAME, "log10", kind="ekf").decode(more.low[np.newaxis, :10])[0].imu_gate == (
+        np.inf,
+        np.inf,
+    )
+    found = more.decode((more.low + more.high)[np.newaxis] / 2)[0]
+    assert found.imu_gate == pytest.approx((20.0, 20.0)) and found.odometer_noise is not None
     drive = equipped()
     usual = baseline(drive, like=P)
     per_second = np.array(usual.process_noise) / drive.nominal_interval

@@ -25,6 +25,7 @@ from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter
 from sigmaswarm.filters.smoothing import Smoothing, smooth, smooth_textbook
 from sigmaswarm.geodesy import wrap_angle
+from support import sparse
 
 
 @cache
@@ -63,6 +64,8 @@ def test_compiled_is_the_textbooks(model: str, kind: str, option: str):
 def test_compiled_is_the_textbooks_with_attitude(kind: str, option: str):
     p = parameters("tilted12", kind=kind, **(OPTIONS | WEIGHED)[option])
     drive = {"all": rough, "robust": straying}[option]()
+    if kind != "ekf":  # the textbook takes 25 sigma points through each step
+        drive = sparse(drive)
     ours = smooth(drive, p, initial=began(), recover=False)
     theirs = smooth_textbook(drive, p, initial=began())
     assert apart(ours, theirs) < 1e-8

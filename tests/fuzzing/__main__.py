@@ -3,6 +3,7 @@
 import argparse
 import json
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -12,20 +13,36 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from fuzzing.check import break_files, check, copied, keep, peak_megabytes, repeat, signature
+from fuzzing.check import (
+    MEGABYTES,
+    SECONDS,
+    break_files,
+    check,
+    copied,
+    keep,
+    peak_megabytes,
+    repeat,
+    signature,
+)
 from fuzzing.seeds import SEEDS
 from importing.test_datasets import imu_csv
 
 BATCH = 50
 """Inputs of one run of hypothesis; the clock is looked at in between."""
+NEAR = 0.5
+"""Share of a limit from which the input that comes nearest to it is kept, as ``slowest`` or ``largest``."""
 
 
 def fuzz(name: str, seconds: float, number: int, found: Path) -> dict[str, object]:
-    """Break one reader's log for some time; each kind of finding is kept once, as a folder."""
+    """Break one reader's log for some time; each kind of finding is kept once, as a folder.
+
+    The input of the moment is in the folder ``last``, for the case that the process dies of it.
+    """
     about, begin = SEEDS[name], time.monotonic()
     counts: dict[str, int] = {}
     tried = accepted = 0
-    slowest = 0.0
+    slowest = most = 0.0
+    last = found / name / "last"
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         root = Path(place)
@@ -34,10 +51,10 @@ def fuzz(name: str, seconds: float, number: int, found: Path) -> dict[str, objec
         drive = about.read(path, imu)
 
         def one(data: st.DataObject) -> None:
-            nonlocal tried, accepted, slowest
-            copy = copied(root / "sound", path, root / "in")
-            touched = break_files(data.draw, about, root / "in")
-            tried, start = tried + 1, time.monotonic()
+            nonlocal tried, accepted, slowest, most
+            copy = copied(root / "sound", path, last)
+            touched = break_files(data.draw, about, last)
+            tried, start = tried + 1, time.process_time()
             try:
                 accepted += check(about, copy, imu, drive, touched, root / "out")
             except BaseException as error:
@@ -46,19 +63,25 @@ def fuzz(name: str, seconds: float, number: int, found: Path) -> dict[str, objec
                 kind = signature(error)
                 counts[kind] = counts.get(kind, 0) + 1
                 if counts[kind] == 1:
-                    keep(found / name / str(len(counts)), root / "in", kind)
-            slowest = max(slowest, time.monotonic() - start)
+                    keep(found / name / f"{number}-{len(counts)}", last, kind)
+            took, peak = time.process_time() - start, peak_megabytes()
+            if took > max(slowest, NEAR * SECONDS):
+                keep(found / name / "slowest", last, f"{took:.1f} s")
+            if peak > max(most, NEAR * MEGABYTES):
+                keep(found / name / "largest", last, f"{peak:.0f} MB")
+            slowest, most = max(slowest, took), max(most, peak)
 
         batch = 0
         while time.monotonic() - begin < seconds:
             repeat(one, BATCH, number * 100_000 + batch)
             batch += 1
+    shutil.rmtree(last, ignore_errors=True)
     return {
         "reader": name,
         "tried": tried,
         "accepted": accepted,
         "slowest_s": round(slowest, 2),
-        "peak_mb": round(peak_megabytes()),
+        "peak_mb": round(most),
         "findings": counts,
     }
 
@@ -83,7 +106,10 @@ def main() -> int:
         ended = subprocess.run(command, capture_output=True, text=True, check=False)
         if ended.returncode:
             failed += 1
-            print(f"{name}: died with {ended.returncode}: {ended.stderr.strip()[-300:]}", flush=True)
+            last, died = options.found / name / "last", options.found / name / f"{options.seed}-died"
+            if last.is_dir():
+                last.rename(died)
+            print(f"{name}: died with {ended.returncode} ({died}): {ended.stderr.strip()[-300:]}", flush=True)
             continue
         told = json.loads(ended.stdout.splitlines()[-1])
         total += told["tried"]

@@ -10,13 +10,14 @@ from collections import Counter
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from fuzzing.mutations import Draw, broken, crossed
+from fuzzing.mutations import LARGEST, Draw, broken, crossed
 from fuzzing.seeds import Seed
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.drives.drive import Drive
@@ -87,9 +88,9 @@ def break_files(draw: Draw, seed: Seed, folder: Path) -> int | None:
         before = file.read_bytes()
         crosses = len(files) > 1 and draw(st.integers(0, 19)) == 0
         if crosses:
-            after = crossed(draw, before, draw(st.sampled_from(files)).read_bytes())[: 8 << 20]
+            after = crossed(draw, before, draw(st.sampled_from(files)).read_bytes())[:LARGEST]
         else:
-            after = broken(draw, file.name, seed.kind, before)[: 8 << 20]
+            after = broken(draw, file.name, seed.kind, before)[:LARGEST]
         file.write_bytes(after)
         whole = crosses or file.suffix == ".toml"
         count = None if whole else records_touched(seed.kind, before, after)
@@ -102,9 +103,9 @@ def records_touched(kind: str, before: bytes, after: bytes) -> int | None:
     if kind in ("text", "nmea", "ubx"):
         mark = b"\xb5\x62" if kind == "ubx" else b"\n"
         old, new = before.split(mark), after.split(mark)
-        data = next((i for i, line in enumerate(old) if line[:1].isdigit()), 0)
-        if kind == "text" and old[: max(data, 1)] != new[: max(data, 1)]:
-            return None  # the header
+        header = max(len([*takewhile(lambda line: line[:1] in b"#%", old)]), 1)
+        if kind == "text" and old[:header] != new[:header]:
+            return None
         if before.count(b'"') != after.count(b'"') or (kind == "nmea" and Counter(old) == Counter(new)):
             return None  # quotes join lines; a sentence belongs to the one before
         return _different(Counter(old), Counter(new))

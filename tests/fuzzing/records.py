@@ -33,7 +33,7 @@ from fuzzing.check import (
     repeat,
     signature,
 )
-from fuzzing.mutations import Draw, broken_bytes, broken_json
+from fuzzing.mutations import LARGEST, Draw, broken_bytes, broken_json
 from sigmaswarm import FilterParameters, Tuning, evaluate, tune
 from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.experiments.compare import compare
@@ -214,7 +214,7 @@ def damage(draw: Draw, folder: Path) -> list[Path]:
             data = sound[draw(st.sampled_from(files))]
         elif how == "empty":
             data = b""
-        file.write_bytes(data[: 8 << 20])
+        file.write_bytes(data[:LARGEST])
         if how == "gone":
             file.unlink()
     return chosen

@@ -22,6 +22,7 @@ CUSTOM = "std_msgs/Header header\nsensor_msgs/Imu imu\nfloat32 temperature\nuint
 """A vendor's own message, which only the bag defines."""
 for store in (ROS1, ROS2):
     store.register(get_types_from_msg(CUSTOM, "vendor_msgs/msg/Packet"))
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
 
 Message = tuple[str, float, Any]
 """Topic, time in s from EPOCH, message."""

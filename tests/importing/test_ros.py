@@ -1,13 +1,15 @@
 """ROS 1 and ROS 2 bags and MCAP: a drive written by other libraries comes back in every column."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from importing.bags import ROS1, ROS2, messages, write_mcap, write_ros
-from importing.logs import ORIGIN, a_drive, assert_close, imported
+from importing.bags import ROS1, ROS2, messages, odometry, write_mcap, write_ros
+from importing.logs import EPOCH, ORIGIN, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.recipe import Recipe
@@ -75,8 +77,6 @@ def test_stamps_count_and_their_distance_is_told(tmp_path: Path):
 
 
 def test_unset_stamps(tmp_path: Path):
-    from importing.logs import EPOCH
-
     got = imported(write(tmp_path, "sqlite3", delay=float(EPOCH) + 100.0), choice=Choice(receive_times=True))
     assert_close(got.drive.imu, DRIVE.imu, "time", 1e-9)
 
@@ -186,3 +186,132 @@ def test_missing_topic(tmp_path: Path):
         imported(write(tmp_path, "sqlite3"), choice=Choice({"imu": "/imu0"}))
     with pytest.raises(InputError, match=r"has nothing that gives ax and ay and gz"):
         imported(tmp_path / "bag", choice=Choice({"imu": "/gps/fix"}))
+
+
+TURNED = (5.0, -10.0, 90.0)
+"""Roll, pitch and yaw of the IMU in base_link, deg."""
+ARM = (1.5, -0.5, 0.8)
+"""From the IMU to the antenna, m, in base_link."""
+
+
+def static(store, *transforms: tuple[str, str, tuple, tuple[float, float, float]]):
+    """A message of static transforms: parent, child, roll, pitch and yaw in deg, translation in m."""
+    t, stamp = store.types, {"seq": 0} if store is ROS1 else {}
+    made = []
+    for parent, child, degrees, at in transforms:
+        x, y, z, w = Rotation.from_euler("xyz", degrees, degrees=True).as_quat()
+        moment = t["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+        header = t["std_msgs/msg/Header"](stamp=moment, frame_id=parent, **stamp)
+        translation, rotation = (
+            t["geometry_msgs/msg/Vector3"](*at),
+            t["geometry_msgs/msg/Quaternion"](x, y, z, w),
+        )
+        transform = t["geometry_msgs/msg/Transform"](translation, rotation)
+        made.append(t["geometry_msgs/msg/TransformStamped"](header, child, transform))
+    return "/tf_static", float(DRIVE.imu.time[0]), t["tf2_msgs/msg/TFMessage"](made)
+
+
+def mounted(kind: str, folder: Path, *more, without: str = "") -> Path:
+    """A bag whose IMU is turned and away from the antenna, as its static transforms say."""
+    store = ROS1 if kind == "ros1" else ROS2
+    turn = Rotation.from_euler("xyz", TURNED, degrees=True).inv()
+    force = turn.apply(np.column_stack([DRIVE.imu.ax, DRIVE.imu.ay, DRIVE.imu.az])).T
+    rates = turn.apply(np.column_stack([DRIVE.imu.gx, DRIVE.imu.gy, DRIVE.imu.gz])).T
+    imu = replace(DRIVE.imu, **dict(zip(("ax", "ay", "az", "gx", "gy", "gz"), (*force, *rates), strict=True)))
+    sent = [m for m in messages(replace(DRIVE, imu=imu), store) if not without or without not in m[0]]
+    return write_ros(folder / ("log.bag" if kind == "ros1" else "bag"), iter([*sent, *more]), kind)
+
+
+def plates(store, base: str = "base_link"):
+    """The IMU on a plate that is itself turned, and the antenna on a roof: chains of two."""
+    return [
+        static(store, (base, "plate", (0.0, 0.0, 90.0), (0.2, 0.1, 0.0)), ("plate", "imu_link", *inner())),
+        static(
+            store,
+            (base, "roof", (0.0, 0.0, 0.0), (1.0, 0.0, 1.0)),
+            ("/roof", "gps", (3.0, 0, 0), (0.7, -0.4, 0)),
+        ),
+    ]
+
+
+def inner() -> tuple[tuple, tuple[float, float, float]]:
+    whole = Rotation.from_euler("xyz", TURNED, degrees=True)
+    own = Rotation.from_euler("z", 90, degrees=True).inv() * whole
+    return tuple(own.as_euler("xyz", degrees=True)), (0.0, 0.0, 0.2)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
+def test_static_transforms_are_the_mounting_and_the_lever_arm(tmp_path: Path, kind: str):
+    got = imported(mounted(kind, tmp_path, *plates(ROS1 if kind == "ros1" else ROS2)), recipe=AT)
+    assert_close(got.drive.imu, DRIVE.imu, "ax ay az gx gy gz", 1e-6)
+    assert got.drive.metadata["gps_lever_arm_m"] == pytest.approx([1.5, -0.5, 0.8])
+    assert [float(a) for a in got.recipe.mount.split(",")] == pytest.approx(TURNED, abs=1e-5)
+    assert any(
+        f"mounting {got.recipe.mount} deg" in note and "imu_link in base_link" in note for note in got.notes
+    )
+    assert any(
+        "lever arm 1.5,-0.5,0.8 m taken from tf_static, from imu_link to gps" in note for note in got.notes
+    )
+
+
+def test_what_is_stated_comes_before_static_transforms(tmp_path: Path):
+    bag = mounted("sqlite3", tmp_path, *plates(ROS2))
+    got = imported(bag, recipe=Recipe(origin=ORIGIN, mount="x=y,y=-x", gps_lever_arm_m=(1.0, 2.0, 3.0)))
+    assert got.recipe.mount == "x=y,y=-x" and got.drive.metadata["gps_lever_arm_m"] == [1.0, 2.0, 3.0]
+    assert not any("tf_static" in note for note in got.notes)
+
+
+def test_the_root_of_the_transforms_is_the_vehicle_where_none_is_called_so(tmp_path: Path):
+    got = imported(mounted("sqlite3", tmp_path, *plates(ROS2, base="chassis")), recipe=AT)
+    assert got.drive.metadata["gps_lever_arm_m"] == pytest.approx(ARM)
+    assert any("imu_link in chassis" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("broken", ["ring", "zero", "no antenna"])
+def test_transforms_that_lead_nowhere_place_nothing(tmp_path: Path, broken: str):
+    flat = (0.0, 0.0, 0.0)
+    ring = [("imu_link", "base_footprint", flat, flat), ("base_footprint", "imu_link", flat, flat)]
+    message = static(
+        ROS2, *(ring if broken == "ring" else [("base_link", "imu_link", (0.0, 0.0, 90.0), flat)])
+    )
+    if broken == "zero":
+        rotation = message[2].transforms[0].transform.rotation
+        rotation.x = rotation.y = rotation.z = rotation.w = 0.0
+    got = imported(mounted("sqlite3", tmp_path, message), recipe=AT)
+    assert got.recipe.mount == {"ring": "0,0,0", "zero": "", "no antenna": "0,0,90"}[broken]
+    assert "gps_lever_arm_m" not in got.drive.metadata
+    assert any("has no position of gps; state it with --lever-arm" in n for n in got.notes) == (
+        broken != "zero"
+    )
+
+
+def test_fixes_of_navsat_transform_are_those_of_the_vehicle(tmp_path: Path):
+    sent = []
+    for i, time in enumerate(DRIVE.truth.time[::20]):
+        t = ROS2.types
+        ns = round(float(time) * 1e9) + EPOCH * 10**9
+        stamp = t["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+        message = odometry(DRIVE, 20 * i, t["std_msgs/msg/Header"](stamp=stamp, frame_id="map"), t)
+        message.pose.covariance[[0, 7]] = 4.0
+        message.child_frame_id = ""
+        sent.append(("/odometry/gps", float(time), message))
+    got = imported(mounted("mcap", tmp_path, *plates(ROS2), *sent, without="gps"))
+    assert got.drive.gps.x.tolist() == DRIVE.truth.x[::20].tolist()
+    assert got.drive.gps.std_x is not None and (got.drive.gps.std_x == 2.0).all()
+    assert got.drive.metadata["gps_lever_arm_m"] == pytest.approx([-0.2, -0.1, -0.2])
+
+
+def test_the_variances_that_the_imu_states_are_kept(tmp_path: Path):
+    def stating():
+        for topic, time, message in messages(DRIVE):
+            if topic == "/imu/data":
+                message.angular_velocity_covariance = np.diag([1.0, 1.0, 2e-4]).ravel()
+                message.linear_acceleration_covariance = np.diag([0.04, 1.0, 1.0]).ravel()
+            yield topic, time, message
+
+    assert imported(write_ros(tmp_path / "a", stating()), recipe=AT).drive.metadata["imu_stated_noise"] == [
+        2e-4,
+        0.04,
+    ]
+    unknown = imported(write_ros(tmp_path / "b", messages(DRIVE)), recipe=AT).drive.metadata
+    assert "imu_stated_noise" not in unknown

@@ -29,16 +29,11 @@ def skew(v: np.ndarray) -> np.ndarray:
 
 
 def exponential(v: np.ndarray) -> np.ndarray:
-    """The rotation about v, (s, 3), by its power series, halved until that is short and squared back."""
-    halvings = 20
-    step = skew(v) / 2**halvings
-    term = rest = step  # without the identity, so that no digit is lost
-    for k in range(2, 8):
-        term = term @ step / k
-        rest = rest + term
-    for _ in range(halvings):
-        rest = 2 * rest + rest @ rest
-    return rest + np.eye(3, dtype=Extended)
+    """The rotation about v, (s, 3), by Rodrigues' formula, in half angles, so that no digit of a small one is lost."""
+    half = np.sqrt(np.sum(v**2, axis=-1))[:, None, None] / 2
+    sinc = np.where(half > 0, np.sin(half) / np.where(half > 0, half, 1), 1)
+    cross = skew(v)
+    return np.eye(3, dtype=Extended) + np.cos(half) * sinc * cross + sinc**2 / 2 * (cross @ cross)
 
 
 def about(axis: int, angle: np.ndarray) -> np.ndarray:

@@ -46,6 +46,7 @@ from sigmaswarm.scoring.tracks import (
     picture_of,
     save_tracks,
 )
+from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
 from sigmaswarm.tuning.record import TuningRecord
@@ -309,6 +310,19 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     )
     assert any("tuned on" in remark for remark in report.remarks)
     assert "NaN" not in unpacked(html_page(report))
+
+
+def test_faults_that_the_doctor_finds_and_an_offset_of_truth_are_on_the_page(
+    tmp_path: Path, folders: tuple[Path, Path, Evaluation]
+):
+    drive = simulate("urban", duration=60.0, gps="white-1m")
+    imu, truth = replace(drive.imu, gz=-drive.imu.gz), replace(drive.truth, x=drive.truth.x + 3.0)
+    found = evaluate(replace(drive, imu=imu, truth=truth, name="friday"), FilterParameters.load(folders[0]))
+    save(found, folders[0], tmp_path / "e")
+    remarks = read_report(tmp_path / "e").remarks
+    assert any(r.startswith("The doctor finds a SERIOUS fault in friday [gyro-sign]") for r in remarks)
+    assert any("m from the truth on average" in r and "--origin" in r for r in remarks)
+    assert any("m from the truth on average" in r for r in found.view.sentences())
 
 
 def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(

@@ -13,7 +13,7 @@ from sigmaswarm.tuning.inflation import STEP, inflated
 from sigmaswarm.tuning.space import search_space
 
 DRIVE = simulate("urban", duration=60.0, gps="white-1m")
-SEARCH = {"particles": 8, "generations": 6, "objective": "truth-rmse"}
+SEARCH = {"optimizer": "de", "particles": 8, "generations": 6, "objective": "truth-rmse"}
 
 
 POWERS = {

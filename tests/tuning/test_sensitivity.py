@@ -87,7 +87,7 @@ def test_only_a_likelihood_fixes_the_scale_of_the_noise():
     drives = [make_drive(duration=40.0, seed=s) for s in range(2)]
     scale = {}
     for objective in ("truth-rmse", "innovation-nll"):
-        tuning = tune(drives, objective=objective, particles=20, generations=20, seed=1)
+        tuning = tune(drives, objective=objective, optimizer="de", particles=20, generations=20, seed=1)
         scale[objective] = next(s for s in tuning.sensitivities if s.name == NOISE_SCALE)
         assert tuning.to_dict()["within_1_percent_of_the_cost"].keys() >= {"alpha", "q_theta", NOISE_SCALE}
     sharp = scale["innovation-nll"]

@@ -19,6 +19,7 @@ from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.export import export
 from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.learn import learn
+from sigmaswarm.cli.noise import noise
 from sigmaswarm.cli.options import HELP_ALL
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.record_carla import record_carla
@@ -55,7 +56,7 @@ PLAIN = Parameter(negative=(), consume_multiple=1)
 WITH_MORE = (tune, compare, simulate, import_)
 """Commands whose short help leaves options out."""
 for command in (
-    doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
+    doctor, noise, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
     record_carla, plot, demo, import_,
 ):  # fmt: skip
     name = command.__name__.strip("_").replace("_", "-")

@@ -34,7 +34,8 @@ class EvaluateOptions:
     Attributes
     ----------
     against
-        A second tuning to compare with, or a file with your own parameters in a table [filter].
+        A second tuning to compare with, a file with your own parameters in a table [filter], or the ekf.yaml of
+        robot_localization.
     out
         Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` needs.
     outage_length
@@ -83,6 +84,7 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --out evaluation
         sigmaswarm evaluate tuned drives/friday --against tuned-planar8
         sigmaswarm evaluate tuned drives/friday --against mine.toml
+        sigmaswarm evaluate tuned drives/friday --against ekf.yaml
         sigmaswarm evaluate tuned drives/friday --smooth --out evaluation
         sigmaswarm evaluate tuned drives/friday --swarm
         sigmaswarm evaluate tuned drives/friday --json
@@ -124,7 +126,6 @@ def _evaluated(
     from sigmaswarm.tuning.record import FILE, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    other = options.against and sigmaswarm.FilterParameters.load(options.against)
     if not 0 < options.outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
     run = learned and partial(learned.run, parameters=parameters, recover=True)
@@ -133,7 +134,7 @@ def _evaluated(
         return evaluate_drives(
             read,
             parameters,
-            against=other,
+            against=options.against,
             outage_length=options.outage_length,
             outage_seed=options.outage_seed,
             as_recorded=options.as_recorded or tuned_as_recorded(tuning),

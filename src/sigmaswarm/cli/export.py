@@ -12,6 +12,9 @@ from sigmaswarm.cli.common import print_json, read_drives, read_known, say, tune
 from sigmaswarm.cli.options import FIELDS, Json
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from sigmaswarm import Drive
     from sigmaswarm.exports.check import Checked
 
 
@@ -29,7 +32,10 @@ class ExportOptions:
     replay
         c99: a drive, written as input of the replay program.
     check
-        c99: drives on which the compiled C is compared with `sigmaswarm run`.
+        c99: drives on which the compiled C is compared with `sigmaswarm run`. robot-localization: drives on which
+        README.md compares the tuning with the default process noise.
+    against
+        robot-localization, with --check: another tuning for this comparison, such as one of tilted12.
     lanes
         c99: number of filters in a filter bank, 1 to 16, without its searches.
     seed
@@ -40,6 +46,7 @@ class ExportOptions:
     out: Path
     replay: Path | None = None
     check: list[Path] | None = None
+    against: Path | None = None
     lanes: int = 1
     seed: int = 0
     json: Json = False
@@ -61,6 +68,7 @@ def export(
         sigmaswarm export tuned --to c99 --out filter-c --replay drives/friday
         sigmaswarm export tuned --to c99 --out filter-c --check drives
         sigmaswarm export tuned --to robot_localization --out filter-ros
+        sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
 
     Parameters
     ----------
@@ -70,25 +78,48 @@ def export(
         The options of the command line.
     """
     from sigmaswarm.exports.check import check_export
-    from sigmaswarm.exports.targets import export_filter
+    from sigmaswarm.exports.targets import export_texts, write_texts
+    from sigmaswarm.filters.models import MODELS
 
     to, out, lanes, seed = options.to, options.out, options.lanes, options.seed
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    if options.check and to != "c99":
-        raise sigmaswarm.InputError(f"--check is for --to c99 only: {to} is not C that could be built here")
+    ros = to != "c99" and MODELS[parameters.model].measures_imu
+    if options.check and to != "c99" and not ros:
+        raise sigmaswarm.InputError(
+            f"--check is for --to c99, and for tunings of robot-localization: {to} is not C that could be built here"
+        )
+    if options.against and not (options.check and ros):
+        raise sigmaswarm.InputError(
+            "--against goes with --check and a tuning of robot-localization; leave it out"
+        )
     drive = read_known(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
     recorded = tuned_as_recorded(tuning)
-    written = export_filter(parameters, to, out, replay=drive, as_recorded=recorded, lanes=lanes, seed=seed)
+    texts = export_texts(parameters, to, replay=drive, as_recorded=recorded, lanes=lanes, seed=seed)
+    if drives and ros:
+        texts["README.md"] += _accuracy(parameters, drives, tuning, options.against)
+    written = write_texts(texts, out)
     checked: list[Checked] = []
-    if drives:
+    if drives and not ros:
         checked = check_export(out, parameters, drives, as_recorded=recorded, lanes=lanes, seed=seed)
     if options.json:
-        found = {"checked": [asdict(each) for each in checked]} if options.check else {}
+        found = {"checked": [asdict(each) for each in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **found})
         return
     say(*(f"wrote {path}" for path in written), *(_found(each, lanes) for each in checked))
     say(f"next: {_next_step(to, out, replay=drive is not None)}")
+
+
+def _accuracy(
+    parameters: sigmaswarm.FilterParameters, drives: "Sequence[Drive]", tuning: Path, against: Path | None
+) -> str:
+    """The section of README.md on the accuracy on drives."""
+    from sigmaswarm.exports.robot_localization import accuracy_section
+    from sigmaswarm.scoring.evaluation import evaluate
+    from sigmaswarm.tuning.record import FILE, seen_by
+
+    seen = seen_by(tuning / FILE if tuning.is_dir() else tuning) or None
+    return accuracy_section(evaluate(drives, parameters, against=against, seen=seen))
 
 
 def _found(checked: "Checked", lanes: int) -> str:

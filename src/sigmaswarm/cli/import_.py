@@ -1,10 +1,11 @@
 """`sigmaswarm import`."""
 
 import re
+import shlex
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -232,7 +233,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         return
     say(*_told(imported, out))
     print_diagnosis(diagnosis)
-    ready, following = out, f"sigmaswarm plot {quote(str(out))}"
+    ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
     if diagnosis.serious:
         command, mended = mending(diagnosis, out)
         ready = mended or out
@@ -240,7 +241,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         following = f"{command}    (then {go_on})"
     say(
         f"next: {following}",
-        f"then: sigmaswarm tune {quote(str(ready))} --out tuned",
+        f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned",
         "      (or keep this drive back, to evaluate on it what was tuned on others)",
     )
 
@@ -286,10 +287,10 @@ def _show(request: "Request", options: ImportOptions) -> None:
         content |= {"proposal": seen.proposal, "evidence": seen.evidence}
         print_json({"tables": [asdict(t) for t in seen.tables], **content})
     else:
-        _print_look(seen)
+        _print_look(seen, options)
 
 
-def _print_look(seen: "Look") -> None:
+def _print_look(seen: "Look", options: ImportOptions) -> None:
 
     console = stdout()
     for glance in seen.tables:
@@ -304,7 +305,8 @@ def _print_look(seen: "Look") -> None:
     say(recipe or "nothing was recognized; name the columns with --map")
     say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
     if seen.proposal:
-        console.print("\nTo read the rest, add to the command:", style="bold")
+        title = "To read the rest, add to the command"
+        console.print(f"\n{title}{'' if seen.works else ', with what is missing'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
         times = "; imu.t and gps.t are the times of their rows" if of_rows else ""
         evidence = f"({shown(seen.evidence, 1000)}{times}; nothing of it is done unless you ask for it)"
@@ -314,6 +316,17 @@ def _print_look(seen: "Look") -> None:
     for table, columns in (seen.unread or {}).items():
         more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
         say(f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}")
+    if seen.works:
+        say(f"\nnext: {_command(seen.proposal, options)}")
+
+
+def _command(proposal: str, options: ImportOptions) -> str:
+    """The command that makes the drive: the one that was typed, with the drive's folder and what is proposed."""
+    typed = [word for word in sys.argv[1:] if word != "--show"]
+    out = [] if options.out else ["--out", "drive"]
+    return " ".join(
+        [shown(shlex.join(["sigmaswarm", *typed, *out]), 4000), proposal and shown(proposal, 4000)]
+    ).rstrip()
 
 
 def _columns(glance: "Glance") -> Iterator[str]:

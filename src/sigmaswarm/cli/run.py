@@ -67,10 +67,10 @@ def run(
     """Run a tuned filter over a drive and write its estimates.
 
     The file's ending names the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
-    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder). A filter
-    that was tuned without preprocessing runs without it. Smoothing ends and restarts at a reset. The bank adapts to
-    changes of sensors or surroundings; with NAME.csv it also writes NAME.swarm.csv, a log of the bank each second, and
-    NAME.swarm.toml, its last filter.
+    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder). The bag
+    has innovations, NIS and a layout for Foxglove. A filter that was tuned without preprocessing runs without it.
+    Smoothing ends and restarts at a reset. The bank adapts to changes of sensors or surroundings; with NAME.csv it also
+    writes NAME.swarm.csv, a log of the bank each second, and NAME.swarm.toml, its last filter.
 
     Examples:
 
@@ -101,6 +101,7 @@ def run(
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
     """Run and write; return the drive, a summary and the number of fixes that were written."""
     from sigmaswarm.exports.trajectory import (
+        BAG,
         check_fixes_target,
         check_target,
         time_origin_of,
@@ -146,7 +147,14 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         found = (Smoothing if smooth else Recording)(replay, parameters, recover=True)
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
-    write_pieces(estimates_of(found), (first, last), out, beside=options.beside, name=read.name, **target)
+    shown = None
+    if (
+        out.suffix == BAG and not options.bank and learned is None
+    ):  # known before the pieces: the bag is in order
+        shown = Recording(replay, parameters, recover=True).finished().innovations
+    pieces = estimates_of(found)
+    more: dict[str, Any] = {"beside": options.beside, "innovations": shown, "name": read.name}
+    write_pieces(pieces, (first, last), out, **more, **target)
     fixes = write_fixes(read, first, before, **target) if before else 0
     if truth and true:
         write_estimate(true, truth, name=f"{read.name}: truth", **target)

@@ -33,6 +33,7 @@ def tune(
     *,
     out: Path,
     validation: list[str] | None = None,
+    start: Path | None = None,
     paper: Annotated[bool, MORE] = False,
     workers: Annotated[Workers, MORE] = None,
     cluster: Annotated[Cluster, MORE] = None,
@@ -52,6 +53,7 @@ def tune(
         sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
         sigmaswarm tune drives/training --out tuned --validation drives/monday --trials 5
         sigmaswarm tune drives/training --out tuned --model planar5 --objective innovation-nll
+        sigmaswarm tune drives/training --out tuned --start ekf.yaml
         sigmaswarm tune drives/training --out tuned --racing
         sigmaswarm tune drives/training --out tuned --paper
         sigmaswarm tune drives/training --out tuned --resume
@@ -63,13 +65,16 @@ def tune(
         Folder for tuning.toml, the convergence history and figures.
     validation
         Drives that the search does not see, to measure the result on others.
+    start
+        A filter from which the search starts: a tuning, or the ekf.yaml of robot_localization. Its inputs do not count;
+        --use chooses them.
     paper
         Use the paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
 
-    asked = {"out": out, "resume": resume, "paper": paper}
+    asked = {"out": out, "resume": resume, "paper": paper, "start": start}
     with cluster_at(cluster) as client:
         groups = read_datasets(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
         tuning, look, before, after = _tune(groups, drives[0], asked, options, workers)
@@ -94,12 +99,16 @@ def _tune(
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.drives.sensors import sensors_of
+    from sigmaswarm.filters.robot_yaml import filter_for
     from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
 
     read, held_back = groups
     everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
+    if asked["start"]:
+        asked = {**asked, "start": filter_for(asked["start"], read)}
+        options.setdefault("model", asked["start"].model)
     chosen = "" if asked["paper"] else with_filter(options, everywhere)[1]
     with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
@@ -136,6 +145,8 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
     on = counted(len(tuning.data), "drive")
+    if tuning.start_cost is not None:
+        yield f"cost {tuning.start_cost:.4f} of the start"
     yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps

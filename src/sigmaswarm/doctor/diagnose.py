@@ -58,3 +58,17 @@ def diagnose(drive: Drive) -> Diagnosis:
     found = [finding for check in CHECKS for finding in check(evidence)]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(drive.name, tuple(found), evidence.clock.visible)
+
+
+def findings_of(drive: Drive) -> tuple[str, ...]:
+    """The serious findings and warnings about a drive, as sentences; none of a drive too short to be diagnosed."""
+    try:
+        found = diagnose(drive).findings
+    except DriveError:
+        return ()
+    named = {"serious": "finds a SERIOUS fault in", "warning": "warns of"}
+    return tuple(
+        f"the doctor {named[f.severity]} {drive.name} [{f.code}]: {f.what}; {f.remedy}"
+        for f in found
+        if f.severity in named
+    )

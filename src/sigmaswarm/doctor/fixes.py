@@ -21,6 +21,8 @@ SPEED_STD = 0.5
 """m/s: the stretch is chosen so that white noise of the fixes leaves the velocity about that well known."""
 SLOWEST = 3.0
 """m/s: slower, noise makes the course."""
+USUAL_SHARE = 0.5
+"""Of a slow vehicle's usual speed: above it, the course counts where the fixes are good enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,8 @@ def course_of(time: Array, position: Complex) -> Course:
     whole = (last - first) >= 0.7 * span / interval  # no velocity across a gap or at the ends
     whole &= (time - span / 2 >= time[0] - interval) & (time + span / 2 <= time[-1] + interval)
     std = float(noise * np.sqrt(12 * interval / span) / span)
-    slowest = max(SLOWEST, 6 * std)
+    usual = float(np.quantile(np.abs(velocity[whole]), 0.9)) if whole.any() else 0.0
+    slowest = max(min(SLOWEST, USUAL_SHARE * usual), 6 * std)
     moving = whole & (np.abs(velocity) > slowest)
     angle = np.zeros(len(time))
     angle[moving] = np.unwrap(np.angle(velocity[moving]))

@@ -71,7 +71,8 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and four
     fixes or more in that time. A drive that is nowhere that fast starts at the first fix with 10 m of travel in up to
     90 s, more where the fixes are noisy. Where ``heading_deg`` is in the metadata (degrees counter-clockwise from
-    east, at the first IMU sample), the start is the first fix. The state follows from earlier samples only.
+    east, at the first IMU sample), or the fixes have a column ``heading``, the start is the first fix. The state
+    follows from earlier samples only.
 
     Parameters
     ----------
@@ -96,8 +97,8 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoS
     # Later code may start a filter only where IMU samples follow.
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
-    if drive.heading is not None:
-        return _stated_start(drive, drive.heading, usable)
+    if drive.heading is not None or drive.gps.heading is not None:
+        return _stated_start(drive, usable)
     alignments = Alignments(drive, usable)
     for k in range(len(alignments.time)):
         if found := alignments.at(k):
@@ -119,14 +120,18 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
     return None
 
 
-def _stated_start(drive: Drive, heading: float, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """The start at the first fix, with a heading (rad) that is known at the first IMU sample; the speed is not."""
+def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
+    """The start at the first fix, whose heading is stated, there or at the first IMU sample; the speed is not."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
         return NoStart("no filter can start: no fix lies within the IMU's time", "use a longer drive")
     first, time = fixes[0], float(gps.time[fixes[0]])
-    theta = wrap_angle(heading + float(np.interp(time, imu.time, _integrated(drive)[0])))
+    if drive.heading is not None:
+        theta = wrap_angle(drive.heading + float(np.interp(time, imu.time, _integrated(drive)[0])))
+    else:
+        assert gps.heading is not None
+        theta = wrap_angle(float(gps.heading[first]))
     turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
     x, y = np.array([gps.x[first], gps.y[first]]) - turn @ drive.lever_arm
     covariance = np.diag([STATED_POSITION_STD**2] * 2 + [0.0] * 2 + [STATED_HEADING_STD**2])

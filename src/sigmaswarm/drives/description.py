@@ -10,7 +10,7 @@ from sigmaswarm.drives.tables import Array
 from sigmaswarm.errors import DriveError
 from sigmaswarm.geodesy import geodetic_to_enu
 from sigmaswarm.limits import read_toml_text
-from sigmaswarm.wording import names_shown, quoted, shown
+from sigmaswarm.wording import names_shown, quoted, shown, value_shown
 
 Frame = Literal["enu", "wgs84"]
 Origin = tuple[float, float, float]
@@ -23,6 +23,9 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "heading_deg": ((0,), "90.0"),
     "accel_noise_density": ((0,), "0.004"),
     "gyro_noise_density": ((0,), "0.0001"),
+    "accel_bias_walk": ((0,), "0.0001"),
+    "gyro_bias_walk": ((0,), "0.00001"),
+    "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
 """Keys of drive.toml that filters use: the allowed numbers of elements (0: a plain number), and an example."""
 
@@ -73,18 +76,10 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
         what = f"can't be used; write for example {key} = {example}"
     elif key == "heading_deg" and abs(numbers[0]) > 360:
         what = "is no angle; give degrees counter-clockwise from east, -360 to 360"
-    elif key != "heading_deg" and length == 0 and not numbers[0] > 0:
+    elif key not in ("heading_deg", "gps_lever_arm_m") and not min(numbers) > 0:
         what = "must be positive; leave it out where it is not known"
     if what:
         raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")
-
-
-def value_shown(value: object) -> str:
-    """Format a key's value for a message; an integer of 5000 digits has no text form."""
-    try:
-        return shown(repr(value))
-    except (ValueError, RecursionError):
-        return "what stands there"
 
 
 def _origin(value: Any, path: Path) -> Origin:

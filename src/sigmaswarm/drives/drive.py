@@ -66,7 +66,7 @@ class Drive:
         ----------
         imu : frame with columns t, ax, ay, gz and perhaps az, gx, gy
             s; m/s2; rad/s, in the body frame: x forward, y left, z up.
-        gps : frame with columns t and x, y (m) or lat, lon (deg), perhaps alt, std_x, std_y (m), speed, course
+        gps : frame with columns t and x, y (m) or lat, lon (deg), perhaps alt, std_x, std_y (m), speed, course, heading
         truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional
         odometer : frame with columns t, speed (m/s), optional
         name : str

@@ -47,6 +47,11 @@ def has_table(folder: Path, table: str) -> bool:
     return bool(_files_of(folder, table))
 
 
+def table_file(folder: Path, table: str) -> Path:
+    """Return the file of a table that a folder contains."""
+    return _files_of(folder, table)[0]
+
+
 def _files_of(folder: Path, table: str) -> list[Path]:
     return [folder / f"{table}{form}" for form in FORMS if (folder / f"{table}{form}").exists()]
 

@@ -31,7 +31,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "std_y": (1e-6, LARGEST, _NO_STD),
     "std_theta": (1e-9, LARGEST, _NO_STD),
     **dict.fromkeys(
-        ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "vx", "vy", "theta"),
+        ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
         (-LARGEST, LARGEST, _DAMAGED),
     ),
 }
@@ -77,7 +77,8 @@ class TableFile:
         if path.suffix == PARQUET:
             cells = _parquet(path)
             return cls(path, cells, np.arange(1, len(cells) + 1))
-        _require_few_columns(path, require_text(path).count(b",") + 1)
+        head, lines = require_text(path)
+        _require_size(path, lines, head.count(b",") + 1)
         cells = _plain_numbers(path)
         return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
 
@@ -95,7 +96,7 @@ class TableFile:
         names = [
             name.strip().split("_duplicated_")[0] for name in cells.columns
         ]  # as polars calls a second one
-        if twice := next((name for name in names if names.count(name) > 1), None):
+        if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
             raise DriveError(
                 f"{path}, row 1: column {quoted(twice)} appears twice; delete or rename one of them"
             )
@@ -193,10 +194,14 @@ class TableFile:
         return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
 
 
-def _require_few_columns(path: Path, count: int) -> None:
-    if count > MOST_COLUMNS:
-        what = f"has {count} columns, more than {MOST_COLUMNS}"
+def _require_size(path: Path, rows: int, columns: int) -> None:
+    if columns > MOST_COLUMNS:
+        what = f"has {columns} columns, more than {MOST_COLUMNS}"
         raise DriveError(f"{path}: {what}; leave out what a drive does not need")
+    if rows * columns > MOST_CELLS:
+        raise DriveError(
+            f"{path}: states {rows} rows of {columns} columns, more than {MOST_CELLS} cells; split the drive"
+        )
 
 
 def _leap(time: Array) -> int:
@@ -213,13 +218,8 @@ def _parquet(path: Path) -> pl.DataFrame:
     try:
         scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
         schema = scan.collect_schema()
-        _require_few_columns(path, len(schema))
-        rows = int(scan.select(pl.len()).collect().item())  # as the footer says
-        if rows * len(schema) > MOST_CELLS:
-            raise DriveError(
-                f"{path}: states {rows} rows of {len(schema)} columns, more than {MOST_CELLS} cells; "
-                "split the drive"
-            )
+        _require_size(path, 0, len(schema))
+        _require_size(path, int(scan.select(pl.len()).collect().item()), len(schema))  # as the footer says
         kept = [
             pl.col(name) if kind.is_numeric() else pl.lit(None, kind).alias(name)
             for name, kind in schema.items()

@@ -84,6 +84,7 @@ class Gps(Table):
     lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
+    heading : rad, counter-clockwise from east, of two antennas or a compass: filters start with it, without travel
     """
 
     x: Array
@@ -95,6 +96,7 @@ class Gps(Table):
     std_y: Array | None = None
     speed: Array | None = None
     course: Array | None = None
+    heading: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

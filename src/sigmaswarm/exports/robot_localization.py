@@ -11,6 +11,9 @@ from sigmaswarm.exports.features import features_of, in_range, values_of
 from sigmaswarm.exports.template import fill
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.robot_localization import PLACES
+from sigmaswarm.scoring.drifts import OWN, UNTUNED
+from sigmaswarm.scoring.evaluation import Evaluation
 from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
@@ -23,10 +26,10 @@ DEFAULT_PROCESS_NOISE = (
 )
 """Its defaults, per second: x, y, z; roll, pitch, yaw; their rates; accelerations (filter_base.cpp, reset)."""
 _X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
-PLACES = (_X, _Y, _VX, _VY, _YAW, 12, 13, 11)
-"""Places of the states of the model robot-localization among the 15."""
 SMALL, FIRST_FIX = 1e-6, 1.0
 """Variances at the start: of states that stay at 0; the least of x and y, m2."""
+SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
+"""Measures in README.md."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md says."""
 
@@ -66,7 +69,7 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
     for place, variance, unknown in zip(PLACES, p.process_noise, first, strict=True):
         noise[place], start[place] = in_range(variance / interval, of), unknown
-    (r_gyro, r_accel), (r_x, r_y) = p.imu_noise, p.measurement_noise
+    (r_gyro, r_accel, *_), (r_x, r_y) = p.imu_noise, p.measurement_noise
     lateral = yaml_number(p.lateral_noise or 1.0)
     stated = (
         "" if p.accuracy_scale is None else f"{p.accuracy_scale:.6g} times the receiver's variance, plus "
@@ -82,11 +85,60 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
         "R_GYRO": yaml_number(r_gyro),
         "R_ACCEL": yaml_number(r_accel),
         "R_LATERAL": lateral,
+        "R_ODOMETER": yaml_number(p.odometer_noise or 1.0),
+        "GYRO_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[0])),
+        "ACCEL_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[1])),
         "FIX_COVARIANCE": f"{stated}{r_x!r} and {r_y!r} m2",
     }
-    used = {"USE_GATE": p.gate is not None, "USE_LATERAL": p.lateral_noise is not None}
+    used = {
+        "USE_GATE": p.gate is not None,
+        "USE_IMU_GATE": math.isfinite(max(p.imu_gate)),
+        "USE_LATERAL": p.lateral_noise is not None,
+        "USE_ODOMETER": p.odometer_noise is not None,
+    }
     names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
     return {file: fill(template, used, values) for file, template in names.items()}
+
+
+def accuracy_section(evaluation: Evaluation) -> str:
+    """The section of README.md on what the tuning is worth on drives, of an evaluation of it."""
+    known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", UNTUNED))]
+    heads = " | ".join(evaluation.measures[m].heading for m in known)
+    lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
+    names = {
+        UNTUNED: "default process noise, same inputs",
+        "tuned": "ekf.yaml",
+        OWN: evaluation.names.get(OWN, ""),
+    }
+    for method, name in names.items():
+        if method in evaluation.names:
+            values = [evaluation.mean(method, m) for m in known]
+            lines.append(f"| {name} | " + " | ".join("-" if v is None else f"{v:.3g}" for v in values) + " |")
+    said = [
+        _compared(evaluation, over, names[over], known[0])
+        for over in (UNTUNED, OWN)
+        if over in evaluation.names and known
+    ]
+    seen = [name for name, found in evaluation.drives.items() if found.record.seen_s]
+    if seen:
+        said.append(f"The tuning has seen {', '.join(seen)}: these values are too good.")
+    drives = ", ".join(evaluation.drives)
+    return "\n".join([f"\n## Accuracy on {drives}\n", *lines, "", *said, ""])
+
+
+def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:
+    """A sentence on the error of ekf.yaml relative to another filter's."""
+    tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
+    if not tuned or not theirs:
+        return f"The errors of ekf.yaml and of {name} can't be compared: one of them failed."
+    title = evaluation.measures[measure].title
+    if other == OWN and theirs < tuned:
+        return (
+            f"With the {name.removeprefix('other ')}, you would gain {1 - theirs / tuned:.0%} more: its {title} is "
+            f"{theirs:.3g} m instead of {tuned:.3g} m."
+        )
+    change = 1 - tuned / theirs
+    return f"The {title} of ekf.yaml is {abs(change):.0%} {'lower' if change >= 0 else 'HIGHER'} than with {name}."
 
 
 def process_noise(p: FilterParameters, interval: float) -> list[float]:

@@ -1,4 +1,4 @@
-"""An estimate as a ROS 2 bag, optionally with the topics of a recorded one; needs the extra ``ros``.
+"""An estimate as a ROS 2 bag with a layout for Foxglove, optionally with the topics of a recorded bag; needs rosbags.
 
 The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``, east-north-up; its twist in
 ``base_link``, forward and left along the road, as REP-105 and the message ask.
@@ -8,6 +8,7 @@ import heapq
 import warnings
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -17,17 +18,28 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.exports.body import body_velocity, quaternions, tilts_of
-from sigmaswarm.files import whole_folder
+from sigmaswarm.exports.foxglove import LAYOUT_FILE, layout
+from sigmaswarm.files import whole_folder, write_json
 from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.run import Estimate
+from sigmaswarm.filters.packing import definite
+from sigmaswarm.filters.run import Estimate, Innovations
+from sigmaswarm.geodesy import Origin, enu_to_geodetic
 from sigmaswarm.importing.readers.ros import bag_paths
 from sigmaswarm.importing.source import broken, library
 
 TOPIC = "/sigmaswarm/odometry"
+SIGMA, FIX = "/sigmaswarm/sigma", "/sigmaswarm/fix"
+INNOVATION, INNOVATION_SIGMA, NIS = (
+    f"/sigmaswarm/{name}" for name in ("innovation", "innovation_sigma", "nis")
+)
+INTERVAL = 0.1
+"""s between two messages of SIGMA and of FIX."""
 NOT_ESTIMATED = 1e6
 """Variance of quantities that a filter does not estimate: height, rates, and in the plane roll and pitch."""
 RawMessage = tuple[int, Any, Any]
 """Time in ns, rosbags' connection of the bag that is written, and the message's bytes."""
+Message = tuple[int, str, Any]
+"""Time in ns, topic, and the message."""
 
 
 def ros2(
@@ -36,9 +48,11 @@ def ros2(
     path: Path,
     *,
     time_origin: float = 0.0,
+    origin: Origin | None = None,
+    innovations: Innovations | None = None,
     beside: Path | None = None,
 ) -> None:
-    """Write a bag, which is a folder, with MCAP storage.
+    """Write a bag, which is a folder, with MCAP storage and a layout of its topics for Foxglove.
 
     Parameters
     ----------
@@ -49,6 +63,10 @@ def ros2(
         Not there yet.
     time_origin : float
         s on the bag's clock at which the estimate's times are 0.
+    origin : (latitude deg, longitude deg, altitude m), optional
+        Of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
+    innovations : Innovations, optional
+        Of the filter at each fix, for topics of innovations, their standard deviations and the NIS.
     beside : Path, optional
         A ROS 2 bag whose messages are copied unchanged into this one in the order of their times.
 
@@ -78,10 +96,15 @@ def ros2(
         Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
     ):
         originals = _copied(beside, recorded, writer) if beside else iter(())
-        connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
-        estimates = _messages(pieces, store, connection, time_origin)
+        made = Made(store.types, time_origin)
+        own = heapq.merge(
+            _messages(pieces, made, origin), _of_innovations(innovations, made), key=itemgetter(0)
+        )
+        added: dict[str, Any] = {}
+        estimates = _serialized(own, store, writer, added)
         for nanoseconds, to, raw in heapq.merge(originals, estimates, key=itemgetter(0)):
             writer.write(to, nanoseconds, raw)
+        write_json(new / LAYOUT_FILE, layout(added))
 
 
 # ---- the recorded bag ----
@@ -171,9 +194,46 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
 # ---- the estimate ----
 
 
-def _messages(
-    pieces: Iterable[Estimate], store: Any, connection: Any, time_origin: float
+def _serialized(
+    messages: Iterable[Message], store: Any, writer: Any, added: dict[str, Any]
 ) -> Iterator[RawMessage]:
+    """Messages as bytes; a topic is added to the bag with its first one."""
+    for nanoseconds, topic, message in messages:
+        kind = message.__msgtype__
+        if topic not in added:
+            added[topic] = writer.add_connection(topic, kind, typestore=store)
+        yield nanoseconds, added[topic], store.serialize_cdr(message, kind)
+
+
+@dataclass(frozen=True)
+class Made:
+    """Makes messages of rosbags' types on the clock of the bag."""
+
+    types: Any
+    time_origin: float
+
+    def message(self, name: str, *fields: Any) -> Any:
+        """A message of a type, such as std_msgs/Header, of its fields in order."""
+        return self.types[name.replace("/", "/msg/")](*fields)
+
+    def nanoseconds(self, time: float) -> int:
+        """Time on the bag's clock."""
+        return round(float(time) * 1e9) + round(self.time_origin * 1e9)  # apart, so that no digit is lost
+
+    def header(self, nanoseconds: int) -> Any:
+        """The header of a message in the map."""
+        stamp = self.message("builtin_interfaces/Time", nanoseconds // 10**9, nanoseconds % 10**9)
+        return self.message("std_msgs/Header", stamp, "map")
+
+    def vector(self, nanoseconds: int, x: float, y: float, z: float = 0.0) -> Any:
+        """A Vector3Stamped."""
+        vector = self.message("geometry_msgs/Vector3", float(x), float(y), float(z))
+        return self.message("geometry_msgs/Vector3Stamped", self.header(nanoseconds), vector)
+
+
+def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> Iterator[Message]:
+    """The estimates; ten times per second their standard deviations, x, y (m) and heading (rad), and NavSatFix."""
+    before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)
         n = estimate.mean.shape[1]
@@ -182,10 +242,41 @@ def _messages(
         twists = jacobian @ covariance[:, np.array(moving)[:, None], moving] @ jacobian.transpose(0, 2, 1)
         poses = covariance[:, np.array(of_pose)[:, None], of_pose]
         columns = (estimate.time, estimate.mean, poses, velocity, twists)
-        for t, *row in zip(*columns, strict=True):
-            nanoseconds = round(float(t) * 1e9) + round(time_origin * 1e9)  # apart, so that no digit is lost
-            message = _odometry(store.types, nanoseconds, *row)
-            yield nanoseconds, connection, store.serialize_cdr(message, "nav_msgs/msg/Odometry")
+        for t, mean, pose, *moves in zip(*columns, strict=True):
+            nanoseconds = made.nanoseconds(t)
+            yield nanoseconds, TOPIC, _odometry(made, nanoseconds, mean, pose, *moves)
+            if (slot := int(np.floor(t / INTERVAL + 1e-6))) > before:
+                before, (x, y, *_, heading) = slot, np.sqrt(np.diagonal(pose))
+                if estimate.covariance.size:
+                    yield nanoseconds, SIGMA, made.vector(nanoseconds, x, y, heading)
+                if origin is not None:
+                    yield nanoseconds, FIX, _fix(made, nanoseconds, mean, pose, origin)
+
+
+def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
+    """Innovations of the fixes, m east and north, their standard deviations, m, and the NIS."""
+    if found is None:
+        return
+    sound = definite(found.covariance)  # a filter that failed
+    found = Innovations(found.time[sound], found.innovation[sound], found.covariance[sound])
+    sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    for t, nu, std, nis in zip(found.time, found.innovation, sigma, found.nis, strict=True):
+        nanoseconds = made.nanoseconds(t)
+        yield nanoseconds, INNOVATION, made.vector(nanoseconds, *nu)
+        yield nanoseconds, INNOVATION_SIGMA, made.vector(nanoseconds, *std)
+        yield nanoseconds, NIS, made.message("std_msgs/Float64", float(nis))
+
+
+def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin) -> Any:
+    """The position in degrees; its height is the origin's, since filters in the plane estimate none."""
+    lat, lon, alt = map(float, enu_to_geodetic(np.array([[mean[0], mean[1], 0.0]]), origin)[0])
+    covariance = NOT_ESTIMATED * np.eye(3)
+    covariance[:2, :2] = pose[:2, :2]
+    status = made.message("sensor_msgs/NavSatStatus", 0, 1)
+    known = 3
+    return made.message(
+        "sensor_msgs/NavSatFix", made.header(nanoseconds), status, lat, lon, alt, covariance.ravel(), known
+    )
 
 
 def _pose_of(n: int) -> dict[int, int]:
@@ -196,26 +287,21 @@ def _pose_of(n: int) -> dict[int, int]:
     return {0: 0, 1: 1} | dict(zip(tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
 
 
-def _odometry(types: Any, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array) -> Any:
+def _odometry(made: Made, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array) -> Any:
     """The message; covariances are 6 x 6: x, y, z and the rotations about them."""
-
-    def made(name: str, *fields: Any) -> Any:
-        return types[name.replace("/", "/msg/")](*fields)
-
-    still = made("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
-    moves = made("geometry_msgs/Vector3", *map(float, velocity), 0.0)
-    position = made("geometry_msgs/Point", *map(float, mean[:2]), 0.0)
-    orientation = made("geometry_msgs/Quaternion", *quaternions(mean).tolist())
-    placed = made("geometry_msgs/Pose", position, orientation)
-    stamp = made("builtin_interfaces/Time", nanoseconds // 10**9, nanoseconds % 10**9)
-    return made(
+    still = made.message("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
+    moves = made.message("geometry_msgs/Vector3", *map(float, velocity), 0.0)
+    position = made.message("geometry_msgs/Point", *map(float, mean[:2]), 0.0)
+    orientation = made.message("geometry_msgs/Quaternion", *quaternions(mean).tolist())
+    placed = made.message("geometry_msgs/Pose", position, orientation)
+    return made.message(
         "nav_msgs/Odometry",
-        made("std_msgs/Header", stamp, "map"),
+        made.header(nanoseconds),
         "base_link",
-        made("geometry_msgs/PoseWithCovariance", placed, _six(pose, [*_pose_of(len(mean)).values()])),
-        made(
+        made.message("geometry_msgs/PoseWithCovariance", placed, _six(pose, [*_pose_of(len(mean)).values()])),
+        made.message(
             "geometry_msgs/TwistWithCovariance",
-            made("geometry_msgs/Twist", moves, still),
+            made.message("geometry_msgs/Twist", moves, still),
             _six(twist, [0, 1]),
         ),
     )

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import polars as pl
@@ -14,7 +14,7 @@ from sigmaswarm.exports.body import quaternions, rotations
 from sigmaswarm.exports.maps import MAPS
 from sigmaswarm.exports.ros import ros2
 from sigmaswarm.files import whole_file
-from sigmaswarm.filters.run import Estimate
+from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.geodesy import Origin, enu_to_geodetic
 
 
@@ -24,6 +24,7 @@ def write_estimate(
     *,
     origin: Origin | None = None,
     time_origin: float = 0.0,
+    innovations: Innovations | None = None,
     beside: str | Path | None = None,
     name: str | None = None,
 ) -> None:
@@ -34,7 +35,8 @@ def write_estimate(
     ``.mat``: for MATLAB: t, the states by name, and covariance (n, states, states).
     ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
     ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row; it has no times.
-    ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry.
+    ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry and, with an origin, as
+    sensor_msgs/NavSatFix, its standard deviations, innovations and NIS, and a layout for Foxglove.
     ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
 
     Parameters
@@ -46,6 +48,8 @@ def write_estimate(
     time_origin : float
         s at which the estimate's times are 0 on the clock of its log, see `time_origin_of`; for bags and maps, whose
         times are on that clock.
+    innovations : Innovations, optional
+        .ros2: those of the filter.
     beside : str or Path, optional
         .ros2: a ROS 2 bag whose messages are copied unchanged into the new one.
     name : str, optional
@@ -57,7 +61,8 @@ def write_estimate(
         If the ending is another, the folder does not exist, a needed origin is not given, or ``beside`` can't be used.
     """
     span = (float(estimate.time[0]), float(estimate.time[-1]))
-    write_pieces([estimate], span, path, origin=origin, time_origin=time_origin, beside=beside, name=name)
+    options: dict[str, Any] = {"innovations": innovations, "beside": beside, "name": name}
+    write_pieces([estimate], span, path, origin=origin, time_origin=time_origin, **options)
 
 
 def write_pieces(
@@ -67,6 +72,7 @@ def write_pieces(
     *,
     origin: Origin | None = None,
     time_origin: float = 0.0,
+    innovations: Innovations | None = None,
     beside: str | Path | None = None,
     name: str | None = None,
 ) -> None:
@@ -82,7 +88,8 @@ def write_pieces(
         time, east, north = np.concatenate(rows).T
         MAPS[path.suffix](time + time_origin, _degrees(east, north, origin), path, name or path.stem)
     elif path.suffix == BAG:
-        ros2(pieces, span, path, time_origin=time_origin, beside=Path(beside) if beside else None)
+        options: dict[str, Any] = {"time_origin": time_origin, "origin": origin, "innovations": innovations}
+        ros2(pieces, span, path, beside=Path(beside) if beside else None, **options)
     else:
         with whole_file(path) as file:
             _WRITERS[path.suffix](pieces, file)

@@ -270,7 +270,8 @@ def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
     rx, ry = np.transpose(of("measurement_noise"))
     width_ratio, width_trend = np.transpose(of("fuzzy_widths"))
     gain_r, gain_q = np.transpose(of("fuzzy_gains"))
-    r_gyro, r_accel = np.transpose(of("imu_noise"))
+    r_gyro, r_accel, *r_left = np.transpose(of("imu_noise"))
+    gyro_gate, accel_gate = np.transpose(of("imu_gate"))
     measures = FILTERS[model].measures_imu
     return {
         R.R_RATE: r_gyro if measures else STANDSTILL_RATE_NOISE,
@@ -290,12 +291,12 @@ def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
         R.GAIN_Q: gain_q,
         R.R_VELOCITY: r_accel if measures else of("velocity_noise"),
         R.R_LATERAL: of("lateral_noise"),
-        R.R_STANDSTILL: of("standstill_noise"),
+        R.R_STANDSTILL: r_left[0] if r_left else of("standstill_noise"),
         R.R_ODOMETER: of("odometer_noise"),
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),
-        R.REAR_AXLE: of("rear_axle"),
-        R.TIRE_SLIP: of("tire_slip"),
+        R.REAR_AXLE: gyro_gate if measures else of("rear_axle"),
+        R.TIRE_SLIP: accel_gate if measures else of("tire_slip"),
         R.LATENCY: of("latency"),
         R.GATE: of("gate"),
         R.ACCURACY: of("accuracy_scale"),

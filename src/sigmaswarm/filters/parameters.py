@@ -1,5 +1,6 @@
 """FilterParameters: all parameters of a filter, as one frozen record."""
 
+import math
 import re
 import warnings
 from collections.abc import Collection
@@ -13,12 +14,13 @@ from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, Validation
 from pydantic.dataclasses import dataclass
 
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
-from sigmaswarm.errors import InputError, SigmaswarmWarning, first_mistake
+from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.records import read_content
+from sigmaswarm.wording import first_mistake, shown
 
 
 def _as_tuple(value: Any) -> Any:
@@ -27,6 +29,7 @@ def _as_tuple(value: Any) -> Any:
 
 Real = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Limit = Annotated[float, Field(gt=0)]
 Gain = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
 
@@ -67,8 +70,11 @@ class FilterParameters:
         At least 1: largest factors and divisors of R and Q by a fuzzy filter's rules.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
-    imu_noise : tuple of float, length 2
-        robot-localization: variances that the IMU's messages state, (rad/s)2 and (m/s2)2.
+    imu_noise : tuple of float, length 2 or 3
+        robot-localization: variances that the IMU's messages state: of gz, (rad/s)2, ax, (m/s2)2, and, where ay is
+        fused, of ay.
+    imu_gate : tuple of float, length 2
+        robot-localization: the largest NIS of gz and of ax that is used; infinite without a limit.
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None
@@ -121,7 +127,8 @@ class FilterParameters:
     fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
-    imu_noise: tuple[Positive, Positive] = _option((1e-4, 1e-2))
+    imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option((1e-4, 1e-2))
+    imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
     rear_axle: Real = _option(0.0)
@@ -153,9 +160,7 @@ class FilterParameters:
             raise ValueError(reason)
         known = MODELS[self.model].options
         for field in (
-            ()
-            if known is None
-            else ("velocity_noise", "standstill_noise", "odometer_noise", "robust_dof", "fix_error")
+            () if known is None else ("velocity_noise", "standstill_noise", "robust_dof", "fix_error")
         ):
             if getattr(self, field) is not None:
                 raise ValueError(f"{self.model} has no {field}; leave it out")
@@ -215,7 +220,7 @@ class FilterParameters:
 
     @classmethod
     def load(cls, path: str | Path) -> "FilterParameters":
-        """Read the ``[filter]`` table of a parameter file or of a tuning.toml.
+        """Read the ``[filter]`` table of a parameter file or of a tuning.toml, or an ekf.yaml of robot_localization.
 
         Raises
         ------
@@ -228,6 +233,10 @@ class FilterParameters:
             If a tuning was written by a version with other filters.
         """
         path = Path(path)
+        if path.suffix in YAML:
+            from sigmaswarm.filters.robot_yaml import read_configuration  # which makes such parameters
+
+            return read_configuration(path)
         if path.is_dir():
             from sigmaswarm.drives.reader import has_table  # slow to import
 
@@ -252,7 +261,7 @@ class FilterParameters:
         except ValidationError as error:
             first = first_mistake(error)
             key = ".".join(part for part in ("filter", first.key) if part)
-            value = "" if isinstance(first.value, dict) else f" (is {first.value!r})"
+            value = f" (is {first.value})" if first.value else ""
             known = {
                 "unexpected_keyword_argument": "unknown key",
                 "tuple_type": "should be a list of variances",
@@ -281,6 +290,8 @@ _SCALED = (
     "fix_error",
 )
 """Variances, or factors of them, besides Q and R."""
+YAML = (".yaml", ".yml")
+"""Endings of configurations of robot_localization."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
@@ -311,7 +322,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "fuzzy_widths": "of ratio and trend, both within -1 and 1",
         "fuzzy_gains": "of R and Q, dimensionless",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
-        "imu_noise": ["rad2/s2", "m2/s4"],
+        "imu_noise": ["rad2/s2", "m2/s4", "m2/s4"][: len(parameters.imu_noise)],
         "velocity_noise": "m2/s2",
         "lateral_noise": "m2/s2",
         "rear_axle": "m",
@@ -321,6 +332,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "odometer_scale": "reading over true speed",
         "odometer_latency": "s",
         "gate": "NIS, dimensionless",
+        "imu_gate": ["NIS, dimensionless"] * 2,
         "latency": "s",
         "accuracy_scale": "of the stated variance, dimensionless",
         "robust_dof": "dimensionless",
@@ -351,8 +363,8 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {version}, whose filters used stale fixes, took gaps in the IMU as "
-            "ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
+            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, took gaps in the IMU "
+            "as ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

@@ -14,7 +14,7 @@ A tuning is compared with the data-sheet filter of the same model and options: `
 """
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.robot_localization import NOT_FUSED, SMALLEST
 
 PresetName = Literal["defaults", "datasheet", "paper"]
 
@@ -58,8 +59,9 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
     The receiver's accuracy is `drives.sensors.stated_std`; the IMU's densities are ``accel_noise_density``
-    (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml. Values without a data sheet are in
-    `BY_HAND`.
+    (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, and the random walks of their biases
+    ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures.
+    Values without a data sheet are in `BY_HAND`.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         return _robot_localization(drive, like, plain)
     dt, gyro = drive.nominal_interval, plain.process_noise[THETA]
     beyond = MODELS[like.model].states[len(plain.process_noise) :]
-    walks = (BIAS_WALKS[state.bias_of] * dt if state.bias_of else gyro for state in beyond)
+    walks = (_bias_walk(drive, state.bias_of) * dt if state.bias_of else gyro for state in beyond)
     return replace(
         plain,
         model=like.model,
@@ -86,8 +88,14 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     )
 
 
+def _bias_walk(drive: Drive, sensor: str) -> float:
+    """Growth of the variance of a sensor's bias per second: as drive.toml states it, or a usual one."""
+    stated = drive.metadata.get(f"{sensor}_bias_walk")
+    return BIAS_WALKS[sensor] if stated is None else float(stated) ** 2
+
+
 def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:
-    """Its own default process noise, usual covariances of the IMU's messages, and the fixes' stated variances."""
+    """Its own default process noise, the stated covariances of the IMU and of the fixes."""
     states = accuracy = None
     if like.accuracy_scale is not None:
         accuracy, states = 1.0, (ACCURACY_FLOOR,) * 2
@@ -98,8 +106,27 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
         process_noise=tuple(drive.nominal_interval * q for q in ROBOT_LOCALIZATION_NOISE),
         measurement_noise=states or plain.measurement_noise,
         accuracy_scale=accuracy,
+        imu_noise=_stated_imu(drive, plain),
         lateral_noise=like.lateral_noise and 0.1**2,
+        odometer_noise=like.odometer_noise and 0.1**2,
     )
+
+
+def as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
+    """Fill in the variances that a drive's messages state, in a filter from a configuration of robot_localization."""
+    gyro, accel = _stated_imu(drive, p)[:2]
+    stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
+    imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
+    variances: dict[str, Any] = {"measurement_noise": _planar(drive).measurement_noise}
+    if drive.gps.std_x is not None and drive.gps.std_y is not None:
+        variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
+    wheels = p.odometer_noise if drive.odometer is not None else None
+    return replace(p, imu_noise=imu, odometer_noise=wheels, **variances)
+
+
+def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
+    """The variances of gz and ax that the messages of the log stated, else those of ``p``."""
+    return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 
 def _planar(drive: Drive) -> FilterParameters:

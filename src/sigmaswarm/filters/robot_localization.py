@@ -7,7 +7,8 @@ state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
     vx += d ax                          vy += d ay                          P = J P J' + d Q
 
 The velocity does not turn with the body, so an ay that is fused becomes sideways speed in a turn. Measurements are
-states: gz, ax, ay of the IMU, vy = 0 of a twist, x and y of a fix. A fix with nu' S^-1 nu >= threshold^2 is left out.
+states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix. A fix, gz or ax with
+nu' S^-1 nu >= threshold^2 is left out.
 z, roll, pitch and their rates stay at 0 in ``two_d_mode`` and decouple. Read from
 https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
 """
@@ -22,8 +23,12 @@ from sigmaswarm.geodesy import wrap_angle
 
 NAME = "robot-localization"
 X, Y, VX, VY, YAW, AX, AY, VYAW = range(8)
+PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
+"""Places of the eight states among robot_localization's 15."""
 SMALLEST = 1e-9
 """robot_localization raises variances of measurements to this."""
+NOT_FUSED = 1e9
+"""Variance of an entry of the IMU that a configuration does not fuse."""
 
 
 class TextbookRobotLocalization:
@@ -66,16 +71,20 @@ class TextbookRobotLocalization:
         self.covariance = kept @ p @ kept.T + gain @ r @ gain.T
 
     def imu(self, gz: float, ax: float, ay: float | None = None) -> None:
-        """Update with an IMU sample; ``ay`` where it is fused, which the tuned model never does."""
-        r_gyro, r_accel = self.parameters.imu_noise
-        self.correct([VYAW], np.array([gz]), np.array([r_gyro]))
-        self.correct([AX], np.array([ax]), np.array([r_accel]))
+        """Update with an IMU sample; ``ay`` where it is fused, as many configurations do and the tuned model never."""
+        (r_gyro, r_accel, *_), (gyro_gate, accel_gate) = self.parameters.imu_noise, self.parameters.imu_gate
+        self.correct([VYAW], np.array([gz]), np.array([r_gyro]), gyro_gate)
+        self.correct([AX], np.array([ax]), np.array([r_accel]), accel_gate)
         if ay is not None:
-            self.correct([AY], np.array([ay]), np.array([r_accel]))
+            self.correct([AY], np.array([ay]), np.array([self.parameters.imu_noise[-1]]))
 
     def twist(self) -> None:
         """Update with a sideways velocity of 0."""
         self.correct([VY], np.zeros(1), np.array([self.parameters.lateral_noise]))
+
+    def odometer(self, speed: float) -> None:
+        """Update with the wheels' speed forward, m/s."""
+        self.correct([VX], np.array([speed]), np.array([self.parameters.odometer_noise]))
 
     def fix(self, position: Array, stated: Array) -> None:
         """Update with a fix, (2,) m, and the variances that it states, (2,) m2."""

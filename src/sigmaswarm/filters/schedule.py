@@ -49,13 +49,14 @@ GAP_TILT_STD = 0.01
 """rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 does as well on a real drive."""
 
 
-Switches = tuple[bool, bool, bool, bool]
+Switches = tuple[bool, bool, bool, bool, bool]
 
 
 def switches(p: FilterParameters) -> Switches:
-    """Measurements other than fixes that a parameter set uses: velocity, lateral, standstill, odometer."""
+    """Measurements other than fixes that a parameter set uses: velocity, lateral, standstill, odometer, ay."""
     velocity, lateral = p.velocity_noise is not None, p.lateral_noise is not None
-    return velocity, lateral, p.standstill_noise is not None, p.odometer_noise is not None
+    stands, wheels, ay = p.standstill_noise is not None, p.odometer_noise is not None, len(p.imu_noise) > 2
+    return velocity, lateral, stands, wheels, ay
 
 
 def require_odometer(drive: Drive) -> None:
@@ -130,11 +131,12 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
 
 def flags_of(
-    line: Timeline, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False
+    line: Timeline, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False, ay: bool = False
 ) -> NDArray[np.uint8]:
     """Events at the end of each step, as bits FIX ... ODOMETER, shape (k,).
 
-    With an odometer, the car does not stand while the wheels turn.
+    With an odometer, the car does not stand while the wheels turn. ``ay``: robot-localization fuses it, which has no
+    standstills and takes their bit for it.
     """
     wheels = line.wheels if odometer else None
     flags = np.zeros(len(line.absorbs), dtype=np.uint8)
@@ -148,6 +150,8 @@ def flags_of(
     if standstill:
         stands = line.stands if wheels is None else line.stands & ~wheels.turn
         flags[_every(line, stands & line.sampled, STANDSTILL_INTERVAL)] |= STANDSTILL
+    if ay:
+        flags[line.sampled] |= STANDSTILL
     if wheels is not None:
         flags[wheels.absorbs] |= ODOMETER
     return flags

@@ -54,14 +54,15 @@ def assemble(
     for role, parts in gathered.items():
         times[role], values[role] = join(parts, role, REQUIRED.get(role, ()), say, recording)
     seconds, zero = _seconds(times, recipe)
-    imu = rotate(values["imu"], parse_mount(recipe.mount)) if recipe.mount else values["imu"]
+    imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
     gps: Values = {}
     if "gps" in values:
         gps, origin = placed_fixes(values["gps"], origin, say)
-        if "course" in gps:
-            course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
-            gps["course"] = fitting_angle(gps["course"], course, rows, "gps: the course", say)
+        course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
+        for angle in ("course", "heading"):
+            if angle in gps:
+                gps[angle] = fitting_angle(gps[angle], course, rows, f"gps: the {angle}", say)
     truth = None
     if "truth" in values:
         placed, origin = _placed_truth(values["truth"], origin, gps)
@@ -75,7 +76,7 @@ def assemble(
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
     drive = Drive(
         name=name,
-        imu=Imu(seconds["imu"], **{f.name: imu[f.name] for f in fields(Imu) if f.name in imu}),
+        imu=imu,
         gps=Gps(seconds["gps"], **gps),
         truth=truth,
         frame="wgs84" if "lat" in gps else "enu",
@@ -89,6 +90,18 @@ def assemble(
             shortage += f", with --gps-offset (were both begun together: {offset:.3f})"
         raise InputError(f"{name}: {shortage}")
     return drive
+
+
+def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
+    """Make the IMU's table alone from gathered columns; parameters as of `assemble`."""
+    time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
+    return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)
+
+
+def _imu(time: Array, values: Values, recipe: Recipe) -> Imu:
+    """Make the IMU's table, in the axes of the vehicle."""
+    values = rotate(values, parse_mount(recipe.mount)) if recipe.mount else values
+    return Imu(time, **{f.name: values[f.name] for f in fields(Imu) if f.name in values})
 
 
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:

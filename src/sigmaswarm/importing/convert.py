@@ -3,14 +3,14 @@
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from sigmaswarm.drives.description import require_name
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.assemble import assemble
+from sigmaswarm.importing.assemble import assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Gathered, complete_part, gather
 from sigmaswarm.importing.limits import Limits
@@ -68,6 +68,30 @@ class Imported:
 Guesses = Mapping[Path, Guess]
 
 
+def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
+    """Return the request of an import in Python; ``recipe`` may be a file, other settings are of either record.
+
+    Raises
+    ------
+    InputError
+        A setting is unknown.
+    """
+    settings = dict(settings)
+    recipe = settings.pop("recipe", None)
+    recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
+    if "format" in settings:
+        settings["form"] = settings.pop("format")
+    own = {f.name for f in fields(Request)} - {"source", "recipe"}
+    if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
+        raise InputError(
+            f"no setting of an import is called {unknown[0]!r}; there are {names_shown(sorted(own))}"
+        )
+    logs = {key: Path(settings[key]) for key in ("gps", "truth", "odometer") if settings.get(key)}
+    given: dict[str, Any] = {key: value for key, value in settings.items() if key in own} | logs
+    changed: dict[str, Any] = {key: value for key, value in settings.items() if key not in own}
+    return Request(source=Path(log), recipe=replace(recipe, **changed), **given)
+
+
 def import_drive(request: Request, name: str, progress: Progress = lambda done: None) -> Imported:
     """Make a drive of a log.
 
@@ -108,6 +132,30 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
     return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
+
+
+def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
+    """Read the IMU of a log, which needs no fixes; return it and the assumptions of the import.
+
+    Raises
+    ------
+    InputError
+        As of `import_drive`.
+    """
+    with opened(request) as (logs, guesses):
+        recipe = complete_recipe(request, guesses)
+        roles: dict[Role, tuple[Part, ...]] = {"imu": recipe.roles.get("imu", ())}
+        recipe = replace(recipe, roles=roles)
+        for fault in faults_left(request, recipe, guesses):
+            raise InputError(fault)
+        _require_sensors(recipe, request, logs, guesses, ("imu",))
+        gathered = _gather_all(request, logs, recipe, lambda done: None)
+        notes = notes_of(logs, guesses, recipe)
+    try:
+        imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
+    except InputError as error:
+        raise InputError(f"{request.source.name}: {error}") from None
+    return imu, tuple(dict.fromkeys(notes))
 
 
 @contextmanager
@@ -154,7 +202,11 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
     if request.recipe.gps_from_truth:
         roles.pop("gps", None)
     origins = [request.recipe.origin, *(g.origin for g in guesses.values())]
-    return replace(request.recipe, roles=roles, origin=next((o for o in origins if o is not None), None))
+    recipe = replace(request.recipe, roles=roles, origin=next((o for o in origins if o is not None), None))
+    if (placed := guesses[request.source].placed) is None:
+        return recipe
+    lever = recipe.gps_lever_arm_m or (None if request.gps else placed.lever_arm)
+    return replace(recipe, mount=recipe.mount or placed.mount, gps_lever_arm_m=lever)
 
 
 def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]:
@@ -176,17 +228,29 @@ def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list
     """The sentences of the readers; on an axis that points down only if the mounting is not given."""
     downward = [g.downward for g in guesses.values() if g.downward and not recipe.mount]
     remarks = [remark for log in logs.values() for remark in log.remarks]
-    return [*(note for g in guesses.values() for note in g.notes), *downward, *remarks]
+    placed = [
+        note
+        for g in guesses.values()
+        if g.placed
+        for note in g.placed.notes(recipe.mount, recipe.gps_lever_arm_m)
+    ]
+    return [*(note for g in guesses.values() for note in g.notes), *placed, *downward, *remarks]
 
 
-def _require_sensors(recipe: Recipe, request: Request, logs: Mapping[Path, Log], guesses: Guesses) -> None:
+def _require_sensors(
+    recipe: Recipe,
+    request: Request,
+    logs: Mapping[Path, Log],
+    guesses: Guesses,
+    roles: Sequence[Role] = ("imu", "gps"),
+) -> None:
     """Refuse logs in which no IMU or no fixes were found, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that holds them as SOURCE"),
         ("gps", "position fixes", "name a log that holds them with --gps"),
     )
     for role, what, remedy in wanted:
-        if recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):
+        if role not in roles or recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):
             continue
         path = request.home(role)
         there = names_shown(logs[path].tables)

@@ -34,7 +34,11 @@ READERS: dict[str, tuple[str, str]] = {
 A module has ``recognizes(path)``, True if a file or folder looks like the format by its name or first bytes, without
 the format's library; and ``open_log(path, limits, stack)``, which returns a `Log` and has the stack close its files.
 """
-_TEXTS = ("rtklib", "nmea", "gnss-logger", "csv")
+_MIXED = ("nmea", "gnss-logger")
+"""Texts that have lines of several types."""
+_TEXTS = (*_MIXED, "rtklib", "csv")
+_LINES_OF_ROW, _TITLES = 10, 1000
+"""Lines of a mixed text for a row of a table, and lines above the rows, at most."""
 NOT_READ: dict[tuple[str, ...], str] = {
     (".xlsx", ".xls", ".ods"): "a spreadsheet; save it as CSV",
     (
@@ -95,11 +99,13 @@ def open_log(
         raise InputError(f"{path} is empty; copy the log again")
     require_regular(path)
     form = form or format_of(path)
+    limits = limits or Limits()
     for text in _texts(path, form):
-        require_text(text)
+        _, lines = require_text(text)
+        limits.check_rows(lines // (_LINES_OF_ROW if form in _MIXED else 1) - _TITLES, path, text.name)
     more = (definitions,) if form == "ros" else ()
     with ExitStack() as stack:
-        yield _reader(form).open_log(path, limits or Limits(), stack, *more)
+        yield _reader(form).open_log(path, limits, stack, *more)
 
 
 def _texts(path: Path, form: str) -> list[Path]:

@@ -17,7 +17,7 @@ from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
 """m: a stated standard deviation not above it means that the receiver states none."""
-TURNS = {"course": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
+TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """Columns of angles, with a full turn: rad, rad, deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""

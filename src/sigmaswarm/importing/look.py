@@ -1,8 +1,8 @@
 """A first look at a log: its tables, their rates, their columns' ranges, and the recipe of a drive."""
 
-import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -18,7 +18,8 @@ from sigmaswarm.importing.convert import (
     opened,
 )
 from sigmaswarm.importing.dates import SECOND
-from sigmaswarm.importing.expressions import time_expression
+from sigmaswarm.importing.expressions import compile_expression, fits, time_expression
+from sigmaswarm.importing.gather import ROW
 from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Log, Role
@@ -56,8 +57,9 @@ class Glance:
 class Look:
     """Content of the logs of a request, the recipe that would be used, and its assumptions.
 
-    ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``unread``:
-    by table, the columns that neither would read.
+    ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``works``:
+    True where the import with these options succeeds; without a proposal, where IMU and fixes were recognized.
+    ``unread``: by table, the columns that are left out, also with the proposal.
     """
 
     tables: tuple[Glance, ...]
@@ -65,18 +67,8 @@ class Look:
     notes: tuple[str, ...]
     proposal: str = ""
     evidence: str = ""
-
-    @property
-    def unread(self) -> dict[str, tuple[str, ...]]:
-        """See above."""
-        parts = [part for role in self.recipe.roles.values() for part in role]
-        said = "\n".join([self.proposal, *(text for part in parts for text in part.columns.values())])
-        unread: dict[str, tuple[str, ...]] = {}
-        for glance in self.tables:
-            names = [r.column for r in glance.ranges]
-            left = tuple(c for c in names if not re.search(rf"(?<![\w.]){re.escape(c)}(?![\w.])", said))
-            unread |= {glance.table: left} if left else {}
-        return unread
+    works: bool = False
+    unread: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
 
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
@@ -91,6 +83,7 @@ def look(request: Request) -> Look:
             notes = faults_left(request, recipe, guesses)
         except InputError as error:
             recipe, notes = request.recipe, [str(error)]
+        works = not notes and "imu" in recipe.roles and ("gps" in recipe.roles or bool(recipe.gps_from_truth))
         times = {
             (request.home(role), part.table): part.columns["t"]
             for role in ROLES
@@ -105,12 +98,42 @@ def look(request: Request) -> Look:
             for rows in [first[path][name]]
         ]
     notes += notes_of(logs, guesses, recipe)
-    proposal, evidence = _proposal(request, recipe, first)
-    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), proposal, evidence)
+    proposal = _proposal(request, recipe, first)
+    evidence = ""
+    if proposal:
+        proposal, evidence, works = judged(proposal, partial(_imported, request))
+    unread = _unread(tables, recipe, proposal)
+    said = proposal.options if proposal else ""
+    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), said, evidence, works, unread)
 
 
-def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> tuple[str, str]:
-    """The options that would read unrecognized columns, and how far they were checked; else empty."""
+def _unread(
+    tables: Sequence[Glance], recipe: Recipe, proposal: Proposal | None
+) -> dict[str, tuple[str, ...]]:
+    """The columns of each table that neither the recipe nor the proposal reads."""
+    parts = [part for role in recipe.roles.values() for part in role]
+    unread: dict[str, tuple[str, ...]] = {}
+    for glance in tables:
+        names = [r.column for r in glance.ranges]
+        texts = [text for part in parts if part.table in ("", glance.table) for text in part.columns.values()]
+        texts += (
+            [text for columns in proposal.columns.values() for text in columns.values()] if proposal else []
+        )
+        known = (*names, ROW)
+        read = {c for text in texts if fits(text, known) for c in compile_expression(text, known).columns}
+        unread |= {glance.table: left} if (left := tuple(c for c in names if c not in read)) else {}
+    return unread
+
+
+def _imported(request: Request, proposal: Proposal) -> Drive:
+    """The drive that the request makes with a proposal."""
+    choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
+    asked = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
+    return import_drive(asked, "proposal").drive
+
+
+def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:
+    """The options that would read unrecognized columns."""
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
     for role in ("imu", "gps"):
@@ -124,16 +147,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> tuple[str,
             found[role] = ({"t": time} if time else {}) | columns
             if not parts and len(there) > 1:
                 tables[role] = table
-    if not found:
-        return "", ""
-
-    def make(proposal: Proposal) -> Drive:
-        choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
-        asked = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
-        return import_drive(asked, "proposal").drive
-
-    proposal, evidence = judged(Proposal(tables, found), make)
-    return proposal.options, evidence
+    return Proposal(tables, found) if found else None
 
 
 def beginnings(log: Log) -> dict[str, pl.DataFrame]:

@@ -72,7 +72,10 @@ def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]
 def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: str, say: Say) -> Array:
     """A heading (n,) counter-clockwise from east in rad; one in another convention, by its course, is converted."""
     if len(rows) < 5:
-        return angle
+        if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
+            return angle
+        say(f"{what} taken as degrees clockwise from north; no course shows it")
+        return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (
         ("", angle),
         ("clockwise from north", np.pi / 2 - angle),
@@ -82,7 +85,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     errors = [float(np.median(np.abs(wrap_angle(a[rows] - course)))) for _, a in conventions]
     best = int(np.argmin(errors))
     if errors[0] <= FIT or errors[best] > FIT:
-        if errors[0] > FIT and "truth" in what:
+        if errors[0] > FIT and "heading" in what:
             say(
                 f"{what} differs from its course by {np.degrees(errors[0]):.0f} deg (median); check it, or map it"
             )

@@ -164,8 +164,8 @@ def proposed(
     return best
 
 
-def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str]:
-    """Return the proposal as corrected by the doctor, and a sentence on the evidence.
+def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
+    """Return the proposal as corrected by the doctor, a sentence on the evidence, and True if it makes a drive.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
         corrected = _corrected(proposal, drive, first)
         last = diagnose(make(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
-        return proposal, f"read from the columns' names alone, and not checked: {error}"
+        return proposal, f"read from the columns' names alone, and not checked: {error}", False
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
     changed = "corrected by" if corrected != proposal else "checked with"
@@ -186,11 +186,11 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
     serious = [f.code for f in last.findings if f.severity == "serious"]
     warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
     if serious or DOUBTS & {*warned}:
-        return corrected, f"{said}; the doctor still finds {', '.join([*serious, *warned])}"
+        return corrected, f"{said}; the doctor still finds {', '.join([*serious, *warned])}", True
     unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
     blind = f", but this log does not show all ({', '.join(unseen)})" if unseen else ""
     also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
-    return corrected, f"{said}: signs, axes and units agree{blind}{also}"
+    return corrected, f"{said}: signs, axes and units agree{blind}{also}", True
 
 
 def _plausible(drive: Drive) -> Drive:

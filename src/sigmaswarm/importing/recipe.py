@@ -9,18 +9,17 @@ from typing import Any, Self, cast
 
 import tomli_w
 
-from sigmaswarm.drives.description import value_shown
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.importing.source import ROLES, Part, Role
 from sigmaswarm.limits import read_toml_text
-from sigmaswarm.wording import quoted, shown
+from sigmaswarm.wording import quoted, shown, value_shown
 
 COLUMNS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz", "keep"),
     "gps": (
         *("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y"),
-        *("speed", "course", "vx", "vy", "keep"),
+        *("speed", "course", "heading", "vx", "vy", "keep"),
     ),
     "truth": (
         *("t", "x", "y", "lat", "lon", "alt", "vx", "vy"),

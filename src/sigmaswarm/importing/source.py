@@ -56,6 +56,33 @@ class Fault:
 
 
 @dataclass(frozen=True)
+class Placement:
+    """Mounting of the IMU and lever arm that a log states.
+
+    Attributes
+    ----------
+    mount : roll, pitch and yaw of the IMU in the vehicle, deg, as ``parse_mount`` takes them
+    lever_arm : m forward, left, up from the IMU to the antenna; None where it is not known
+    frames : names of the vehicle's frame, the IMU's and the antenna's
+    """
+
+    mount: str
+    lever_arm: tuple[float, float, float] | None
+    frames: tuple[str, str, str]
+
+    def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
+        """Describe the parts of it that an import with a mounting and a lever arm has."""
+        base, imu, antenna = self.frames
+        if mount == self.mount:
+            yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
+        if self.lever_arm and lever_arm == self.lever_arm:
+            x, y, z = self.lever_arm
+            yield f"lever arm {x:.4g},{y:.4g},{z:.4g} m taken from tf_static, from {imu} to {antenna} in {base}"
+        elif not self.lever_arm:
+            yield f"tf_static has no position of {antenna or 'the antenna'}; state it with --lever-arm"
+
+
+@dataclass(frozen=True)
 class Guess:
     """Recipe of a reader for a log, and its assumptions, one sentence each.
 
@@ -68,6 +95,7 @@ class Guess:
     downward : a sentence where the IMU's vertical axis points down, if its mounting is not given
     fixed : expression over the fixes' first table: where carrier phases are fixed; empty where not stated
     faults : reasons not to use columns unchanged, unless the user maps them
+    placed : mounting and lever arm that the log states
     """
 
     roles: Mapping[Role, tuple[Part, ...]]
@@ -77,6 +105,7 @@ class Guess:
     downward: str = ""
     fixed: str = ""
     faults: tuple[Fault, ...] = ()
+    placed: Placement | None = None
 
 
 @dataclass(frozen=True)
@@ -174,7 +203,7 @@ def roles_of(
     return roles
 
 
-EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
+EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
 """Packages of the extras, by their names for pip."""
 
 

@@ -57,7 +57,7 @@ def evaluation_report(folder: Path) -> Report:
     also = [method for method in (OWN, *ALSO) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup.outage_length_s, setup.outage_seed, also=also)
     verdicts = view.verdicts()
-    remarks = [*view.warnings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
+    remarks = [*view.warnings(), *view.findings(), *(verdicts[kind] for kind in VERDICTS if kind in verdicts)]
     remarks += [r for r in (file.result.remarks if file.result else ()) if r != NOT_VALIDATED]
     return Report(
         title=f"Evaluation of {filter_name(file)}",

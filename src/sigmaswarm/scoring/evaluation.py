@@ -11,6 +11,7 @@ import polars as pl
 
 from sigmaswarm import notebook
 from sigmaswarm.datasets.dataset import datasets_of
+from sigmaswarm.doctor.diagnose import findings_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
@@ -22,6 +23,7 @@ from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.fixes_alone import FixesAlone, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined
+from sigmaswarm.filters.robot_yaml import filter_for
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
@@ -47,6 +49,7 @@ from sigmaswarm.scoring.targets import (
 )
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.scoring.truth_noise import share_known
+from sigmaswarm.scoring.truth_offset import truth_offset
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 
@@ -64,8 +67,9 @@ class Options:
 
     Attributes
     ----------
-    against : FilterParameters, optional
-        Another tuning or filter, of any model; it is the first row of every table.
+    against : FilterParameters or path, optional
+        Another tuning or filter, of any model, or a file of one, also an ekf.yaml of robot_localization; it is the
+        first row of every table.
     outage_length : float
         s, of the shorter outages; the longer ones last 30 s.
     outage_seed : int
@@ -105,7 +109,8 @@ class Evaluated:
 
     Scores, times of resets (s), and drifts with the number of outages are by method or measure. Consistency and
     innovations are those of the tuned filter. ``tracks`` are those of tracks.npz, ``picture`` has more points, for
-    print. ``frozen`` counts stale fixes, which no filter used.
+    print. ``frozen`` counts stale fixes, which no filter used. ``findings`` are the doctor's, ``truth_offset`` is a
+    sentence on a constant offset between fixes and truth.
     """
 
     scores: Mapping[str, Score]
@@ -117,6 +122,8 @@ class Evaluated:
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     frozen: int = 0
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
+    findings: tuple[str, ...] = ()
+    truth_offset: str = ""
 
     def called(self, name: str) -> "Evaluated":
         """The same under another name, where two drives have one."""
@@ -241,6 +248,8 @@ class Evaluation:
             versions=versions(),
             data=[found.record for found in self.drives.values()],
             against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
+            findings={name: list(found.findings) for name, found in self.drives.items() if found.findings},
+            truth_offsets={n: found.truth_offset for n, found in self.drives.items() if found.truth_offset},
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -328,10 +337,12 @@ def evaluate(
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    chosen = Options(**options)
     (dataset,) = datasets_of(drives, cluster=cluster)
     if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
+    if (other := options.pop("against", None)) is not None:
+        other = filter_for(other, dataset)
+    chosen = Options(other, **options)
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
     found: dict[str, Evaluated] = {}
     for drive, each, marks in dataset.imap(one):
@@ -340,7 +351,6 @@ def evaluate(
         found[name] = each if name == drive else each.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
             found[name] = found[name].seen_in(overlap)
-    other = chosen.against
     also = (*([OWN] if other else []), *chosen.further(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
@@ -390,6 +400,8 @@ def _evaluated(
         restarts=passed.restarts,
         frozen=int(ready.frozen.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
+        findings=findings_of(drive),
+        truth_offset=truth_offset(drive),
     )
     return drive.name, found, marks
 

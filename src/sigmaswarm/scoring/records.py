@@ -101,6 +101,10 @@ class EvaluationRecord(BaseModel):
     versions: dict[str, str]
     data: list[DriveRecord]
     against: AgainstRecord | None = None
+    findings: dict[str, list[str]] = Field(default_factory=dict)
+    """By drive: serious findings and warnings of the doctor, as sentences; empty before 0.4.0."""
+    truth_offsets: dict[str, str] = Field(default_factory=dict)
+    """By drive: a sentence on a constant offset between fixes and truth."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files that belong to the evaluation, by name; empty before 0.4.0."""
 

@@ -193,9 +193,14 @@ class EvaluationView:
         said += worse_than_raw(self.scores)
         said += worse_than_untuned(self.scores, self.measures)
         said += restarted(self.scores)
+        said += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
             said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
         return tuple(map(_sentence, said))
+
+    def findings(self) -> tuple[str, ...]:
+        """Sentences of the doctor about the drives."""
+        return tuple(_sentence(said) for found in self.setup.findings.values() for said in found)
 
     def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
         """All sentences for the terminal, the most important first; ``more`` follow the warnings."""

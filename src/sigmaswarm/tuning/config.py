@@ -9,9 +9,10 @@ from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError, model_validator
 
-from sigmaswarm.errors import InputError, first_mistake, warn_deprecated
+from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.tuning.options import ACCELERATION, INERTIA, OptimizerName, Option, Scale, require_packages
+from sigmaswarm.wording import first_mistake
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
 """Options of the optimizer pso alone."""
@@ -65,8 +66,8 @@ class SearchConfig(BaseModel):
     """Seed of all random numbers; the same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
     """Share of the drives that counts, the worst ones; 1 is the mean over all drives."""
-    # loses the heading less often than the paper's pso at the same budget (docs/optimizers.md)
-    optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de"
+    # at least as good as de, and better than the paper's pso, at the same budget (docs/optimizers.md)
+    optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
     """Search algorithm; bo needs scikit-learn. In Python also a class of your own. See docs/optimizers.md."""
     polish: int = Field(default=0, ge=0)
     """Evaluations of the budget reserved for a final Nelder-Mead search from the best point."""
@@ -120,7 +121,7 @@ class TuneConfig(SearchConfig):
     """Weight of a prior on R from the receiver's accuracy; 0 disables it. Default: 1 without truth, else 0."""
     inflation: float | None = Field(default=None, ge=0, le=1)
     """Relative cost increase allowed for inflating process noise; 0 disables it. Default without truth 0.05,
-    for tilted12 0.02."""
+    for tilted12 and robot-localization 0.02."""
 
     @model_validator(mode="before")
     @classmethod
@@ -246,6 +247,6 @@ def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
         config = kind(**options)
     except ValidationError as error:
         name, value, _, message = first_mistake(error)
-        raise InputError(f"{name.split('.')[0]} = {value!r}: {message}" if name else message) from None
+        raise InputError(f"{name.split('.')[0]} = {value}: {message}" if name else message) from None
     require_packages(config.optimizer)
     return config

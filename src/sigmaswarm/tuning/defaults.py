@@ -11,7 +11,7 @@ from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import clash
 from sigmaswarm.tuning.config import C, TuneConfig
-from sigmaswarm.tuning.inflation import INFLATION, ROBOT_INFLATION, TILTED_INFLATION
+from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION
 from sigmaswarm.tuning.objectives import objective_named
 
 PLAIN = "planar5"
@@ -130,7 +130,7 @@ def with_guards(config: C) -> C:
     blind = objective.likelihood and not objective.needs_truth
     prior, inflation = float(blind), 0.0
     if blind and config.scale == "log10":
-        inflation = ROBOT_INFLATION if model.measures_imu else TILTED_INFLATION if model.tilts else INFLATION
+        inflation = TILTED_INFLATION if model.tilts or model.measures_imu else INFLATION
     return config.model_copy(
         update={
             "prior": prior if config.prior is None else config.prior,

@@ -22,6 +22,7 @@ Option = Literal[
     "standstill",
     "odometer",
     "gate",
+    "imu_gate",
     "latency",
     "accuracy",
     "robust",

@@ -175,7 +175,7 @@ class CarProblem(Problem[FilterParameters]):
         parameters, replays, objective = self.parameters(point), self.replays, self.objective
         found = loss_warnings(parameters, replays, outages=not objective.needs_outages)
         if parameters.accuracy_scale is not None:
-            found += accuracy_warnings(parameters, replays.dataset.map(stated))
+            found += accuracy_warnings(parameters, replays.dataset.map(stated), self.config.use)
         found += scale_warnings(objective.name, parameters, replays)
         # a look at the fixes' noise takes as long as reading a drive
         if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
@@ -183,7 +183,7 @@ class CarProblem(Problem[FilterParameters]):
             prior = self.config.prior or 0.0
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
-            found += decided or noise_warnings(parameters, noise)
+            found += decided or noise_warnings(parameters, noise, self.config.use)
             found += correlation_warnings(
                 parameters, replays.of_each_prepared(partial(correlation_of, parameters=parameters))
             )

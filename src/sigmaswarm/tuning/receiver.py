@@ -26,9 +26,7 @@ PRIOR_DECIDED = 0.02
 SMOOTH = 0.5
 """Scatter in m below which the receiver either filters its fixes or uses RTK."""
 UNKNOWN = "no log without truth shows their common error"
-REMEDY = (
-    "tune with --use accuracy where the receiver states its deviation, or score against a reference receiver"
-)
+STATE = "write the receiver's deviation, m per axis, as gps_std_m into drive.toml"
 
 
 @dataclass(frozen=True)
@@ -62,27 +60,34 @@ def stated(drive: Drive) -> float:
     return float(np.mean(stated_std(drive) or np.nan))
 
 
-def noise_warnings(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
-    """Warn of an R that contradicts the fixes of the training drives; for tunings without truth."""
+def noise_warnings(
+    parameters: FilterParameters, drives: Sequence[FixNoise], use: Sequence[str] = ()
+) -> list[str]:
+    """Warn of an R that contradicts the fixes of the training drives; for tunings without truth.
+
+    ``use``: the measurements of the filter, to which the remedy adds.
+    """
     if parameters.accuracy_scale is not None or parameters.fix_error is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
     lasting = stated > LASTS * scatter
+    remedy = STATE if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
+    remedy += ", or score against a reference receiver"
     if r * FAR_BELOW < stated:
         why = f"the receiver states {stated:.2g} m"
     elif r * FAR_BELOW < scatter:
         why = f"they scatter by {scatter:.2g} m about a path that the IMU can follow"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
-        return [to_do(REMEDY, f"{why}: their errors last, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}: their errors last, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
         why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
-        return [to_do(REMEDY, f"{why}; errors that last scatter as little, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}; errors that last scatter as little, and {UNKNOWN}")]
     else:
         return []
     said = f"the filter copies the fixes: its R takes them for right to {r:.2g} m per axis, and {why}"
-    return [to_do(REMEDY, f"{said}; errors that last look like none in forecasts, and {UNKNOWN}")]
+    return [to_do(remedy, f"{said}; errors that last look like none in forecasts, and {UNKNOWN}")]
 
 
 def prior_warnings(
@@ -115,8 +120,13 @@ def prior_warnings(
     return []
 
 
-def accuracy_warnings(parameters: FilterParameters, each: Sequence[float]) -> list[str]:
-    """Warn if the stated accuracy of the fixes, `stated` of each drive, has no effect on the filter."""
+def accuracy_warnings(
+    parameters: FilterParameters, each: Sequence[float], use: Sequence[str] = ()
+) -> list[str]:
+    """Warn if the stated accuracy of the fixes, `stated` of each drive, has no effect on the filter.
+
+    ``use``: the measurements of the filter; the remedy names all but the accuracy.
+    """
     std = _median(each)
     if parameters.accuracy_scale is None or not np.isfinite(std):
         return []
@@ -128,7 +138,8 @@ def accuracy_warnings(parameters: FilterParameters, each: Sequence[float]) -> li
         f"what the receiver states of its fixes is {share:.0%} of R, so `accuracy` plays no part: it hardly changes "
         "from fix to fix, or is unrelated to their errors"
     )
-    return [to_do("leave accuracy out of --use", why)]
+    rest = " ".join(name for name in use if name != "accuracy")
+    return [to_do(f"tune with --use {rest}" if rest else "leave accuracy out of --use", why)]
 
 
 def _median(values: Sequence[float]) -> float:

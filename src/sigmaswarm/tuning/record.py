@@ -35,6 +35,7 @@ class ResultRecord(BaseModel):
     cost: float
     objective: str
     objective_meaning: str = ""
+    start_cost: float | None = None
     validation_cost: float | None = None
     validation_gap: float | None = None
     validation_drives: list[str] = Field(default_factory=list)

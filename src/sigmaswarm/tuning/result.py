@@ -98,6 +98,8 @@ class Tuning(Generic[P]):
     validation : Validation or None
     inflation_factor : float
         Factor of the process-noise inflation, see `tuning.inflation`; 1 without it.
+    start_cost : float or None
+        The objective of the filter that the search started from, with the same inputs; None without a start.
     """
 
     parameters: P
@@ -117,6 +119,7 @@ class Tuning(Generic[P]):
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
     inflation_factor: float = 1.0
+    start_cost: float | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -155,6 +158,8 @@ class Tuning(Generic[P]):
             }
         if self.inflation_factor != 1.0:
             result["inflation_factor"] = self.inflation_factor
+        if self.start_cost is not None:
+            result["start_cost"] = self.start_cost
         result |= {
             "touched_bounds": [str(touched) for touched in self.touched_bounds],
             "unidentified": self.unidentified,
@@ -289,6 +294,7 @@ class Tuning(Generic[P]):
             sensitivities=sensitivities,
             validation=validation,
             inflation_factor=result.inflation_factor,
+            start_cost=result.start_cost,
         )
 
 
@@ -299,6 +305,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     yield from t.warnings
     if factor != 1.0:
         inflated = f"all process noises are {factor:.3g}"
+        if car and MODELS[car.model].measures_imu:
+            inflated = f"the noises of position, velocity and acceleration are {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
             inflated = (
@@ -328,6 +336,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield to_do("search longer, with more trials, or polish", why)
     if car and "truth" in objective:
         yield OF_THESE_SENSORS
+    if t.start_cost is not None:
+        yield f"the filter that the search started from costs {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:
         yield NOT_VALIDATED
     elif not np.isfinite(t.validation.cost):

@@ -96,6 +96,8 @@ class Search:
         Where every generation is saved.
     progress : callable or None
         Called after every generation.
+    start : ndarray or None
+        Point, shape (d,), that each trial's first generation starts from.
     """
 
     config: SearchConfig
@@ -103,6 +105,7 @@ class Search:
     executor: Executor | None
     folder: ResultFolder | None
     progress: Callable[[Progress], None] | None
+    start: Array | None = None
 
     def trial(self, number: int) -> Trial:
         """Run, resume or look up one trial."""
@@ -119,6 +122,8 @@ class Search:
             polish=c.polish,
             **c.optimizer_options(),
         )
+        if self.start is not None:
+            optimizer.begin_at(self.start)
         history, failures, leader = self._resumed(number, optimizer)
         while len((found := self._generation(number, optimizer, history["best"], leader)).costs):
             failures, leader = failures + found.failures, found.leader

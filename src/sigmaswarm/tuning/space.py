@@ -7,6 +7,8 @@ from functools import cached_property
 from itertools import groupby
 from typing import Any, get_args
 
+import numpy as np
+
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError
@@ -42,6 +44,10 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
         Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
     ),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
+    "imu_gate": (
+        Dimension("gate_gyro", "imu_gate", 1, 4.0, 100.0),
+        Dimension("gate_accel", "imu_gate", 1, 4.0, 100.0),
+    ),
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
     "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
     "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
@@ -72,6 +78,8 @@ IMU_DIMENSIONS = (
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
+ONE_NOISE = ("lateral", "odometer")
+"""Options of which robot-localization has the noise alone: its twists are those of the IMU, in m/s, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -99,6 +107,19 @@ class SearchSpace(Box):
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
+
+    def point_of(self, parameters: FilterParameters) -> Array:
+        """Return the point of a filter in search coordinates, (d,), within the bounds.
+
+        Values that the filter does not have are in the middle of their bounds.
+        """
+        own, here = parameters.nominal_interval, self.fixed["nominal_interval"]
+        if own and here:
+            noise = tuple(here / own * variance for variance in parameters.process_noise)
+            parameters = replace(parameters, process_noise=noise)
+        values = np.array([*self.values_of(parameters).values()], dtype=np.float64)  # None becomes NaN
+        point = self._encode(np.clip(values, self.lowest, self.highest))
+        return np.where(np.isfinite(values), np.clip(point, self.low, self.high), (self.low + self.high) / 2)
 
     def values_of(self, parameters: FilterParameters) -> dict[str, float]:
         """Return the value of every dimension in a filter."""
@@ -155,7 +176,7 @@ def search_space(
         raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
     if reason := clash(kind, use):
         raise InputError(reason)
-    kinds, options = MODELS[model].kinds, MODELS[model].options or OPTIONS
+    kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu_gate"]
     lacking = [option for option in use if option not in options]
     if lacking:
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
@@ -205,6 +226,8 @@ def _dimensions(
         if described.tilts:  # `tuning.inflation` states the measurements behind these numbers
             least = scale * LEAST.get(name, 0.0)
             inflation = 1.0 if alike[0].bias_of else 0.0 if alike[0].unit == "rad" else 0.5
+        elif described.measures_imu and alike[0].unit.startswith("rad"):
+            inflation = 0.0
         yield Dimension(f"q_{name}", "process_noise", len(alike), *box, inflation=inflation, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
@@ -219,4 +242,4 @@ def _dimensions(
     for option in OPTIONS:
         if option in use:
             wanted = OPTION_DIMENSIONS[option]
-            yield from wanted[:1] if described.measures_imu else wanted  # its twist is at the IMU
+            yield from wanted[:1] if described.measures_imu and option in ONE_NOISE else wanted

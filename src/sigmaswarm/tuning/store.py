@@ -15,16 +15,23 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 import numpy as np
-from pydantic import BaseModel, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
-from sigmaswarm.records import ARRAYS, Vector, load_record, read_content
+from sigmaswarm.records import ARRAYS, Vector, load_record
 from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
+from sigmaswarm.wording import names_shown, shown
 
 LONGEST = 120
 """Characters of a value in a message."""
+
+
+class ConfigRecord(BaseModel, extra="allow"):
+    """config.json of a tuning: its configuration, which a resumed run must repeat, and the versions of its software."""
+
+    versions: dict[str, str] = Field(default_factory=dict)
 
 
 class CountsRecord(BaseModel, extra="forbid"):
@@ -129,11 +136,10 @@ def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
 def _short(key: str, value: Any) -> str:
     with suppress(LookupError, TypeError):  # a damaged file lacks names or hashes
         if key == "data" and isinstance(value, list):
-            return "the drives " + ", ".join(f"{d['name']} ({d['sha256'][:8]})" for d in value)
+            return "the drives " + names_shown(f"{d['name']} ({d['sha256'][:8]})" for d in value)
         if key == "model" and isinstance(value, dict):  # a custom model is too long for a message
-            return f"the model {value['name']} ({value['sha256'][:8]})"
-    text = str(value)
-    return f"{key} = {text if len(text) <= LONGEST else text[:LONGEST] + ' ...'}"
+            return "the model " + shown(f"{value['name']} ({value['sha256'][:8]})")
+    return f"{shown(key)} = {shown(value, LONGEST)}"
 
 
 class ResultFolder:
@@ -164,10 +170,10 @@ class ResultFolder:
                 f"{path}: already holds a tuning; add --resume to go on with it, or choose another --out"
             )
         remedy = "not written by a tuning; choose another --out"
-        saved = _with_current_names(read_content(file, remedy, infinite=True))
-        wanted = json.loads(json.dumps(config))
-        made, now = saved.pop("versions", {}), wanted.pop("versions", {})
-        if not (isinstance(made, dict) and same_results(made, now)):
+        record = load_record(ConfigRecord, file, remedy, infinite=True)
+        saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
+        if not same_results(record.versions, wanted.pop("versions", {})):
+            made = names_shown(" ".join(one) for one in record.versions.items())
             raise InputError(
                 f"{file}: was started with other versions, {made}; go on with those, or choose another --out"
             )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NotRequired, Required, TypedDict, TypeVar
 import numpy as np
 
 from sigmaswarm.datasets.dataset import Dataset, datasets_of
-from sigmaswarm.drives.drive import Drive, listed
+from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, SavedLandmarks, overlap_of, save_landmarks
 from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
@@ -19,6 +19,7 @@ from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.robot_yaml import filter_for
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import (
     ModelTuneConfig,
@@ -37,6 +38,7 @@ from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.result import Tuning, Validation
 from sigmaswarm.tuning.search import Progress, Search
 from sigmaswarm.tuning.sensitivity import sensitivities
+from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
-ARGUMENTS = ("validation", "out", "resume", "paper", "executor", "cluster", "progress")
+ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
 NOT_ROBUST = "innovation-nll counts outliers in full, robust or not; for robust use innovation-t"
 P = TypeVar("P")
 
@@ -65,6 +67,7 @@ class CarOptions(RunOptions, TuneOptions):
     """Options of `tune` on drives."""
 
     cluster: "NotRequired[Client | None]"
+    start: NotRequired[FilterParameters | str | Path | None]
     validation: "NotRequired[Sequence[Drive | Location] | Drive | Location | Dataset]"
 
 
@@ -109,7 +112,8 @@ def tune(
         Called with a `Progress` after every generation.
     **options
         ``resume=True`` continues the run in ``out``, with the same bits as without interruption. ``paper=True`` takes
-        the paper's setting, `PAPER`, and refuses options that contradict it. The others are fields of `TuneConfig`:
+        the paper's setting, `PAPER`, and refuses options that contradict it. ``start`` is a filter, or a file of one,
+        from which the search starts: also an ekf.yaml of robot_localization. The others are fields of `TuneConfig`:
         objective, particles, generations, trials, seed, ... Without ``model`` and ``use`` the filter is chosen by the
         drives' sensors; the result's ``config`` states the choice. ``model`` may be a `Model` of your own, and
         ``optimizer`` a class of your own, see `tuning.optimizers`.
@@ -124,19 +128,19 @@ def tune(
     ClusterError
         If the cluster can't do the work: its scheduler is gone, a worker has other versions, the drives don't fit.
     """
-    resume, paper = options.pop("resume", False), options.pop("paper", False)
+    resume, paper, start = (options.pop(name, None) for name in ("resume", "paper", "start"))
     kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
     options = current_options(kind, options, ARGUMENTS)
     options = paper_options(options) if paper else options
-    problem, held_back = _problem_of(drives, validation, options, executor, cluster)
+    problem, held_back, first = _problem_of(drives, validation, options, start, (executor, cluster))
     with ExitStack() as stack:
         folder = None
         if out is not None:  # created only after all checks of the input
             place = stack.enter_context(held_folder(Path(out)))
-            folder = tuning_folder(place, problem, problem.config, resume=resume)
+            folder = tuning_folder(place, problem, problem.config, resume=bool(resume), start=first)
         seen = _landmarks_of(problem, folder)
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
-        options = {"held_back": held_back, "folder": folder, "progress": progress}
+        options = {"held_back": held_back, "folder": folder, "progress": progress, "start": first}
         return replace(tune_problem(problem, problem.config, pool, **options), seen=seen)
 
 
@@ -150,14 +154,22 @@ def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequenc
 
 
 def _problem_of(
-    drives: Any, validation: Any, options: dict[str, Any], executor: Executor | None, cluster: "Client | None"
-) -> tuple[Problem[Any], Problem[Any] | None]:
-    """Set up the problem of a tuning on the training and on the validation data."""
+    drives: Any,
+    validation: Any,
+    options: dict[str, Any],
+    start: FilterParameters | str | Path | None,
+    where: "tuple[Executor | None, Client | None]",
+) -> tuple[Problem[Any], Problem[Any] | None, Array | None]:
+    """Set up the problem of a tuning on the training and on the validation data, and the point of its start."""
     model: Any = options.get("model")
+    executor, cluster = where
+    first: Array | None = None
     others: Any
     if isinstance(model, Model):
         if cluster is not None:
             raise InputError("cluster: a model of your own runs on this machine only; leave cluster out")
+        if start is not None:
+            raise InputError("start: is for built-in models; leave start out")
         data, others = listed(drives), listed(validation)
         stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
         if stray:
@@ -167,22 +179,45 @@ def _problem_of(
     else:
         data, others = datasets_of(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
         sensors = [*data.map(sensors_of), *others.map(sensors_of)]
+        given = None if start is None else filter_for(start, data)
+        options = options if given is None else {"model": given.model, "kind": given.kind, **options}
         config = settled(validated_config(TuneConfig, with_filter(options, sensors)[0]), sensors)
         problem = car_problem(data, config)
+        first = None if given is None else start_point(problem.space, given)
         robust = "robust" in config.use and "innovation-nll" in config.objective
         for warning in (problem.objective.warning, NOT_ROBUST if robust else None):
             if warning:
                 warnings.warn(warning, SigmaswarmWarning, stacklevel=3)
     if not len(others):
-        return problem, None
+        return problem, None, first
     held_back = problem.on(others)
     check_apart(problem, held_back)
-    return problem, held_back
+    return problem, held_back, first
 
 
-def tuning_folder(path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool) -> ResultFolder:
-    """Open the folder of a tuning, which records the configuration and the data."""
+def start_point(space: SearchSpace, given: FilterParameters) -> Array:
+    """The point of a filter in search coordinates, within the bounds.
+
+    Raises
+    ------
+    InputError
+        If the filter has another model or type.
+    """
+    wanted = space.fixed["model"], space.fixed["kind"]
+    if (given.model, given.kind) != wanted:
+        raise InputError(
+            f"start: is a {given.model} ({given.kind}), and {' ('.join(wanted)}) is tuned; leave --model and --kind out"
+        )
+    return space.point_of(given)
+
+
+def tuning_folder(
+    path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool, start: Array | None = None
+) -> ResultFolder:
+    """Open the folder of a tuning, which records the configuration, the data and the start."""
     wanted = {**config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
+    if start is not None:
+        wanted["start"] = dict(zip(problem.space.names, start.tolist(), strict=True))
     return ResultFolder(path, wanted, resume=resume)
 
 
@@ -195,16 +230,20 @@ def tune_problem(
     folder: ResultFolder | None = None,
     progress: Callable[[Progress], None] | None = None,
     diagnose: bool = True,
+    start: Array | None = None,
 ) -> Tuning[P]:
     """Run, resume or read the trials of a tuning, and write its tuning.toml.
 
     Without an executor all work is done in this thread. ``diagnose`` checks the filter for faults that the objective
-    does not see.
+    does not see. The result costs at most what ``start`` does, before process-noise inflation.
     """
-    search = Search(config, problem, executor, folder, progress)
+    search = Search(config, problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost, factor = trials[best].point, trials[best].cost, 1.0
+    start_cost = None if start is None else float(problem.costs(start[np.newaxis], executor)[0])
+    if start is not None and start_cost is not None and start_cost < cost:
+        point, cost = start, start_cost
     if not np.isfinite(cost):
         raise InputError(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
@@ -221,6 +260,7 @@ def tune_problem(
     tuning = Tuning(
         parameters=problem.parameters(point),
         cost=cost,
+        start_cost=start_cost,
         touched_bounds=problem.space.touched(point),
         trial_costs=tuple(trial.cost for trial in trials),
         best_trial=best,

@@ -219,3 +219,17 @@ def test_costs_of_another_shape_are_refused(name: str):
 def test_mistakes_are_told(name: str, changes: dict, said: str):
     with pytest.raises(InputError, match=said):
         made(name, **changes)
+
+
+@everyone
+def test_a_search_begins_at_a_point(name: str):
+    point = np.array([1.0, 1.9, 1.2])
+    optimizer = made(name)
+    optimizer.begin_at(point)
+    first = optimizer.ask()
+    if name == "cma-es":  # the first distribution is around it
+        assert np.abs(first - point).mean() < np.abs(made(name).ask() - point).mean()
+    else:
+        assert first[0].tolist() == point.tolist()
+    assert min(generations(optimizer), key=lambda _: optimizer.global_cost)
+    assert optimizer.global_cost <= bowl(point[np.newaxis])[0] + 0.5

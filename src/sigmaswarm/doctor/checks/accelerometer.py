@@ -5,11 +5,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.doctor.checks.gyro import upside_down
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
+from sigmaswarm.doctor.mounting import levelling
 from sigmaswarm.doctor.verdicts import Mount
 from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
+from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
 """rad: a rotation about z from the first on is a warning, from the second on serious."""
@@ -113,8 +116,17 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     else:
         what = f"bias, or tilt of {tilt:.0f} deg, {what}"
     remedy = "level the IMU, or take the constant off; --model planar8 estimates the rest"
-    repair = Repair("level", (float(leak[0]), float(leak[1])))
+    repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
+
+
+def _leveled(imu: Imu, leak: Array) -> Repair:
+    """Turn six axes level where a tilt explains what is left over in ax and ay; else take the constants off."""
+    if imu.az is not None and imu.gx is not None and imu.gy is not None:
+        up = np.append(leak, np.median(imu.az))
+        if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):
+            return Repair("rotate", tuple(levelling(up).ravel().tolist()))
+    return Repair("level", (float(leak[0]), float(leak[1])))
 
 
 def _upward(evidence: Evidence) -> Iterator[Finding]:
@@ -128,6 +140,12 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         yield from _magnitude(evidence, unit)
     elif mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
         return  # reported with the axes
+    elif upside_down(evidence):
+        what = "the IMU is upside down: az, gx and gy agree on it; the fixes do not show which axis points forward"
+        remedy = "turn it about x: import with --mount x=x,y=-y, or turn all axes by the sensor's data sheet"
+        repair = Repair("rotate", tuple(np.diag([1.0, -1.0, -1.0]).ravel().tolist()))
+        where = "imu.csv, ay, az, gy, gz"
+        yield Finding("mounting", "serious", what, where, span, 0.95, remedy, repair)
     elif wrong.code != "accelerometer-unit":
         free = abs(up) < 0.2 * GRAVITY  # gravity was taken off, and nothing is lost
         sign = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0)) if up < -0.7 * GRAVITY else None

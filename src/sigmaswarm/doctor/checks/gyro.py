@@ -94,10 +94,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 def check_tilt(evidence: Evidence) -> Iterator[Finding]:
     """Find faults of gx and gy; none where a column of the three axes is missing, or gravity is not in az."""
-    read = _force_and_rates(evidence)
-    if read is None:
+    follows = _tilt_rates(evidence)
+    if not follows or upside_down(evidence):
         return
-    follows = _follows(evidence.drive.imu.time, *read)
     seen, span = [axis for axis in follows if axis], evidence.span
     if any(axis and axis[0] != right for right, axis in enumerate(follows)):
         if [axis[0] for axis in seen] != [1, 0]:
@@ -129,6 +128,22 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         )
         remedy = "use a drive with turns, starts and stops to check it"
         yield Finding("unseen-tilt", "note", what, f"imu.csv, {', '.join(columns)}", span, 0.95, remedy)
+
+
+def upside_down(evidence: Evidence) -> bool:
+    """True where az, gx and gy are those of an IMU on its head and no course shows the other axes: one rotation."""
+    imu, mount = evidence.drive.imu, evidence.mount
+    if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
+        return False
+    seen = [(column, axis) for column, axis in enumerate(_tilt_rates(evidence)) if axis]
+    level = mount is None or np.array_equal(mount.axes, np.eye(2))
+    return level and bool(seen) and all(axis[:2] == (column, -1.0) for column, axis in seen)
+
+
+def _tilt_rates(evidence: Evidence) -> list[Follows | None]:
+    """Find the rates that roll and pitch follow, as `_follows`; none where a column or gravity is missing."""
+    read = _force_and_rates(evidence)
+    return _follows(evidence.drive.imu.time, *read) if read else []
 
 
 def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:

@@ -9,6 +9,7 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import SERIOUS, angle_of
 from sigmaswarm.doctor.windows import integral, smoothed
+from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.drive import Array, Drive
 
 MOVED = math.radians(15.0)
@@ -30,7 +31,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     if change := moved(evidence.drive):
         time, angle = change
         what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg elsewhere after it"
-        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f}; each part has its own mounting"
+        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has its own mounting"
         yield Finding("mounting-changed", "serious", what, WHERE, (time, evidence.span[1]), 0.99, remedy)
     elif mounting is not None and mounting.needed:
         roll, pitch, yaw = mounting.degrees
@@ -80,9 +81,12 @@ def moved(drive: Drive) -> tuple[float, float] | None:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a first motion that alone is backwards: the start of a filter takes its course for the heading."""
+    """Find a start in reverse: it takes the course for the heading. Backing up before the start does no harm."""
     course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
+        return
+    start, drive = find_start(evidence.drive), evidence.drive
+    if isinstance(start, NoStart) or drive.heading is not None or drive.gps.heading is not None:
         return
     gained = smoothed(imu.time, integral(imu.time, imu.ax), course.time - evidence.clock.late, course.span)
     speed = np.abs(course.velocity)
@@ -93,10 +97,10 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     if len(shown) < 2:
         return
     (first, slope, limit), *rest = shown
-    if slope < -limit and any(slope > limit for _, slope, limit in rest):
-        until = float(course.time[first.stop - 1])
+    until = float(course.time[first.stop - 1])
+    if start.time < until + course.span and slope < -limit and any(s > least for _, s, least in rest):
         what = f"the log seems to begin in reverse, until t = {until:.0f} s: there ax is positive where the speed falls"
-        remedy = f"cut that part off: sigmaswarm split DRIVE --at {until + 2:.0f}, and use the second part"
+        remedy = f"cut that part off: sigmaswarm split DRIVE --at {until + 2:.0f} --out parts, and use the second part"
         span = evidence.span[0], until
         yield Finding("reverse-start", "serious", what, "gps.csv, imu.csv, ax", span, 0.99, remedy)
 

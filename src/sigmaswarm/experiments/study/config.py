@@ -16,13 +16,14 @@ from pydantic import (
     model_serializer,
 )
 
-from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterKind, ModelName
 from sigmaswarm.records import read_content
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS
 from sigmaswarm.simulation.environments import ENVIRONMENTS
 from sigmaswarm.tuning.space import Scale
+from sigmaswarm.wording import first_mistake
 
 ALL = "all"
 """The group of all conditions, and the maneuver or environment of a drive without one."""
@@ -256,4 +257,4 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
         if kind == "extra_forbidden":
             message = f"no such option; there are {', '.join(StudyConfig.model_fields)}"
         where = f"{path}: " if path is not None and key.split(".")[0] not in changes else ""
-        raise InputError(f"{where}{key} = {value!r}: {message}") from None
+        raise InputError(f"{where}{key} = {value}: {message}") from None

@@ -12,17 +12,20 @@ import math
 
 import numpy as np
 
+from sigmaswarm.drives.odometer import SPEED
 from sigmaswarm.drives.timeline import AX, AY, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
 from sigmaswarm.filters.compiled.measurements import _look
-from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, LATERAL, STANDSTILL
+from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: a twist of vy = 0, and the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 """Rows of the stated variances."""
+GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
+"""Rows of the largest NIS of the IMU; the model has no rear axle."""
 _TWO_PI = 2 * math.pi
 
 
@@ -74,12 +77,18 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 """States and their derivatives."""
 
 
-def _absorb(w, z, *, state, noise):
-    """A measurement of one state: x += K nu; P' = P - p p' / S, and the state's own column p R / S."""
+def _absorb(w, z, *, state, noise, gate):
+    """A measurement of one state: x += K nu; P' = P - p p' / S, and the state's own column p R / S.
+
+    ``gate``: the row of the NIS from which on it is left out; 0: none.
+    """
     for l in range(LANES):
-        r = w[noise, l]
-        one = 1.0 / (w[at(state, state), l] + r)
-        nu = one * (z - w[state, l])
+        r, use = w[noise, l], 1.0
+        s, off = w[at(state, state), l] + r, z - w[state, l]
+        if gate:
+            use = 1.0 if off * off < w[gate, l] * s else 0.0
+        one = use / s
+        nu = one * off
         for k in range(8):
             w[k, l] += w[at(k, state), l] * nu
         w[R.T, l] = _wrap(w[R.T, l])
@@ -90,14 +99,17 @@ def _absorb(w, z, *, state, noise):
                     if k != state:
                         w[at(i, k), l] = w[at(i, k), l] - gain * w[at(k, state), l]
         left = one * r
+        if gate:
+            left = left if use > 0.0 else 1.0
         for k in range(8):
             w[at(k, state), l] = w[at(k, state), l] * left
 
 
-_absorb_gz = kernel(_absorb, state=R.W, noise=R_GZ)
-_absorb_ax = kernel(_absorb, state=R.A, noise=R_AX)
-_absorb_ay = kernel(_absorb, state=R.B, noise=R_AY)
-_absorb_vy = kernel(_absorb, state=R.V, noise=R_VY)
+_absorb_gz = kernel(_absorb, state=R.W, noise=R_GZ, gate=GATE_GZ)
+_absorb_ax = kernel(_absorb, state=R.A, noise=R_AX, gate=GATE_AX)
+_absorb_vx = kernel(_absorb, state=R.U, noise=R.R_ODOMETER, gate=0)
+_absorb_ay = kernel(_absorb, state=R.B, noise=R_AY, gate=0)
+_absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
 
 
 @kernel
@@ -183,6 +195,8 @@ def step(w, u, happens, z, wheels, lever, since):
             _absorb_ay(w, ay)
         if happens & USES_VY:
             _absorb_vy(w, 0.0)
+    if happens & ODOMETER:
+        _absorb_vx(w, wheels[SPEED])
     if happens & (FIX | HIDDEN):
         x, y, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
         _measure_fix(w, x, y, var_x, var_y, lever[0], lever[1])

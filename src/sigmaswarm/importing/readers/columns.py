@@ -1,6 +1,8 @@
 """CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars."""
 
 import re
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
@@ -82,6 +84,7 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
     remarks : receives columns that share a name
     """
     if first_bytes(file, 4) == b"PAR1":
+        _require_decodable(file, shown_as, limits)
         try:
             frame = pl.scan_parquet(**one_file(file))
             limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
@@ -99,6 +102,26 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
     frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their numbers mean nothing
     old = frame.collect_schema().names()
     return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
+
+
+_DECODE = """
+import sys, polars
+rows = polars.scan_parquet(sys.argv[1], glob=False)
+if rows.select(polars.len()).collect().item() <= int(sys.argv[2]):
+    for _ in rows.collect_batches():
+        pass
+"""
+
+
+def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
+    """Decode a Parquet file in another process first: of some damaged bytes polars aborts, of others it prints traces.
+
+    No exception could stop that in this process.
+    """
+    words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
+    ended = subprocess.run(words, capture_output=True, check=False)
+    if ended.returncode:
+        raise InputError(f"{shown_as}: is no Parquet file that can be decoded; mend or export it again")
 
 
 def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:

@@ -82,18 +82,17 @@ def _load(path: Path, width: int, rows: int | None = None) -> Array:
 
 @np.errstate(all="ignore")
 def _pose(folder: Path) -> pl.DataFrame:
-    """The camera's place in degrees, and its velocity and heading about the first place."""
+    """The camera's place in degrees, and its velocity and heading there: a broken place concerns no other."""
     time = _load(folder / "frame_times", 1)
     if not len(time):
         raise InputError(f"{folder / 'frame_times'}: has shape (0,), not (1,); unpack the segment again")
     widths = {"positions": 3, "velocities": 3, "orientations": 4}
     ecef, velocity, quaternion = (_load(folder / f"frame_{n}", k, len(time)) for n, k in widths.items())
     lat, lon, alt = pymap3d.ecef2geodetic(*ecef.T)
-    first = lat[0], lon[0]
     w, x, y, z = quaternion.T
     # the first column of the rotation: where the device's forward axis points
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-    east, north, _ = pymap3d.ecef2enuv(*forward, *first)
-    vx, vy, _ = pymap3d.ecef2enuv(velocity[:, 0], velocity[:, 1], velocity[:, 2], *first)
+    east, north, _ = pymap3d.ecef2enuv(*forward, lat0=lat, lon0=lon)
+    vx, vy, _ = pymap3d.ecef2enuv(*velocity.T, lat0=lat, lon0=lon)
     columns = {"t": time[:, 0], "lat": lat, "lon": lon, "alt": alt, "vx": vx, "vy": vy}
     return pl.DataFrame({**columns, "theta": np.arctan2(north, east)})

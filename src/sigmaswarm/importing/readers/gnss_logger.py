@@ -55,6 +55,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     for kind in present & columns.keys():
         require_distinct(columns[kind], path)
     columns = {kind: names for kind, names in columns.items() if kind in present}
+    _require_one_clock(columns, path)
     if not columns:
         raise InputError(f"{path}: holds no lines of {', '.join(_KINDS)}; log fixes and sensors")
     cells = pl.col("line").str.count_matches(",", literal=True)
@@ -70,6 +71,16 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
     cells = pl.col("line").str.strip_chars().str.splitn(",", len(names) + 2)
     whole = cells.struct.rename_fields(["kind ", *names, "surplus "])
     return lines.select(whole.alias("cells")).unnest("cells").select(names)
+
+
+def _require_one_clock(columns: Wanted, path: Path) -> None:
+    """Refuse a sensor without the clock that others have: its name is damaged, and UTC is another clock."""
+    clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
+    if any(clock.values()) and not all(clock.values()):
+        kind = next(kind for kind, found in clock.items() if not found)
+        raise InputError(
+            f"{path}: the comment on {kind} names no {_CLOCK}, as others do; correct the comment"
+        )
 
 
 def _guess(columns: Wanted) -> Guess:

@@ -1,10 +1,13 @@
 """MATLAB files, ``.mat`` up to version 7, through SciPy: structs and loose vectors of one length are tables."""
 
+import io
 import math
+import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, cast
+from typing import IO, Any, cast
 
 import numpy as np
 import polars as pl
@@ -22,6 +25,14 @@ MOST_STRUCTS = 100_000
 MOST_PARTS = 9
 """Columns of a matrix that are a column each."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
+"""Types of elements in a file of version 5 to 7 (MathWorks, "MAT-File Format"), which are arrays."""
+_NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
+"""Types of elements that are numbers or text."""
+_OF_ARRAYS = (1, 2, 3, 16, 17)
+"""Classes of arrays that hold arrays: cell, struct, object, function, opaque."""
+_SPARSE, _OPAQUE_CLASS, _COMPLEX = 5, 17, 0x800
+_DEEPEST_ARRAY = 50
 _OPAQUE = ("MatlabOpaque", "MatlabFunction")
 
 
@@ -40,6 +51,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             f"s = load('{path.name}'); save('{path.stem}_v7.mat', '-struct', 's', '-v7')"
         )
     with whole(path):
+        _require_known_elements(path, limits)
         for name, shape, kind in whosmat(path):
             if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy makes them all at once
                 raise InputError(
@@ -65,6 +77,71 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         return guess_roles({name: frame.head(SAMPLE) for name, frame in frames.items()}, choice.tables)
 
     return of_frames(path, frames, FILES, guess)
+
+
+def _require_known_elements(path: Path, limits: Limits) -> None:
+    """Refuse elements of wrong types or nested too deep: SciPy's compiled code ends the process on them."""
+    from scipy.io.matlab import matfile_version
+
+    if matfile_version(path)[0] != 1:  # the format before version 5 has no elements
+        return
+    with path.open("rb") as file:
+        order = "<" if file.read(128)[126:] == b"IM" else ">"
+        for kind, size in _elements(file, path.stat().st_size, order):
+            if kind == _COMPRESSED:
+                inner = zlib.decompressobj().decompress(file.read(size), limits.unpacked_mb * 1_000_000 + 1)
+                limits.check_unpacked(len(inner), path)
+                unpacked = io.BytesIO(inner)
+                for kind, size in _elements(unpacked, len(inner), order):
+                    _require_array(unpacked, kind, size, order, 0)
+            else:
+                _require_array(file, kind, size, order, 0)
+
+
+def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]]:
+    """The type and the size of each element up to ``end``; the file stands at the content of it."""
+    while (at := file.tell()) + 8 <= end:
+        kind, size = struct.unpack(f"{order}II", file.read(8))
+        following = at + 8 + size
+        if kind >> 16:  # up to four bytes, next to the type
+            kind, size, following = kind & 0xFFFF, kind >> 16, at + 8
+            file.seek(at + 4)
+        elif kind != _COMPRESSED:
+            following += -size % 8
+        if following - (-size % 8) > end:
+            raise ValueError(f"an element of {size} bytes, of which the file lacks a part")
+        yield kind, size
+        file.seek(following)
+
+
+def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> None:
+    """Refuse what is no array, and an array whose class, shape and content do not agree."""
+    if kind != _ARRAY or depth > _DEEPEST_ARRAY:
+        raise ValueError(f"an element of type {kind}, {depth} deep, in the place of an array")
+    elements = _elements(file, file.tell() + size, order)
+    if next(elements, (_FLAGS, 8)) != (_FLAGS, 8):
+        raise ValueError("an array without a class")
+    flags = struct.unpack(f"{order}I", file.read(4))[0] if size else _OPAQUE_CLASS
+    array, count, filled, parts = flags & 255, 0, 0, 0
+    if array != _OPAQUE_CLASS:
+        inner, length = next(elements, (0, 0))
+        if inner != _SHAPE or length < 8 or length % 4:
+            raise ValueError("an array without a shape")
+        count = math.prod(struct.unpack(f"{order}{length // 4}I", file.read(length)))
+    for inner, length in elements:
+        filled, parts = filled + length, parts + 1
+        if inner == _ARRAY and array in _OF_ARRAYS:
+            _require_array(file, inner, length, order, depth + 1)
+        elif inner not in _NUMBERS:
+            raise ValueError(f"an element of type {inner} in the place of numbers")
+    if array in _OF_ARRAYS:
+        lacks = depth > 0 and count > MOST_STRUCTS  # a variable of too many is named by `open_log`
+    elif array == _SPARSE:
+        lacks = parts < 4 + bool(flags & _COMPLEX)  # a name, rows, columns, values
+    else:
+        lacks = parts < 2 + bool(flags & _COMPLEX) or count > filled
+    if lacks:
+        raise ValueError(f"an array of {count} elements in {parts} parts of {filled} bytes")
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:

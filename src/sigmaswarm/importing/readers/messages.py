@@ -16,9 +16,22 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.readers.fields import getter
+from sigmaswarm.importing.readers.frames import frame_of, placement, static_topic
 from sigmaswarm.importing.readers.px4 import TURNED, part_of
 from sigmaswarm.importing.readers.topics import STANDARD, Topics, prefix
-from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Log, Part, Role, Table, Wanted, whole
+from sigmaswarm.importing.source import (
+    CHUNK,
+    Batch,
+    Choice,
+    Guess,
+    Log,
+    Part,
+    Placement,
+    Role,
+    Table,
+    Wanted,
+    whole,
+)
 from sigmaswarm.importing.times import time_of
 
 LATE = 0.1
@@ -90,7 +103,18 @@ class _Messages:
                         notes=guess.notes + other.notes,
                         faults=guess.faults + tuple(f for f in other.faults if f.role == role),
                     )
-        return guess
+        return replace(guess, placed=self._placement(guess))
+
+    def _placement(self, guess: Guess) -> Placement | None:
+        """Where the static transforms of the log place IMU and antenna."""
+        static = static_topic(self.tables)
+        if static is None or "imu" not in guess.roles:
+            return None
+        topics = [guess.roles[role][0].table if role in guess.roles else "" for role in ("imu", "gps")]
+        first = (next(self._messages([topic]), None) if topic else None for topic in topics)
+        imu, antenna = (frame_of(message[2]) if message else "" for message in first)
+        sent = islice(self._messages([static]), self.tables[static].rows)
+        return placement((message for _, _, message in sent), imu, antenna)
 
     def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
         """A role's part of other messages, by PX4's types or by names; the time alone if the rest is mapped."""

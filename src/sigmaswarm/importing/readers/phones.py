@@ -11,6 +11,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.columns import of_files, scan
 from sigmaswarm.importing.source import Guess, Log, whole
+from sigmaswarm.limits import require_text
 
 FLAT = "the phone taken as lying flat, screen up, top edge forward; turn it with --mount"
 """A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
@@ -39,6 +40,8 @@ def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitS
             for name, member in _wanted(archive, path, names, limits).items():
                 with archive.open(member) as packed, (folder / name).open("wb") as file:
                     shutil.copyfileobj(packed, file)
+                _, lines = require_text(folder / name, path / name)
+                limits.check_rows(lines, path, name)
     remarks: list[str] = []
     there = [name for name in names if (folder / name).is_file()]
     scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}

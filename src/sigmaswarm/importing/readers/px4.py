@@ -6,7 +6,6 @@ the true place, north and east of a reference.
 """
 
 import io
-import struct
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -68,7 +67,6 @@ def recognizes(path: Path) -> bool:
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read the topics that a drive is made of; the others are skipped."""
     core = library("pyulog.core", "logs")
-    _require_whole_definitions(path)
     with whole(path), _Log(io.FileIO(path)) as file:
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     if log.file_corruption or file.stopped < path.stat().st_size:
@@ -86,30 +84,30 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 class _Log(io.BufferedReader):
-    """A file that knows where its reader stopped: pyulog ends without a word at a message that is too short."""
+    """A file that knows where its reader stopped, and refuses to be searched for the message after a broken one.
+
+    pyulog ends without a word at a message that is too short. After one of no known kind and an impossible size it goes
+    on at the next byte, which takes hours, or for ever at the end of the file.
+    """
 
     stopped = 0
+    _last = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        content = super().read(size)
+        self._last = len(content) if len(content) == size else -4  # cut short: no way back
+        return content
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        # it goes back over a sound message at the end of the definitions, and over the content of an unknown one
+        if whence == io.SEEK_CUR and -offset not in (self._last, self._last + 3):
+            raise EOFError(f"at byte {self.tell()}")
+        return super().seek(offset, whence)
 
     def close(self) -> None:
         if not self.closed:
             self.stopped = self.tell()
         super().close()
-
-
-def _require_whole_definitions(path: Path) -> None:
-    """Refuse a definition that is longer than the rest of the file: pyulog goes back behind it, again and again."""
-    size, at = path.stat().st_size, 16
-    with path.open("rb") as file:
-        while at + 3 <= size:
-            file.seek(at)
-            length, kind = struct.unpack("<Hc", file.read(3))
-            at += 3 + length
-            if kind in b"ALC":  # data begin
-                return
-            if at > size or kind not in b"BFIMPQ":
-                raise InputError(
-                    f"{path}: is cut short or broken at byte {at - 3 - length}; copy the log again"
-                )
 
 
 def _guess(frames: dict[str, pl.DataFrame]) -> Guess:

@@ -1,5 +1,6 @@
 """Which topics a drive is made of, by what their messages hold (sensor_msgs, geometry_msgs, nav_msgs)."""
 
+import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
@@ -7,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.fields import stamp_of
+from sigmaswarm.importing.readers.fields import getter, stamp_of
 from sigmaswarm.importing.source import Choice, Guess, Part, Role, Table
 from sigmaswarm.wording import names_shown
 
@@ -22,6 +23,7 @@ _SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
 _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
+_SATELLITES = re.compile(r"gps|gnss", re.IGNORECASE)
 STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_FIX, _POSITION)}
 """By role, the paths of its numbers in standard messages."""
 
@@ -62,10 +64,15 @@ class Topics:
             A topic that the user chose is not there, or holds something else.
         """
         roles: dict[Role, tuple[Part, ...]] = {}
+        metadata: dict[str, Any] = {}
         if imu := self._topic("imu", self._having(_IMU)):
             roles["imu"] = (self._part(imu, self._imu(imu)),)
             self._note_frame(imu)
-        fixes = self._topic("gps", {t for t in self._having(_FIX) if not _TRUTH.search(t)})
+            metadata = self._stated_noise(imu)
+        placed = {
+            t for t in self._having(_POSITION) if _SATELLITES.search(t)
+        }  # as navsat_transform_node gives them
+        fixes = self._topic("gps", {t for t in self._having(_FIX) or placed if not _TRUTH.search(t)})
         if fixes:
             roles["gps"] = (self._part(fixes, self._position(fixes)),)
             moving = {
@@ -78,7 +85,9 @@ class Topics:
         truth = self._topic("truth", {t for t in located if _TRUTH.search(t)})
         if truth:
             roles["truth"] = (self._part(truth, self._motion(truth)),)
-        elif poses := sorted(t for t in self.tables if "Odometry" in self.tables[t].kind):
+        elif poses := sorted(
+            t for t, table in self.tables.items() if "Odometry" in table.kind and t != fixes
+        ):
             self.notes.append(
                 f"{names_shown(poses)} not taken as truth, since no name shows it; choose one with --truth-topic"
             )
@@ -92,7 +101,7 @@ class Topics:
                 )
             roles["odometer"] = (self._part(wheels, {"speed": speed}),)
             self.notes.append(f"{wheels} taken as the wheels' speed, m/s forward")
-        return Guess(roles, tuple(self.notes))
+        return Guess(roles, tuple(self.notes), metadata=metadata)
 
     def _having(self, paths: Mapping[str, str]) -> set[str]:
         return {t for t, table in self.tables.items() if prefix(table, paths) is not None}
@@ -137,6 +146,17 @@ class Topics:
         if set(covariances) <= set(self.tables[topic].columns):  # -1 there: the sensor gives no such value
             found["keep"] = " and ".join(f"{c} != -1" for c in covariances)
         return found
+
+    def _stated_noise(self, topic: str) -> dict[str, Any]:
+        """The variances of gz and ax that the first message states, for drive.toml; none where they are unknown."""
+        before = self._named(topic, _IMU)["ax"].removesuffix(_IMU["ax"])
+        columns = [f"{before}angular_velocity_covariance[8]", f"{before}linear_acceleration_covariance[0]"]
+        message = self.first(topic)
+        if message is None or not set(columns) <= set(self.tables[topic].columns):
+            return {}
+        stated = [getter(column)(message[2]) for column in columns]
+        known = all(value is not None and 0 < value < math.inf for value in stated)
+        return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
         """Fixes: NavSatFix in degrees, or a pose in meters east and north; deviations where they are stated."""

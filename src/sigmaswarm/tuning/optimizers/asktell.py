@@ -82,6 +82,10 @@ class AskTell:
         self.global_best, self.global_cost = self.positions[0].copy(), np.inf
         self.told = False
 
+    def begin_at(self, point: Array) -> None:
+        """Put a point into the first batch, shape (d,); to be called before the first `ask`."""
+        self.positions[0] = point
+
     def ask(self) -> Array:
         """Return the points to try next, shape (n, d); the same ones until `tell` is called."""
         if self.told:

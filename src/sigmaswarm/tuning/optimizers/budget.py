@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.optimizers.asktell import Array, Optimizer
+from sigmaswarm.tuning.optimizers.asktell import Array, AskTell, Optimizer
 from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 
@@ -50,6 +50,11 @@ class Budgeted:
         self.local: NelderMead | None = None
         self.spent, self._size, self._points = 0, 0, np.empty((0, len(low)))
         self.global_best, self.global_cost = low.copy(), np.inf
+
+    def begin_at(self, point: Array) -> None:
+        """Search from a point, where the optimizer can; to be called before the first `ask`."""
+        if isinstance(self.first, AskTell):
+            self.first.begin_at(point)
 
     def ask(self) -> Array:
         """Return the points to try next, shape (n, d); n = 0 if there is nothing left to try."""

@@ -33,6 +33,11 @@ class CmaEs(AskTell):
         self._restart(np.full(len(self.low), 0.5))
         return self._next()
 
+    def begin_at(self, point: Array) -> None:
+        """Center the first distribution on a point."""
+        self._restart((point - self.low) / self.width)
+        self.positions = np.clip(self._next(), self.low, self.high)
+
     def _constants(self, n: int, d: int) -> None:
         """Weights and rates, from population and dimension alone."""
         raw = np.log((n + 1) / 2) - np.log(np.arange(1, n + 1))  # (49)

@@ -38,6 +38,11 @@ class NelderMead(AskTell):
         if np.isfinite(self.start_cost):
             self.global_best, self.global_cost = self.simplex[0].copy(), self.start_cost
 
+    def begin_at(self, point: Array) -> None:
+        """Make the first simplex at a point."""
+        self.start = point
+        self.positions = self._begin()
+
     def _begin(self) -> Array:
         low, high, d = self.low, self.high, len(self.low)
         first = self.rng.uniform(low, high) if self.start is None else self.start

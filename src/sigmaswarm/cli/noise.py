@@ -1,0 +1,117 @@
+"""`sigmaswarm noise`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from sigmaswarm.cli.common import print_json, say
+from sigmaswarm.cli.options import FIELDS, Json
+from sigmaswarm.errors import InputError
+
+if TYPE_CHECKING:
+    from sigmaswarm.noise import Noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseOptions:
+    """Options of `sigmaswarm noise`.
+
+    Attributes
+    ----------
+    tuned
+        A tuning, whose Q is shown instead of a log's noise.
+    to
+        Packages in whose form and units the noise is printed, or written with --out.
+    out
+        Folder to write to: the packages' files and, of a log, noise.png, noise.svg and noise.json.
+    recipe
+        A recipe of the import, saved by import --save-recipe.
+    map
+        column=expression for the IMU's columns, as of import: "ax=acc_x*9.80665".
+    time
+        Expression of the time, s, as of import.
+    imu_topic
+        Topic or table of the IMU.
+    """
+
+    tuned: Path | None = None
+    to: list[Literal["sigmaswarm", "kf-gins", "kalibr", "robot_localization", "matlab"]] | None = None
+    out: Path | None = None
+    recipe: Path | None = None
+    map: list[str] | None = None
+    time: str | None = None
+    imu_topic: Annotated[str | None, Parameter(name=("--imu-topic", "--imu-table"))] = None
+    json: Json = False
+
+
+def noise(
+    log: Annotated[Path | None, Parameter(name="LOG")] = None,
+    /,
+    *,
+    options: Annotated[NoiseOptions, FIELDS] = NoiseOptions(),
+) -> None:
+    """Measure the noise of an IMU at rest, in the units of filters that need it.
+
+    A log needs no fixes. An hour at rest shows all noises; the standstills of a drive show the white noise.
+
+    Examples:
+
+        sigmaswarm noise static.csv
+        sigmaswarm noise static.bag --imu-topic /imu/data --to kalibr --out noise
+        sigmaswarm noise drives/friday --to sigmaswarm kf-gins
+        sigmaswarm noise --tuned tuned --to kf-gins
+
+    Parameters
+    ----------
+    log
+        A drive's folder, or any log that import reads.
+    options
+        The options of the command line.
+    """
+    from sigmaswarm.exports.imu_noise import noise_texts
+    from sigmaswarm.exports.targets import write_texts
+
+    found = _found(log, options)
+    texts = {file: text for target in options.to or () for file, text in noise_texts(found, target).items()}
+    written = [] if options.out is None else write_texts(texts, options.out)
+    if options.out is not None and log is not None:
+        written += _write_figure(found, options.out)
+    if options.json:
+        print_json(found.to_dict() | {"written": [str(path) for path in written], "texts": texts})
+        return
+    say(found.table().to_rich(grouped=True), *(f"note: {remark}" for remark in found.remarks))
+    if options.out is None:
+        say(*(line for file, text in texts.items() for line in ("", f"{file}:", text.rstrip("\n"))))
+    say(*(f"wrote {path}" for path in written))
+
+
+def _found(log: Path | None, options: NoiseOptions) -> "Noise":
+    """Measure the noise of the log, or read that of the tuning."""
+    from sigmaswarm.filters.parameters import FilterParameters
+    from sigmaswarm.noise import filter_noise, imu_noise
+
+    if (log is None) == (options.tuned is None):
+        raise InputError("name either a LOG or --tuned TUNING")
+    if options.tuned is not None:
+        return filter_noise(FilterParameters.load(options.tuned), str(options.tuned))
+    settings: dict[str, Any] = {"recipe": options.recipe, "maps": options.map, "time": options.time}
+    if options.imu_topic:
+        from sigmaswarm.importing.source import Choice
+
+        settings["choice"] = Choice({"imu": options.imu_topic})
+    return imu_noise(log or "", **{key: value for key, value in settings.items() if value})
+
+
+def _write_figure(found: "Noise", out: Path) -> list[Path]:
+    """Write the figure and the record of a measured noise."""
+    import json
+
+    from sigmaswarm.files import finite, write_whole
+    from sigmaswarm.reports.figures import save_both
+    from sigmaswarm.reports.noise import noise_figure
+
+    record = out / "noise.json"
+    write_whole(record, json.dumps(finite(found.to_dict()), indent=1))
+    return [record, *save_both(noise_figure(found), out / "noise")]

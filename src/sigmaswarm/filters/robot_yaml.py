@@ -1,0 +1,170 @@
+"""A configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
+
+The file has process noise, thresholds and the fused entries. The variances of measurements are in the messages, so
+`filter_for` takes them from a drive.
+"""
+
+import math
+import re
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+from sigmaswarm.datasets.dataset import Dataset
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.filters.parameters import YAML, FilterParameters
+from sigmaswarm.filters.presets import BY_HAND, ROBOT_LOCALIZATION_NOISE, as_stated
+from sigmaswarm.filters.robot_localization import NAME, NOT_FUSED, PLACES
+from sigmaswarm.limits import read_toml_text
+from sigmaswarm.wording import shown
+
+_X, _YAW, _VX, _VY, _VYAW, _AX, _AY = 0, 5, 6, 7, 11, 12, 13
+_CONFIG = re.compile(r"((odom|pose|twist|imu)\d+)_config")
+_BLOCK = re.compile(rf"{_CONFIG.pattern}|process_noise_covariance")
+Block = Mapping[str, Any]
+
+
+def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> FilterParameters:
+    """Load a filter; one of an ekf.yaml gets the variances that the messages of the first drive state."""
+    if isinstance(given, FilterParameters):
+        return given
+    parameters = FilterParameters.load(given)
+    if Path(given).suffix not in YAML:
+        return parameters
+    (stated,) = dataset.subset([0]).map(partial(as_stated, p=parameters))
+    return stated
+
+
+def read_configuration(path: Path) -> FilterParameters:
+    """Read an ekf.yaml of ROS 1 or 2; variances of the messages are usual ones.
+
+    Raises
+    ------
+    InputError
+        If the file is no such configuration.
+
+    Warns
+    -----
+    SigmaswarmWarning
+        Of settings that the model does not have.
+    """
+    block = _chosen(_loaded(path), path)
+    inputs = {found[1]: _entries(block[key], path, key) for key in block if (found := _CONFIG.fullmatch(key))}
+    inertial = [name for name in inputs if name.startswith("imu")]
+    imu = [inputs[name] for name in inertial]
+    other = {name: entries for name, entries in inputs.items() if not name.startswith("imu")}
+    fixes = next((name for name, entries in other.items() if entries[_X]), None)
+    gyro, accel = (any(entries[k] for entries in imu) for k in (_VYAW, _AX))
+    wheels, no_slip = (any(entries[k] for entries in other.values()) for k in (_VX, _VY))
+    noise = _process_noise(block, path)
+    if left := "; ".join(_left_out(block, inputs)):
+        warnings.warn(f"{path}: {left}", SigmaswarmWarning, stacklevel=4)
+    usual = FilterParameters(1.0, 0.0, 0.0, noise, (1.0, 1.0), model=NAME, kind="ekf", nominal_interval=1.0)
+    r_gyro, r_accel = usual.imu_noise[:2]
+    r_imu = (r_gyro if gyro else NOT_FUSED, r_accel if accel else NOT_FUSED)
+    return replace(
+        usual,
+        imu_noise=(*r_imu, r_accel) if any(entries[_AY] for entries in imu) else r_imu,
+        gate=_threshold(block, path, fixes and [f"{fixes}_pose", fixes]),
+        imu_gate=(
+            _threshold(block, path, [f"{name}_twist" for name in inertial]) or math.inf,
+            _threshold(block, path, [f"{name}_linear_acceleration" for name in inertial]) or math.inf,
+        ),
+        lateral_noise=BY_HAND["odometer_noise"] if no_slip else None,
+        odometer_noise=BY_HAND["odometer_noise"] if wheels else None,
+    )
+
+
+def _loaded(path: Path) -> Any:
+    try:
+        import yaml
+    except ModuleNotFoundError:
+        raise InputError(f"{path}: a YAML file needs PyYAML; install it with: pip install pyyaml") from None
+    try:
+        return yaml.safe_load(read_toml_text(path))
+    except OSError as error:
+        raise InputError(f"{path}: can't be read ({error.strerror}); name an ekf.yaml") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: is not valid YAML ({shown(said, 160)}); correct it") from None
+
+
+def _chosen(content: Any, path: Path) -> Block:
+    """The parameters of the node that fuses fixes, else of the first filter node."""
+    blocks = [*_blocks(content, set())]
+    if not blocks:
+        raise InputError(
+            f"{path}: has neither process_noise_covariance nor a setting like imu0_config; name the ekf.yaml of "
+            "robot_localization"
+        )
+    return max(blocks, key=lambda block: any("gps" in str(v) for k, v in block.items() if k[-1:].isdigit()))
+
+
+def _blocks(content: Any, seen: set[int]) -> Iterator[Block]:
+    """Mappings with settings of a filter, at any depth; aliases may repeat a mapping without end."""
+    if isinstance(content, dict) and id(content) not in seen:  # pyright: ignore[reportUnknownArgumentType]
+        seen.add(id(content))  # pyright: ignore[reportUnknownArgumentType]
+        block = {str(key): value for key, value in cast("dict[Any, Any]", content).items()}
+        if any(_BLOCK.fullmatch(key) for key in block):
+            yield block
+        for inner in block.values():
+            yield from _blocks(inner, seen)
+
+
+def _entries(value: Any, path: Path, key: str) -> list[bool]:
+    if isinstance(value, list) and [type(v) for v in cast("list[Any]", value)] == [bool] * 15:
+        return value  # pyright: ignore[reportUnknownVariableType]
+    raise InputError(f"{path}: {key} must be 15 booleans; correct it")
+
+
+def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
+    """Variances per second of the eight states; the defaults where the file states none."""
+    key = "process_noise_covariance"
+    if key not in block:
+        return ROBOT_LOCALIZATION_NOISE
+    given = block[key]
+    try:  # YAML 1.1 takes 1e-9 for text
+        values = [float(value) for value in given]
+    except (TypeError, ValueError):
+        values = []
+    if len(values) not in (15, 225):
+        raise InputError(f"{path}: {key} must be 225 numbers, or the 15 of its diagonal; correct it")
+    diagonal = values if len(values) == 15 else values[::16]
+    noise = tuple(diagonal[place] for place in PLACES)
+    if not all(0 <= variance < math.inf for variance in noise):
+        raise InputError(f"{path}: {key} has a variance that is negative or not finite; correct it")
+    return noise
+
+
+def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
+    """The squared Mahalanobis distance of the first threshold that is there; None if there is no limit."""
+    keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
+    if not keys:
+        return None
+    try:
+        limit = float(block[keys[0]])
+    except (TypeError, ValueError):
+        limit = math.nan
+    if not limit > 0:
+        raise InputError(f"{path}: {keys[0]} must be a positive number; correct it")
+    return limit**2 if limit < 1e100 else None  # its default is the largest number
+
+
+def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
+    """Clauses on what the model does not have."""
+    if block.get("two_d_mode") is not True:
+        yield "evaluated in two_d_mode, which it does not set"
+    if block.get("dynamic_process_noise_covariance") is True:
+        yield "dynamic_process_noise_covariance left out"
+    if "alpha" in block:
+        yield "evaluated as an EKF, although it has settings of the UKF"
+    for name, entries in inputs.items():
+        if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
+            yield f"{name}: differential and relative left out"
+        if entries[_YAW]:
+            yield f"{name}: yaw left out"
+        if entries[_VYAW] and not name.startswith("imu"):
+            yield f"{name}: yaw rate left out"

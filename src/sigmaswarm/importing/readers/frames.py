@@ -1,0 +1,96 @@
+"""Where the IMU and the antenna are in the vehicle, by the static transforms of ROS (/tf_static)."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.importing.source import Placement, Table
+
+BASES = ("base_link", "base_footprint")
+"""Names of the vehicle's frame, x forward, y left, z up (REP-105)."""
+Pose = tuple[Array, Array]
+"""Of a frame in another one: rotation (3, 3) and translation (3,), m."""
+Tree = Mapping[str, tuple[str, Pose]]
+"""By frame, its parent and its pose in it."""
+
+
+def static_topic(tables: Mapping[str, Table]) -> str | None:
+    """The topic of the static transforms, if the log has one."""
+    return next(
+        (t for t, table in tables.items() if t.endswith("tf_static") and "tf" in table.kind.lower()), None
+    )
+
+
+def frame_of(message: Any) -> str:
+    """The frame of a message's header; of an Odometry that of the body, which is the vehicle's if it has no name."""
+    child = getattr(message, "child_frame_id", None)
+    name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
+    return name.strip("/") or (BASES[0] if child is not None else "")
+
+
+def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
+    """Where the IMU and the antenna are in the vehicle; None where the transforms do not connect the IMU with it.
+
+    Parameters
+    ----------
+    messages : iterable
+        Of tf2_msgs/TFMessage; of a transform that comes twice the last one counts.
+    imu, antenna : str
+        Their frames.
+    """
+    tree: dict[str, tuple[str, Pose]] = {}
+    for message in messages:
+        for one in getattr(message, "transforms", ()):
+            if (pose := _pose_of(one.transform)) is not None:
+                tree[one.child_frame_id.strip("/")] = one.header.frame_id.strip("/"), pose
+    known = {*tree, *(parent for parent, _ in tree.values())}
+    of_imu, of_antenna = (_ancestors(tree, name) if name in known else {} for name in (imu, antenna))
+    shared = [name for name in of_imu if name in of_antenna]
+    base = next((name for name in (*BASES, *shared) if name in of_imu), None)
+    if base is None:
+        return None
+    rotation, at = of_imu[base]
+    lever = of_antenna[base][1] - at if base in of_antenna else None
+    return Placement(
+        mount=",".join(f"{angle:.9g}" for angle in _angles(rotation)),
+        lever_arm=None if lever is None else (float(lever[0]), float(lever[1]), float(lever[2])),
+        frames=(base, imu, antenna),
+    )
+
+
+def _pose_of(transform: Any) -> Pose | None:
+    """A transform as rotation and translation; None where its numbers are no rotation."""
+    r, t = transform.rotation, transform.translation
+    x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
+    translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))
+    if not (np.isfinite(translation).all() and abs(norm - 1.0) < 0.01):
+        return None
+    x, y, z, w = q / norm
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2 * (w * cross + cross @ cross), translation
+
+
+def _ancestors(tree: Tree, frame: str) -> dict[str, Pose]:
+    """Pose of a frame in itself and in each of its ancestors, the nearest first."""
+    found, pose = dict[str, Pose](), (np.eye(3), np.zeros(3))
+    while frame not in found:  # transforms may form a ring
+        found[frame] = pose
+        if frame not in tree:
+            break
+        frame, (rotation, translation) = tree[frame]
+        pose = rotation @ pose[0], rotation @ pose[1] + translation
+    return found
+
+
+def _angles(rotation: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw, deg, to 1e-6: about x, then y, then z of the vehicle."""
+    roll = math.atan2(rotation[2, 1], rotation[2, 2])
+    pitch = math.asin(max(-1.0, min(1.0, -rotation[2, 0])))
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+    if abs(rotation[2, 0]) > 1 - 1e-12:  # only yaw - roll, or yaw + roll, is determined
+        roll, yaw = 0.0, math.atan2(-rotation[0, 1], rotation[1, 1])
+    roll, pitch, yaw = (round(math.degrees(angle), 6) + 0.0 for angle in (roll, pitch, yaw))
+    return roll, pitch, yaw

@@ -1,0 +1,146 @@
+"""Measure the noise of an IMU on a log, or read it from a tuned filter."""
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import has_table, read_with_warnings, table_file
+from sigmaswarm.drives.tables import Array, Gps, Imu
+from sigmaswarm.drives.urls import is_url
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.importing.convert import import_imu, request_of
+from sigmaswarm.noise.allan import allan_deviation
+from sigmaswarm.noise.records import AxisNoise, Noise
+from sigmaswarm.noise.remarks import on_gravity, on_misfit, on_step, on_stretches, on_trend, trend_of
+from sigmaswarm.noise.spectrum import Interval, fit, spectrum_of
+from sigmaswarm.noise.static import AXES, fault_of, find_stretches
+
+TUNED = (
+    "a tuned Q also holds the errors of the filter's model, such as slopes, tilt and wheel slip: expect larger values "
+    "than the sensor's own"
+)
+
+
+def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
+    """Measure the noise of an IMU on a static log, or on the standstills of a drive.
+
+    Parameters
+    ----------
+    log : Drive, Imu, or path
+        A path is a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads; it needs no fixes.
+    **settings
+        Of the import: ``recipe``, ``maps``, ``time``, ``choice``, as of `import_log`.
+
+    Returns
+    -------
+    Noise
+        White noise, bias instability and rate random walk of each axis with 95% intervals; ``table()`` shows them.
+
+    Raises
+    ------
+    InputError
+        The log can't be read, moves, is too short, or no axis shows its noise.
+    """
+    if isinstance(log, Imu):
+        return _measured("IMU", log, None)
+    if isinstance(log, Drive):
+        return _measured(log.name, log.imu, log.gps)
+    folder = Path(log)
+    if is_url(log) or (has_table(folder, "imu") and has_table(folder, "gps")):
+        if settings:
+            raise InputError(f"{log} is a drive, which has no settings of an import; leave them out")
+        drive = read_with_warnings(log)[0]
+        imu, gps, name = drive.imu, drive.gps, drive.name
+    else:
+        alone = table_file(folder, "imu") if has_table(folder, "imu") else folder
+        imu, notes = import_imu(request_of(alone, settings))
+        gps, name = None, folder.resolve().stem
+        for note in notes:
+            warnings.warn(SigmaswarmWarning(f"{log}: {note}"), stacklevel=2)
+    try:
+        return _measured(name, imu, gps)
+    except InputError as error:
+        raise InputError(f"{log}: {error}") from None
+
+
+def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
+    """Return the noise that a filter's Q assumes for the IMU.
+
+    Parameters
+    ----------
+    parameters : FilterParameters
+        With ``nominal_interval``, as every tuning has it.
+    name : str
+
+    Raises
+    ------
+    InputError
+        The filter does not state the interval of its Q.
+    """
+    p, dt = parameters, parameters.nominal_interval
+    if dt is None:
+        raise InputError(
+            "the filter does not state the IMU interval of its process noise; add nominal_interval (s), for "
+            "example nominal_interval = 0.01, to [filter] in its file"
+        )
+    model = MODELS[p.model]
+    q = {state: max(v, 0.0) / dt for state, v in zip(model.names, p.process_noise, strict=True)}
+    if model.measures_imu:
+        gyro, accel = (dt * variance for variance in p.imu_noise)
+        white, walks = {"ax": accel, "ay": accel, "gz": gyro}, dict[str, float]()
+    else:
+        accel = (q["vx"] + q["vy"]) / 2
+        angles = {"gx": "roll", "gy": "pitch", "gz": "theta"}
+        white = {"ax": accel, "ay": accel, **{a: q[state] for a, state in angles.items() if state in q}}
+        walks = {f"{s.bias_of[0]}{s.name[-1]}": q[s.name] for s in model.states if s.bias_of}
+    axes = [
+        AxisNoise(
+            a, _exact(white[a]), _exact(0.0), _exact(walks.get(a, 0.0)), math.inf, 0.0, *np.zeros((2, 0))
+        )
+        for a in AXES
+        if a in white
+    ]
+    return Noise(name, 1 / dt, tuple(axes), (), (TUNED,))
+
+
+def _exact(variance: float) -> Interval:
+    return Interval(*(math.sqrt(variance),) * 3)
+
+
+def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
+    stretches = find_stretches(imu, gps)
+    parts = stretches.parts
+    time = imu.time
+    interval = float(np.mean([(time[p.stop - 1] - time[p.start]) / (p.stop - p.start - 1) for p in parts]))
+    axes, remarks = list[AxisNoise](), list[str]()
+    for axis in AXES:
+        column = getattr(imu, axis)
+        if column is None:
+            continue
+        values = [column[part] for part in parts]
+        if fault := fault_of(values):
+            remarks.append(f"{axis} left out, {fault}")
+            continue
+        axes.append(_axis_noise(axis, values, interval, remarks))
+    if not axes:
+        raise InputError(f"no axis shows its noise: {'; '.join(remarks)}")
+    lengths = tuple((float(time[p.start]), (p.stop - p.start) * interval) for p in parts)
+    general = [*on_stretches(stretches, [length for _, length in lengths]), *on_gravity(imu, parts[0])]
+    return Noise(name, 1 / interval, tuple(axes), lengths, (*general, *remarks))
+
+
+def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[str]) -> AxisNoise:
+    """Measure one axis on its static stretches; add what looks wrong to the remarks."""
+    longest = max(values, key=len)
+    found = fit(spectrum_of(values, interval), len(longest) * interval)
+    tau, deviation = allan_deviation(values, interval)
+    trend = trend_of(longest, interval, found)
+    remarks += [*on_step(axis, longest), *on_trend(axis, trend)]
+    remarks += on_misfit(axis, tau, deviation, found, len(longest) * interval)
+    return AxisNoise(axis, found.white, found.instability, found.walk, found.time, trend, tau, deviation)

@@ -1,0 +1,158 @@
+"""The noise of an IMU as a record: numbers per axis, and their table in the units of data sheets."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.tables import Array
+from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK
+from sigmaswarm.noise.spectrum import Interval
+from sigmaswarm.tables import Column, Table
+
+HOUR = 3600.0
+"""s"""
+DEG_PER_SQRT_HOUR = math.degrees(1) * 60
+"""From rad/s/sqrt(Hz)."""
+DEG_PER_HOUR = math.degrees(1) * HOUR
+"""From rad/s."""
+MPS_PER_SQRT_HOUR = 60.0
+"""From m/s2/sqrt(Hz)."""
+MGAL = 1e5
+"""From m/s2."""
+SENSORS = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
+"""Axes and unit of each sensor."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxisNoise:
+    """The noise of one axis in SI units, with intervals of 95%.
+
+    Attributes
+    ----------
+    axis : {"ax", "ay", "az", "gx", "gy", "gz"}
+    white : Interval
+        Velocity or angle random walk: density of the white noise, unit/sqrt(Hz).
+    instability : Interval
+        Bias instability: coefficient of the flicker noise, unit. The floor of the Allan deviation is 0.664 of it.
+    walk : Interval
+        Rate random walk: growth of the bias, unit/sqrt(s).
+    correlation_time : float
+        s: of a bias that returns, a Gauss-Markov process. inf: the log does not show that it does.
+    drift : float
+        Trend, unit/s, where it exceeds what these processes explain; else 0.
+    tau, deviation : array (n,)
+        Overlapping Allan deviation, s and unit.
+    """
+
+    axis: str
+    white: Interval
+    instability: Interval
+    walk: Interval
+    correlation_time: float
+    drift: float
+    tau: Array
+    deviation: Array
+
+    def bias(self, longest: float) -> tuple[float, float]:
+        """Return standard deviation (unit) and correlation time (s) of the Gauss-Markov bias that a filter takes.
+
+        ``longest``: length (s) of the log's longest stretch, taken as the correlation time where none is seen. Flicker
+        noise counts by the peak of its Allan variance. Where a log shows no bias process, the upper end of the walk's
+        interval is taken.
+        """
+        time = self.correlation_time if math.isfinite(self.correlation_time) else longest
+        nothing = self.walk.value == 0 and self.instability.value == 0
+        walk = self.walk.high if nothing else self.walk.value
+        variance = walk**2 * time / 2 + self.instability.value**2 * FLICKER / MARKOV_PEAK
+        return math.sqrt(variance), time
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """The noise of an IMU.
+
+    Attributes
+    ----------
+    name : str
+    rate : float
+        Hz
+    axes : tuple of AxisNoise
+        Those that could be measured.
+    stretches : tuple of (float, float)
+        Static stretches that were used: start in the time of the log and length, s.
+    remarks : tuple of str
+        What the log does not show, and what looks wrong.
+    """
+
+    name: str
+    rate: float
+    axes: tuple[AxisNoise, ...]
+    stretches: tuple[tuple[float, float], ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def longest(self) -> float:
+        """Length of the longest stretch, s; an hour, where there is none."""
+        return max((length for _, length in self.stretches), default=HOUR)
+
+    def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
+        """Return a value of the three axes of a sensor; an unknown axis gets the root mean square of the others."""
+        known = {a.axis: value(a) for a in self.axes}
+        axes = SENSORS[sensor][0].split()
+        there = [known[a] for a in axes if a in known]
+        usual = math.sqrt(float(np.mean(np.square(there)))) if there else 0.0
+        return [known.get(a, usual) for a in axes]
+
+    def mean(self, sensor: str, value: Callable[[AxisNoise], float]) -> float:
+        """Return the root mean square over the axes of a sensor."""
+        return math.sqrt(float(np.mean(np.square(self.of(sensor, value)))))
+
+    def table(self) -> Table:
+        """Return the table of all axes, in the units of data sheets."""
+        columns = (
+            Column("axis"),
+            Column("noise"),
+            Column("value"),
+            Column("95%", joined=True),
+            Column("unit"),
+        )
+        rows = [
+            (axis.axis, name, scale * one.value, (scale * one.low, scale * one.high), unit)
+            for axis in self.axes
+            for name, one, scale, unit in _in_units(axis)
+        ]
+        return Table(f"Noise of the IMU, {self.name}", columns, tuple(rows))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record in SI units, for JSON."""
+        return {
+            "name": self.name,
+            "rate_hz": self.rate,
+            "stretches_s": [list(stretch) for stretch in self.stretches],
+            "axes": {a.axis: _content(a) for a in self.axes},
+            "remarks": list(self.remarks),
+        }
+
+
+def _in_units(axis: AxisNoise) -> list[tuple[str, Interval, float, str]]:
+    if axis.axis[0] == "g":
+        return [
+            ("angle random walk", axis.white, DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
+            ("bias instability", axis.instability, DEG_PER_HOUR, "deg/h"),
+            ("rate random walk", axis.walk, DEG_PER_HOUR * 60, "deg/h/sqrt(h)"),
+        ]
+    return [
+        ("velocity random walk", axis.white, MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
+        ("bias instability", axis.instability, MGAL, "mGal"),
+        ("rate random walk", axis.walk, MGAL * 60, "mGal/sqrt(h)"),
+    ]
+
+
+def _content(axis: AxisNoise) -> dict[str, Any]:
+    names = {"white": axis.white, "instability": axis.instability, "walk": axis.walk}
+    content: dict[str, Any] = {k: {"value": i.value, "low": i.low, "high": i.high} for k, i in names.items()}
+    content |= {"correlation_time_s": axis.correlation_time, "drift": axis.drift}
+    return content | {"tau_s": axis.tau.tolist(), "allan_deviation": axis.deviation.tolist()}

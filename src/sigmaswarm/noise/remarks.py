@@ -1,0 +1,118 @@
+"""Remarks on a log: what its stretches show, and what looks wrong about an axis."""
+
+import math
+
+import numpy as np
+
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.tables import Array, Imu
+from sigmaswarm.noise.allan import model_parts
+from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL
+from sigmaswarm.noise.spectrum import Fit
+from sigmaswarm.noise.static import Stretches, step_of
+from sigmaswarm.wording import counted
+
+LONG = 1800.0
+"""s: length of a stretch from which on a log shows more than white noise."""
+LONG_TREND = 300.0
+"""s: shortest stretch whose trend is tested."""
+STATIC = 0.95
+"""Share of a static log that is at rest."""
+UNLIKELY = 0.1
+"""Relative error of gravity above which the unit is doubtful."""
+MANY = 30.0
+"""Averages of a stretch of which the Allan deviation is sure,"""
+MISFIT = 1.5
+"""and its ratio to the model, or the inverse, that is reported."""
+TREND = 4.0
+"""Standard deviations by which a trend exceeds the fitted processes."""
+COARSE = 0.5
+"""Step over deviation above which a quantized axis is reported."""
+
+
+def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
+    """Return what the stretches show and do not show."""
+    total, longest = sum(lengths), max(lengths)
+    remarks: list[str] = []
+    if stretches.gaps:
+        remarks.append(
+            f"{counted(stretches.gaps, 'gap')} in the log: the parts between are used as stretches"
+        )
+    if stretches.share < STATIC:
+        remarks.append(
+            f"the log moves or is disturbed in {100 * (1 - stretches.share):.0f}% of its time; used: "
+            f"{counted(len(lengths), 'standstill')}, {total:.0f} s in all; an engine's vibration counts as noise"
+        )
+    if longest < LONG:
+        remarks.append(
+            f"the longest stretch has {longest:.0f} s: it shows the white noise; of bias instability and rate random "
+            "walk only what grows within that time, so take the upper ends of their intervals; log an hour at rest"
+        )
+    return remarks
+
+
+def on_gravity(imu: Imu, part: slice) -> list[str]:
+    """Return a remark where the accelerometer does not measure gravity."""
+    if imu.az is None:
+        return []
+    force = math.hypot(*(float(np.mean(column[part])) for column in (imu.ax, imu.ay, imu.az)))
+    if abs(force / GRAVITY - 1) < UNLIKELY:
+        return []
+    return [
+        f"the accelerometer measures {force:.3g} m/s2 at rest instead of {GRAVITY:.3g}: the unit looks wrong (1 is g); "
+        'correct it with --map "ax=acc_x*9.80665"'
+    ]
+
+
+def on_step(axis: str, values: Array) -> list[str]:
+    """Return a remark on an axis whose quantization adds to its noise."""
+    step, deviation = step_of(values), float(np.std(values))
+    if step <= COARSE * deviation:
+        return []
+    return [
+        f"{axis} is quantized in steps of {step:.3g}, {step / deviation:.1f} times its deviation: the white noise "
+        "includes that of the steps"
+    ]
+
+
+def on_trend(axis: str, trend: float) -> list[str]:
+    """Return a remark on an axis with a trend, unit/s."""
+    scale, unit = (DEG_PER_HOUR, "deg/h") if axis[0] == "g" else (MGAL, "mGal")
+    if not trend:
+        return []
+    return [
+        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its random processes explain, as a "
+        "sensor does that warms up: log it after half an hour of running"
+    ]
+
+
+def on_misfit(axis: str, tau: Array, deviation: Array, found: Fit, duration: float) -> list[str]:
+    """Return a remark on an axis whose Allan deviation (n,) at tau (n,), s, is not that of the model."""
+    model = model_parts(tau, found.white.value, found.instability.value, found.walk.value, found.time)
+    ratio = (deviation / np.sqrt(np.sum(np.square(model), axis=0)))[tau <= duration / MANY]
+    worst = int(np.argmax(np.abs(np.log(ratio))))
+    if 1 / MISFIT < ratio[worst] < MISFIT:
+        return []
+    return [
+        f"{axis}: the Allan deviation at {tau[worst]:.2g} s is {ratio[worst]:.2g} times the model, as with "
+        "vibration or a sensor's filter: the model describes the slow noise, which a navigation filter integrates"
+    ]
+
+
+def trend_of(values: Array, interval: float, found: Fit) -> float:
+    """Return the least-squares trend, unit/s, if the fitted processes do not explain it, else 0."""
+    n = len(values)
+    duration = n * interval
+    if duration < LONG_TREND:
+        return 0.0
+    time = (np.arange(n) - (n - 1) / 2) * interval
+    trend = float(np.dot(time, values - np.mean(values)) / np.dot(time, time))
+    # The variance of a trend is the integral of the density times the squared response of the least-squares fit.
+    x = np.geomspace(1e-2, 1e3, 2000)
+    omega = 2 * x / duration
+    rate = 0.0 if math.isinf(found.time) else 1 / found.time
+    w, b, k = (one.value for one in (found.white, found.instability, found.walk))
+    density = w**2 + b**2 / omega + k**2 / (omega**2 + rate**2)
+    response = 24 * (np.sin(x) - x * np.cos(x)) / (omega**2 * duration**3)
+    variance = float(np.trapezoid(density * response**2, omega)) / math.pi
+    return trend if abs(trend) > TREND * math.sqrt(variance) else 0.0

@@ -1,0 +1,186 @@
+"""Noise model of an axis, fitted to the spectrum of its static samples.
+
+The two-sided spectral density is
+
+    S(f) = N^2 + B^2 / (2 pi f) + K^2 / ((2 pi f)^2 + 1 / T^2)
+
+with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias that walks by K (rate
+random walk) and, with a finite correlation time T, returns: a first-order Gauss-Markov process of the variance
+K^2 T / 2. Whittle's likelihood (1953) of the periodogram gives the best values and, by its profile, intervals. Unlike
+lines that are laid along an Allan deviation, it separates processes that overlap, and knows what a log does not show.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.fft import prev_fast_len, rfft
+
+from sigmaswarm.drives.tables import Array
+
+BAND = 0.1
+"""Highest frequency used, over the sampling rate: above, sensors filter, and engines shake."""
+ENOUGH = 400
+"""Frequencies that are used at least, if need be up to half the sampling rate."""
+FIRST = 2
+"""Lowest frequency used, periods per stretch: the trend, which is taken off, contains most of the lower ones."""
+PER_DECADE = 24
+"""Bands of frequencies that are averaged."""
+TAPER = 1.5
+"""Neighboring frequencies that count as one, as the sine taper correlates them."""
+CERTAIN = 5.99
+"""Deviance of the points of a 95% interval above the smallest one: chi-square with two degrees of freedom, since the
+unknown correlation time widens the others' intervals. They cover 93 to 100% (benchmarks/imu_noise.py)."""
+POINTS = 11
+"""Values of a parameter at which its profile is computed in each pass."""
+PASSES = 3
+"""Passes that close in on an end of an interval."""
+TIMES = 8
+"""Finite correlation times that are tried."""
+STEPS = 15
+"""Fisher's scoring has converged after so many."""
+SHORTEST = 10.0
+"""s: a shorter correlation time looks like a sensor's low-pass filter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Averaged periodogram: frequencies (n,), Hz, densities, unit^2/Hz, and independent values in each."""
+
+    frequency: Array
+    density: Array
+    count: Array
+    interval: float
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with the ends of its 95% interval; ``low`` is 0 where the log does not show that it exists."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The fitted model: N, B, K with intervals, and T (s), inf where the log does not show that it is finite."""
+
+    white: Interval
+    instability: Interval
+    walk: Interval
+    time: float
+
+
+def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
+    """Average the periodograms of stretches (n,) of one signal, without their means and trends.
+
+    The sine taper keeps the power of a drift away from the higher frequencies (Riedel and Sidorenko 1995).
+    """
+    duration = interval * sum(map(len, parts))
+    highest = min(0.5, max(BAND, ENOUGH * interval / duration)) / interval
+    frequencies, densities = list[Array](), list[Array]()
+    for part in parts:
+        n = int(prev_fast_len(len(part), real=True) or 1)
+        time = np.arange(n) - (n - 1) / 2
+        values = part[:n] - np.mean(part[:n])
+        values -= time * (np.dot(time, values) / np.dot(time, time))
+        values *= np.sin(np.pi * (np.arange(n) + 0.5) / n)
+        last = int(min(highest * n * interval, (n - 1) // 2))
+        power = np.abs(np.asarray(rfft(values))[FIRST : last + 1]) ** 2
+        frequencies.append(np.arange(FIRST, last + 1) / (n * interval))
+        densities.append(power * interval * 2 / n)
+    frequency, density = np.concatenate(frequencies), np.concatenate(densities)
+    band = np.floor(PER_DECADE * np.log10(frequency / np.min(frequency))).astype(int)
+    count = np.bincount(band)
+    used = count > 0
+    density, inverse = (np.bincount(band, v)[used] / count[used] for v in (density, frequency**-2.0))
+    return Spectrum(inverse**-0.5, density, count[used] / TAPER, interval)
+
+
+def fit(spectrum: Spectrum, duration: float) -> Fit:
+    """Fit the noise model to a spectrum; ``duration`` (s) of the longest stretch bounds the correlation time."""
+    s, angle = spectrum, 2 * np.pi * spectrum.frequency * spectrum.interval
+    times = np.geomspace(SHORTEST, duration, TIMES) if duration > 2 * SHORTEST else np.zeros(0)
+    rates = np.concatenate([[0.0], 1 / times])
+    flicker = s.interval / (2 * np.sin(angle / 2))
+    shapes = np.array([[np.ones_like(angle), flicker, _walk(angle, s.interval, rate)] for rate in rates])
+    variances, deviance = _smallest(s, np.zeros((len(rates), 1)), shapes)
+    best = int(np.argmin(deviance))
+    limit = float(deviance[best]) + CERTAIN
+    white, instability, walk = (_interval(s, shapes, k, float(variances[best, k]), limit) for k in range(3))
+    return Fit(white, instability, walk, math.inf if deviance[0] <= limit else 1 / float(rates[best]))
+
+
+def _walk(angle: Array, interval: float, rate: float) -> Array:
+    """Density of a sampled bias that walks by 1 and returns at a rate (1/s), at angular frequencies (n,) per sample."""
+    keep = math.exp(-rate * interval)
+    return interval**2 / ((1 - keep) ** 2 + 4 * keep * np.sin(angle / 2) ** 2)
+
+
+def _smallest(s: Spectrum, known: Array, shapes: Array) -> tuple[Array, Array]:
+    """Minimize Whittle's deviance of models known (..., n) + sum_k v_k shapes (..., k, n) over variances v >= 0.
+
+    Fisher's scoring: each step is a least-squares fit with the weights of the last model.
+    """
+    sets = [list(c) for m in range(1, shapes.shape[-2] + 1) for c in combinations(range(shapes.shape[-2]), m)]
+    size = np.sqrt(np.mean(shapes**2, axis=-1, keepdims=True))
+    shapes = shapes / size
+    variances = np.zeros(0)
+    model = np.broadcast_to(s.density, np.broadcast_shapes(known.shape, shapes[..., 0, :].shape))
+    for step in range(STEPS):
+        weighted = shapes * (s.count / model**2)[..., None, :]
+        matrix = weighted @ np.swapaxes(shapes, -1, -2)
+        right = weighted @ (s.density - known)[..., None]
+        variances = _least_squares(matrix, right[..., 0], sets)
+        now = known + np.sum(variances[..., None] * shapes, axis=-2)
+        now = np.maximum(now, 1e-6 * s.density)
+        model = now if step else np.sqrt(now * model)
+    deviance = 2 * np.sum(s.count * (np.log(model / s.density) + s.density / model - 1), axis=-1)
+    return variances / size[..., 0], deviance
+
+
+def _least_squares(matrix: Array, right: Array, sets: list[list[int]]) -> Array:
+    """Solve normal equations (..., k, k), (..., k) for values >= 0: the best of all sets of values that are not 0."""
+    best, gain = np.zeros_like(right), np.zeros(right.shape[:-1])
+    for chosen in sets:
+        part = matrix[..., chosen, :][..., :, chosen] * (1 + 1e-9 * np.eye(len(chosen)))
+        solved = np.linalg.solve(part, right[..., chosen, None])[..., 0]
+        gained = np.sum(solved * right[..., chosen], axis=-1)
+        better = (solved >= 0).all(-1) & (gained > gain)
+        candidate = np.zeros_like(right)
+        candidate[..., chosen] = solved
+        best, gain = np.where(better[..., None], candidate, best), np.where(better, gained, gain)
+    return best
+
+
+def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float) -> Interval:
+    """Return the root of a variance and the ends of its interval, where the profile crosses a limit."""
+    others = shapes[:, [i for i in range(3) if i != k]]
+    own = shapes[:, k]
+
+    def profile(values: Array) -> Array:
+        known = values[:, None, None] ** 2 * own
+        return np.min(_smallest(s, known, np.broadcast_to(others, (len(values), *others.shape)))[1], axis=1)
+
+    top = math.sqrt(float(np.max(s.density / own[0])))
+    value = math.sqrt(variance)
+    high = _crossing(profile, np.geomspace(max(value, 1e-4 * top), 4 * top, POINTS), limit)
+    if value == 0 or profile(np.zeros(1))[0] <= limit:
+        return Interval(value, 0.0, high)
+    return Interval(value, _crossing(profile, np.geomspace(value, 1e-3 * value, POINTS), limit), high)
+
+
+def _crossing(profile: Callable[[Array], Array], grid: Array, limit: float) -> float:
+    """Return where a profile first exceeds a limit along a grid, which begins below it."""
+    first, last, share = grid[0], grid[0], 0.0
+    for _ in range(PASSES):
+        excess = profile(grid) - limit
+        above = np.flatnonzero(excess > 0)
+        i = max(int(above[0]), 1) if len(above) else len(grid) - 1
+        first, last = grid[i - 1], grid[i]
+        share = excess[i - 1] / (excess[i - 1] - excess[i])
+        grid = np.geomspace(first, last, POINTS)
+    return float(first * (last / first) ** np.clip(share, 0, 1))

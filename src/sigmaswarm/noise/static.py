@@ -1,0 +1,159 @@
+"""Static stretches of a log, and what makes an axis unusable."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.gaps import gaps_before
+from sigmaswarm.drives.tables import Array, Gps, Imu
+from sigmaswarm.errors import InputError
+
+AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+SHORTEST = 10.0
+"""s: shorter stretches are left out."""
+FEWEST = 50
+"""Samples of a stretch, at least."""
+BLOCK = 1.0
+"""s over which a mean and a deviation show motion."""
+JUMP = {"a": 0.1, "g": np.radians(0.5)}
+"""m/s2, rad/s: change of a sensor's mean from one block to the next that shows motion."""
+RESTLESS = 3.0
+"""Deviation within a block over the quietest ones that shows motion,"""
+CALM = {"a": 0.02, "g": np.radians(0.1)}
+"""m/s2, rad/s: unless it stays below this,"""
+ROUGH = 0.3
+"""m/s2: and always where an accelerometer's exceeds this."""
+FIX_SPEED = 0.5
+"""m/s: speed of a straight line through a stretch's fixes that shows motion."""
+SAMPLE = 100_000
+"""Samples that show the step."""
+PILED = 3.0
+"""Samples at the end of an axis's range over those at the next value that show saturation,"""
+LEAST_PILED = 1e-3
+"""if they are more than this share."""
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Static stretches as slices of the samples, the share of the log (0 to 1) that is static, and gaps of the log."""
+
+    parts: tuple[slice, ...]
+    share: float
+    gaps: int
+
+
+def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
+    """Find the times at which the IMU stands: by its samples, and by the fixes, if there are any.
+
+    Raises
+    ------
+    InputError
+        No stretch is long enough.
+    """
+    steps = np.diff(imu.time)
+    if len(imu) < FEWEST or not np.all(steps > 0):
+        raise InputError(f"{len(imu)} samples with increasing times are no log; give {SHORTEST:g} s at least")
+    columns = [axis for axis in AXES if getattr(imu, axis) is not None]
+    if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
+        raise InputError(f"{wrong[0]} has values that are no numbers; leave these samples out")
+    interval = float(np.median(steps))
+    size = max(round(BLOCK / interval), 5)
+    begins = np.concatenate([[0], np.flatnonzero(gaps_before(imu.time) > 0)])
+    ends = np.append(begins[1:], len(imu))
+    blocks = (ends - begins) // size
+    starts = np.concatenate([b + size * np.arange(n) for b, n in zip(begins, blocks, strict=True)])
+    fresh = np.isin(starts, begins)  # a block that follows a gap has no neighbor before it
+    calm = _calm_blocks(imu, starts, size, fresh)
+    whole = calm.all()
+    parts: list[slice] = []
+    for run in _runs(calm, fresh):
+        # The car still rocks in the first and the last block of a standstill.
+        first, last = (run.start, run.stop) if whole else (run.start + 1, run.stop - 1)
+        part = slice(int(starts[first]), int(starts[last - 1]) + size) if last > first else slice(0, 0)
+        if (part.stop - part.start) * interval >= SHORTEST and part.stop - part.start >= FEWEST:
+            parts += [] if gps is not None and _drives(imu, gps, part) else [part]
+    if not parts:
+        duration = imu.time[-1] - imu.time[0]
+        what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
+        raise InputError(
+            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU lying still, an hour for all noises"
+        )
+    static = sum(part.stop - part.start for part in parts)
+    return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
+
+
+def _calm_blocks(
+    imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return which blocks are as quiet as the quietest, with the means of their neighbors."""
+    calm = np.ones(len(starts), np.bool_)
+    for axis in AXES:
+        values = getattr(imu, axis)
+        if values is None or not len(starts):
+            continue
+        mean, squares = np.zeros(len(starts)), np.zeros(len(starts))
+        for k in range(size):
+            mean += values[starts + k] / size
+        for k in range(size):
+            squares += (values[starts + k] - mean) ** 2 / size
+        spread = np.sqrt(squares)
+        jumps = (np.abs(np.diff(mean)) > JUMP[axis[0]]) & ~fresh[1:]
+        calm[1:] &= ~jumps
+        calm[:-1] &= ~jumps
+        calm &= spread <= max(RESTLESS * np.percentile(spread, 10), CALM[axis[0]])
+        if axis[0] == "a":
+            calm &= spread <= ROUGH
+    return calm
+
+
+def _runs(calm: NDArray[np.bool_], fresh: NDArray[np.bool_]) -> list[slice]:
+    """Return the runs of calm blocks without a gap."""
+    runs: list[slice] = []
+    first = 0
+    for i in range(1, len(calm) + 1):
+        if i == len(calm) or fresh[i] or calm[i] != calm[first]:
+            runs += [slice(first, i)] if calm[first] else []
+            first = i
+    return runs
+
+
+def _drives(imu: Imu, gps: Gps, part: slice) -> bool:
+    """Return whether the fixes move during a stretch."""
+    first, last = imu.time[part.start], imu.time[part.stop - 1]
+    inside = (gps.time >= first) & (gps.time <= last)
+    if np.count_nonzero(inside) < 3:
+        return False
+    time = gps.time[inside] - np.mean(gps.time[inside])
+    speeds = [np.dot(time, x[inside]) / np.dot(time, time) for x in (gps.x, gps.y)]
+    return bool(np.hypot(*speeds) > FIX_SPEED)
+
+
+def step_of(values: Array) -> float:
+    """Return the quantization step of samples (n,), or 0."""
+    levels = np.unique(values[:: max(1, len(values) // SAMPLE)])
+    if len(levels) < 2 or len(levels) > SAMPLE // 10:
+        return 0.0
+    step = float(np.median(np.diff(levels)[np.diff(levels) > 1e-9 * np.ptp(levels)]))
+    steps = np.diff(levels) / step
+    return step if np.all(np.abs(steps - np.round(steps)) < 0.05) else 0.0
+
+
+def fault_of(values: Sequence[Array]) -> str | None:
+    """Return why the samples of an axis do not show its noise, or None."""
+    low, high = min(np.min(v) for v in values), max(np.max(v) for v in values)
+    if low == high:
+        return f"constant at {low + 0.0:.6g}: dead, or quantized in steps that are larger than its noise"
+    step, count = step_of(np.concatenate(values)), sum(map(len, values))
+    if high - low <= 2.5 * step:
+        return f"quantized in steps of {step:.3g}, which hide its noise"
+    for end, inward in ((high, -1.0), (low, 1.0)):
+        inner = [v[v != end] for v in values]
+        follows = -inward * max(float(np.max(-inward * v)) for v in inner if len(v))
+        at_end, at_next = (sum(int(np.count_nonzero(v == x)) for v in values) for x in (end, follows))
+        if at_end > max(PILED * at_next, LEAST_PILED * count, 5):
+            return (
+                f"saturated: {100 * at_end / count:.2g}% of the samples are {end:.6g}, the end of its range"
+            )
+    return None

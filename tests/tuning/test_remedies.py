@@ -1,0 +1,111 @@
+"""Each remedy of a TO DO, applied, changes the figure that it is about, and names no option that was not given."""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from doctor.test_clock_search import robot
+from sigmaswarm import Drive, Tuning, diagnose, evaluate, simulate, split_time, tune
+from sigmaswarm.tuning.receiver import FixNoise, accuracy_warnings, fix_noise, noise_warnings
+from sigmaswarm.wording import TO_DO
+from support import quickly
+
+DRIVE = simulate("urban", run=2, duration=90.0, gps="white-1m")
+FEW = {"trials": 1, "particles": 12, "generations": 10}
+
+
+def smooth(std: float | None = None) -> Drive:
+    """Fixes with errors of 0.3 m that last 10 s, without truth; ``std``: what drive.toml states, m."""
+    time, rng = DRIVE.gps.time, np.random.default_rng(3)
+    stay = np.exp(-np.median(np.diff(time)) / 10.0)
+    pushes = 0.3 * np.sqrt(1 - stay**2) * rng.standard_normal((2, len(time)))
+    error = lfilter([1.0], [1.0, -stay], pushes)
+    x, y = np.array([np.interp(time, DRIVE.truth.time, v) for v in (DRIVE.truth.x, DRIVE.truth.y)]) + error
+    gps = type(DRIVE.gps)(DRIVE.gps.time, x, y)
+    return replace(DRIVE, truth=None, gps=gps, metadata={} if std is None else {"gps_std_m": std})
+
+
+def to_dos(tuning: Tuning[Any], about: str) -> list[str]:
+    return [r for r in tuning.remarks if r.startswith(TO_DO) and about in r]
+
+
+def test_gps_std_m_brings_the_nis_of_a_smooth_receiver_up():
+    plain, stated = (tune(smooth(std), model="planar8", use=["lateral"], **FEW) for std in (None, 0.3))
+    assert "write gps_std_m into drive.toml" in to_dos(plain, "gps_std_m")[0]
+    assert not to_dos(stated, "gps_std_m")
+    nis = [evaluate(smooth(), t.parameters).consistency[DRIVE.name].mean_nis for t in (plain, stated)]
+    r = [np.sqrt(np.mean(t.parameters.measurement_noise)) for t in (plain, stated)]
+    assert 1.0 < r[0] < 4.0 and 0.15 < r[1] < 0.6, r
+    assert nis[1] > 2 * nis[0], nis
+
+
+def test_a_deviation_in_drive_toml_or_the_accuracy_answers_an_r_that_copies_the_fixes():
+    copying = replace(tune(smooth(0.05), model="planar8", use=["lateral"], **FEW).parameters)
+    copying = replace(copying, measurement_noise=(0.01**2, 0.01**2))
+    (said,) = noise_warnings(copying, [FixNoise(float("nan"), 0.1)], ["lateral"])
+    assert "write the receiver's deviation, m per axis, as gps_std_m into drive.toml" in said
+    assert "--use" not in said
+    assert fix_noise(smooth(1.5)).stated == 1.5
+    (said,) = noise_warnings(copying, [FixNoise(1.5, 0.1)], ["lateral"])
+    assert "tune with --use lateral accuracy" in said
+
+
+def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
+    drive = replace(DRIVE, truth=None)
+    std = np.random.default_rng(1).uniform(1.0, 3.0, len(drive.gps))
+    drive = replace(drive, gps=replace(drive.gps, std_x=std, std_y=std))
+    options = {"model": "planar8", **FEW}
+    with_it = tune(drive, use=["lateral", "accuracy"], **options)
+    scaled = replace(with_it.parameters, accuracy_scale=1e-3)
+    (said,) = accuracy_warnings(scaled, [2.0], ["lateral", "accuracy"])
+    use = re.findall(r"tune with --use (.*?):", said)[0].split()
+    without = tune(drive, use=use, **options)
+    assert without.parameters.accuracy_scale is None and not to_dos(without, "plays no part")
+
+
+@pytest.mark.parametrize(
+    ("objective", "better"),
+    quickly([("truth-rmse", "truth-rmse + 0.2 nees"), ("truth-pose", "truth-pose + 0.2 nees")],
+            lambda objective, better: objective == "truth-rmse"),
+)  # fmt: skip
+def test_nees_in_the_objective_sets_the_scale_of_the_covariances(objective: str, better: str):
+    options = {"model": "planar8", "use": ["lateral"], **FEW}
+    free = tune(DRIVE, objective=objective, **options)
+    assert f"tune with '{better}'" in to_dos(free, "scale of the covariances")[0]
+    bound = tune(DRIVE, objective=better, **options)
+    assert not to_dos(bound, "scale of the covariances")
+    off = [
+        abs(np.log(evaluate(DRIVE, t.parameters).consistency[DRIVE.name].mean_nees / 2))
+        for t in (free, bound)
+    ]
+    assert off[1] < off[0]
+
+
+def test_the_lateral_constraint_determines_the_heading():
+    options = {"model": "planar8", "objective": "innovation-t", **FEW}
+    without = tune(DRIVE, use=[], **options)
+    assert "--use lateral" in to_dos(without, "heading")[0]
+    with_it = tune(DRIVE, use=["lateral"], **options)
+    assert not to_dos(with_it, "heading")
+    off = [evaluate(DRIVE, t.parameters).mean("tuned", "heading_rmse_deg") for t in (without, with_it)]
+    assert off[1] < off[0]
+
+
+@pytest.mark.long
+def test_a_log_that_begins_in_reverse_is_cut_as_the_doctor_says():
+    whole = robot(True, 0)
+    (found,) = [f for f in diagnose(whole).findings if f.code == "reverse-start"]
+    at = float(re.findall(r"--at (\d+)", found.remedy)[0])
+    part = split_time(whole, at=at)[1]
+    assert "reverse-start" not in diagnose(part).codes
+    assert to_dos(tune(whole), "diverged")
+    assert not to_dos(tune(part), "DON'T USE IT")
+
+
+def test_no_remedy_of_a_tuning_without_options_speaks_of_leaving_them_out():
+    found = tune(smooth(), trials=1, particles=4, generations=2)
+    assert not [r for r in found.remarks if "leave" in r]
