@@ -22,6 +22,7 @@ from sigmaswarm.scoring.measures import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import SWARM
+from sigmaswarm.tuning.diagnostics import said_of_forecasts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
@@ -110,7 +111,11 @@ def tuning_report(folder: Path) -> Report:
     command, note = tune_command(file.config, [d.name for d in file.data], result.validation_drives)
     return Report(
         title=f"Tuning of {filter_name(file)}",
-        lead=(what_was_tuned(file), held_out),
+        lead=(
+            what_was_tuned(file),
+            held_out,
+            *(f"D{said[1:]}." for said in said_of_forecasts(file.forecasts)),
+        ),
         figures=tuple(figures),
         remarks=tuple(result.remarks),
         sections=(
