@@ -161,6 +161,7 @@ def evaluate(
         A second filter, of any model; also the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
+        ``fixes_alone`` (noises of the filter of the fixes alone; a `Tuning` has them),
         ``cluster``.
 
     Returns
@@ -180,7 +181,7 @@ def evaluate(
     if isinstance(drives, FilterParameters | Tuning):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
     if isinstance(parameters, Tuning):
-        options = {"seen": parameters.seen or None} | options
+        options = {"seen": parameters.seen or None, "fixes_alone": parameters.fixes_alone} | options
     other = filter_of(against) if isinstance(against, Tuning) else against
     return evaluation.evaluate(drives, filter_of(parameters), against=other, **options)
 

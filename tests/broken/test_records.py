@@ -2,26 +2,34 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fuzzing.check import limited
 from fuzzing.records import record_network
 from sigmaswarm import FilterParameters, evaluate, tune
+from sigmaswarm.cli.simulate import _require_made_with  # pyright: ignore[reportPrivateUsage]
+from sigmaswarm.datasets.cluster import _scheduler  # pyright: ignore[reportPrivateUsage]
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.comparison import Outcome
+from sigmaswarm.experiments.compare import compare
+from sigmaswarm.experiments.comparison import Comparison, Outcome
+from sigmaswarm.experiments.study.timings import _content  # pyright: ignore[reportPrivateUsage]
 from sigmaswarm.exports.targets import export_filter
-from sigmaswarm.files import staged_files, write_whole
+from sigmaswarm.files import staged_files, whole_file, write_whole
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.records import load_record
+from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.tuning.record import History, TuningRecord
-from sigmaswarm.tuning.store import finished_trial
+from sigmaswarm.tuning.store import ResultFolder, finished_trial
 from support import make_drive
 
 TEXTS: dict[str, bytes] = {
@@ -249,3 +257,147 @@ def test_weights_of_another_shape_are_named(name: str, how: str, tmp_path: Path)
     np.savez(tmp_path / "weights.npz", **arrays)
     with pytest.raises(InputError, match=r"weights\.npz: not .*; repeat the command that made the folder"):
         load_learned(tmp_path)
+
+
+LONG = "x" * 9000
+CONFIGS = {
+    "a long version": {"versions": {"numba": LONG}},
+    "versions of other types": {"versions": {"numba": [1], "sigmaswarm": {}}},
+    "a version of two lines": {"versions": {"sigmaswarm": "0.4.0\n", "a\nb": "\x1b[31m"}},
+    "no versions": {"versions": [LONG]},
+    "a long key": {LONG: 1},
+    "a key of two lines": {"a\nb": 1},
+    "a value of two lines": {"seed": "a\nb"},
+    "drives of two lines": {"data": [{"name": "a\nb", "sha256": "\r" * 9}]},
+    "a long drive": {"data": [{"name": LONG, "sha256": LONG}] * 99},
+    "a long model": {"model": {"name": LONG, "sha256": "\n"}},
+    "nested": {"seed": json.loads('{"a":' * 400 + "1" + "}" * 400)},
+}
+
+
+@pytest.mark.parametrize("how", CONFIGS)
+def test_a_damaged_config_of_a_tuning_is_one_line(how: str, tmp_path: Path):
+    config = {"seed": 1, "versions": {"numba": "1"}, "data": [], "model": "planar5"}
+    (tmp_path / "config.json").write_text(json.dumps(config | CONFIGS[how]))
+    with pytest.raises(InputError, match=r"config\.json: ") as raised:
+        ResultFolder(tmp_path, config, resume=True)
+    assert str(raised.value).isprintable()
+    assert len(str(raised.value)) < 1000
+
+
+FILTERS = {
+    "a long value": f'kind = "{LONG}"',
+    "a long key": f"{LONG} = 1",
+    "a key of two lines": '"a\\nb" = 1',
+    "a long list": f"process_noise = [{'1,' * 5000}]",
+    "a text of two lines": 'alpha = "1\\n2"',
+    "many digits": f"alpha = {'9' * 4000}",
+}
+
+
+@pytest.mark.parametrize("how", FILTERS)
+def test_a_damaged_filter_is_one_line(how: str, tmp_path: Path):
+    FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5, (1.0, 1.0)).save(tmp_path / "t.toml")
+    text = (tmp_path / "t.toml").read_text()
+    key = FILTERS[how].split(" ")[0]
+    kept = [line for line in text.splitlines() if not line.startswith(f"{key} =")]
+    at = kept.index("[filter]") + 1
+    (tmp_path / "t.toml").write_text("\n".join([*kept[:at], FILTERS[how], *kept[at:]]))
+    with pytest.raises(InputError, match=r"t\.toml: ") as raised:
+        FilterParameters.load(tmp_path / "t.toml")
+    assert str(raised.value).isprintable()
+    assert len(str(raised.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    "how", ["another tuning", "fewer trials", "more trials", "other costs", "a cut table"]
+)
+def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
+    drive, options = make_drive(duration=20.0), {"particles": 3, "generations": 2, "trials": 2}
+    file = tmp_path / "a" / "convergence.csv"
+    History.of(tune(drive, out=tmp_path / "a", **options).trials).save(file)
+    read_report(tmp_path / "a")
+    lines = file.read_text().splitlines()
+    if how == "another tuning":
+        other = History.of(tune(drive, seed=1, **options).trials)
+        lines = other.save(tmp_path / "other.csv").read_text().splitlines()
+    elif how == "fewer trials":
+        lines = [line for line in lines if not line.startswith("1,")]
+    elif how == "more trials":
+        lines += ["2" + line[1:] for line in lines if line.startswith("1,")]
+    elif how == "other costs":
+        lines = [*lines[:-1], "1,2,3.0,3.0"]
+    else:
+        lines = [*lines[:-1], "1,1,7.0,7.0"]
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=r"convergence\.csv: does not belong to tuning\.toml"):
+        read_report(tmp_path / "a")
+
+
+@pytest.mark.parametrize(
+    "fails_at", ["comparison.md", "comparison.png", "comparison.csv", "runs.csv", "curves.csv"]
+)
+def test_a_comparison_over_an_older_one_is_whole(
+    fails_at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compared: Comparison
+):
+    save_comparison(compared, tmp_path)
+    before = listing(tmp_path)
+    other = replace(compared, contenders=compared.contenders[::-1])
+    write = whole_file.__wrapped__
+
+    @contextmanager
+    def full(path: Path) -> Iterator[object]:
+        if path.name == fails_at:
+            raise InputError(f"{path}: can't be written (No space left on device)")
+        yield from write(path)
+
+    monkeypatch.setattr("sigmaswarm.files.whole_file", full)
+    monkeypatch.setattr("sigmaswarm.reports.figures.whole_file", full)
+    with pytest.raises(InputError, match=fails_at):
+        save_comparison(other, tmp_path)
+    assert listing(tmp_path) == before
+
+
+@pytest.fixture(scope="module")
+def compared() -> Comparison:
+    """Two optimizers on a short drive."""
+    drive = make_drive(duration=20.0)
+    return compare(drive, optimizers=("pso", "de"), seeds=2, particles=3, generations=2, model="planar5")
+
+
+NESTED = {
+    "objects": b'{"a":' * 100_000,
+    "lists": b"[" * 100_000,
+    "both": b'[{"a":' * 50_000,
+    "an address": b'{"address":' * 50_000,
+    "closed": b"[" * 100_000 + b"]" * 100_000,
+}
+
+
+@pytest.mark.parametrize("how", NESTED)
+def test_a_damaged_scheduler_file_is_one_line(how: str, tmp_path: Path):
+    (tmp_path / "scheduler").write_bytes(NESTED[how])
+    with pytest.raises(InputError, match="is no scheduler file"):
+        _scheduler(str(tmp_path / "scheduler"))
+
+
+@pytest.mark.parametrize("how", NESTED)
+def test_damaged_timings_are_taken_anew(how: str, tmp_path: Path):
+    (tmp_path / "timings.json").write_bytes(NESTED[how])
+    assert _content(tmp_path / "timings.json") == {}
+
+
+DRIVES = {
+    "lists": b"a = " + b"[" * 3000,
+    "tables": b"a = " + b"{a=" * 3000,
+    "both": b"a = " + b"[{a=" * 3000,
+    "closed": b"scenario = " + b"[" * 3000 + b"]" * 3000,
+    "a long key": b"a" + b".a" * 200_000 + b" = 1",
+}
+
+
+@pytest.mark.parametrize("how", DRIVES)
+def test_simulate_into_a_damaged_drive_is_one_line(how: str, tmp_path: Path):
+    (tmp_path / "drive.toml").write_bytes(DRIVES[how])
+    with limited(2), pytest.raises(InputError, match="is no drive that simulate wrote"):
+        _require_made_with(tmp_path / "drive.toml", {"duration": None})

@@ -22,6 +22,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.scoring.evaluation import evaluate
+from sigmaswarm.tuning.diagnostics import Forecast, said_of_forecasts
 from support import make_drive
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -95,6 +96,8 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     )
     assert table["config"]["particles"] == 4
     assert [d["name"] for d in table["data"]] == ["urban-clear-00", "urban-clear-01"]
+    drifts = [Forecast(**each) for each in table["forecasts"]]
+    assert f"\n{said_of_forecasts(drifts)[0]}\n" in ended.out
     history = pl.read_csv("t/convergence.csv")
     assert history.columns == ["trial", "generation", "best_cost", "median_cost"]
     assert history["generation"].to_list() == [1, 2, 3] * 2
@@ -196,8 +199,12 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     for method in METHODS:
         value = said["mean"][method]["position_rmse_m"]
         assert f"{value:.4g}" in ended.out
-    improvement = said["improvement_percent"]["fixes_alone"]["position_rmse_m"]
-    assert f"{improvement:.0f}% lower than fixes alone (" in ended.out
+    best = min(said["mean"][m]["position_rmse_m"] for m in METHODS[1:])
+    assert best == said["mean"]["untuned"]["position_rmse_m"]
+    improvement = said["improvement_percent"]["untuned"]["position_rmse_m"]
+    assert improvement < 0, "the fixture's filter is none that was tuned"
+    assert f"{-improvement:.0f}% HIGHER than baseline ({best:.3g} m)" in ended.out
+    assert "lower than" not in ended.out
     assert re.search(r" 4 s *\n", ended.out)  # head of the column of drifts
     assert " 30 s " not in ended.out  # there is no room for such an outage
     consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
@@ -240,7 +247,7 @@ def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tu
     assert ended.out == "wrote e/page.html\n"
     text = Path("e/page.html").read_text()
     assert text.startswith("<!doctype html>")
-    assert "Outages last 4 s, and 30 s" in text
+    assert "Outages last 1, 4 and 30 s" in text
     assert json.loads(sigmaswarm("report", "e", "--out", "other.html", "--json").out) == {"out": "other.html"}
     assert Path("other.html").read_text() == text
 
@@ -329,6 +336,8 @@ def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm,
     first = sigmaswarm("tune", drives, "--out", "first", *quick, "--model", "planar5")
     assert "compare:" not in first.out
     sigmaswarm("evaluate", "first", drives, "--out", "an-evaluation")  # which holds a copy of first's
+    noise = tomllib.loads(Path("first/tuning.toml").read_text())["fixes_alone"]
+    assert json.loads(Path("an-evaluation/evaluation.json").read_text())["fixes_alone"] == noise
     other = sigmaswarm("tune", drives / "urban-clear-00", "--out", "other", *quick)
     assert "compare:" not in other.out, "it saw other drives"
     (said,) = re.findall(

@@ -62,6 +62,10 @@ def test_a_folder_with_imu_csv_alone_and_renamed_columns(sigmaswarm, log: Path, 
 def test_a_tuning(sigmaswarm, tuned: Path, here: Path):
     ended = sigmaswarm("noise", "--tuned", tuned, "--to", "sigmaswarm", "--out", "noise")
     assert ended.code == 0
+    assert "m/s/sqrt(h)" in ended.out
+    table, _, _ = ended.out.partition("note")
+    assert "bias instability" not in table
+    assert " to " not in table
     assert "note: a tuned Q also holds the errors of the filter's model" in ended.out
     text = Path("noise/imu_noise.toml").read_text()
     assert "# a tuned Q also holds" in text

@@ -1,11 +1,15 @@
 """Commands around the start of a drive: a stated heading, parts without a start, ideal sensors."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
+from scipy.spatial.transform import Rotation
 from tests.cli.conftest import Command
 
 from sigmaswarm import Drive, read_drive, simulate, split_time, write_drive
+from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.alignment import initial_state
 
 
@@ -66,6 +70,10 @@ def test_split_says_that_a_part_has_no_start(sigmaswarm: Command, tmp_path) -> N
     write_drive(still(), tmp_path / "still")
     ended = sigmaswarm("split", tmp_path / "still", "--out", tmp_path / "parts")
     assert ended.code == 0 and "still-test can't be used by itself" in ended.err.replace("\n", " ")
+    assert (
+        f"next: sigmaswarm doctor {tmp_path / 'parts' / 'still-train'} " in ended.out
+        and "tune" not in ended.out
+    )
 
 
 @pytest.mark.parametrize(("imu", "gps"), [("ideal", "ideal"), ("ideal", "white-1m"), ("mpu-6050", "ideal")])
@@ -79,3 +87,22 @@ def test_ideal_sensors_give_a_drive_that_is_read_back(
     assert ended.code == 0, ended.err
     (folder,) = (tmp_path / "d").iterdir()
     assert len(read_drive(folder).imu) > 100
+
+
+def test_import_proposes_the_cut_of_a_log_whose_imu_was_moved(
+    sigmaswarm: Command, tmp_path, monkeypatch
+) -> None:
+    drive = simulate("urban", duration=150.0, imu="icm-20602", gps="white-1m", run=4)
+    tilted = turned(drive.imu, Rotation.from_euler("y", 40, degrees=True).as_matrix())
+    late = drive.imu.time > 80
+    names = ("ax", "ay", "az", "gx", "gy", "gz")
+    moved = {n: np.where(late, getattr(tilted, n), getattr(drive.imu, n)) for n in names}
+    log = write_drive(replace(drive, imu=replace(drive.imu, **moved), name="log"), tmp_path / "log")
+    monkeypatch.chdir(tmp_path)
+    said = sigmaswarm("import", log / "imu.csv", "--gps", log / "gps.csv", "--out", "day").out
+    lines = [
+        line.partition("sigmaswarm ")[2] for line in said.splitlines() if line.startswith(("next:", "then:"))
+    ]
+    assert lines[0].startswith("split day --at ") and lines[1] == "doctor parts --fix mended"
+    assert sigmaswarm(*lines[0].split()).code == 0
+    assert sigmaswarm(*lines[1].split()).code == 0  # nothing serious is left

@@ -49,7 +49,7 @@ def test_a_replay_comes_beside_the_c_library(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"nominal_interval": None}, "which IMU interval .* add nominal_interval"),
+        ({"nominal_interval": None}, "does not state the IMU interval .* add nominal_interval"),
         ({"process_noise": (1e-3, -1e-3, 1e-3, 1e-3, 1e-3)}, "variance of the filter is not positive"),
         ({"measurement_noise": (0.0, 1.0)}, "variance of the filter is not positive"),
     ],

@@ -1,6 +1,7 @@
 """The filter of the fixes alone: held to a filter of FilterPy, and to what its noises are fitted to."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,13 +10,15 @@ from filterpy.kalman import KalmanFilter
 from sigmaswarm import baseline, simulate
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.fixes_alone import UNKNOWN_SPEED, FixesAlone, MotionNoise, fit_noise
+from sigmaswarm.filters.fixes_alone import UNKNOWN_SPEED, FixesAlone, MotionNoise, fit_noise, noise_of
 from sigmaswarm.filters.recording import joined
+from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.targets import outage_replay, tracking_replay
 from support import make_drive
 
-NOISE = MotionNoise(acceleration=0.7, fix=1.3)
+UNSTATED = 2.1**2
+NOISE = MotionNoise(acceleration=0.7, fix=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -23,16 +26,19 @@ def drive() -> Drive:
     return simulate("urban", duration=60, gps="white-1m")
 
 
-def test_it_is_the_filter_of_filterpy(drive: Drive):
+@pytest.mark.parametrize("stated", [True, False])
+def test_it_is_the_filter_of_filterpy(drive: Drive, stated: bool):
     """Position, velocity and covariance at every IMU sample, between fixes and at them."""
-    ready = PreparedDrive(drive)
+    gps = drive.gps if stated else replace(drive.gps, std_x=None, std_y=None)
+    ready = PreparedDrive(replace(drive, gps=gps))
     replay = tracking_replay(ready)
     found = joined(FixesAlone(replay, NOISE))
     line, start = replay.timeline, replay.initial
     kf = KalmanFilter(dim_x=4, dim_z=2)
     kf.x = np.array(start.mean[:4])
-    kf.P = np.diag([NOISE.fix, NOISE.fix, UNKNOWN_SPEED**2, UNKNOWN_SPEED**2])
-    kf.R, kf.H = NOISE.fix * np.eye(2), np.eye(2, 4)
+    r = NOISE.fix * (1.0 if stated else UNSTATED)
+    kf.P = np.diag([r, r, UNKNOWN_SPEED**2, UNKNOWN_SPEED**2])
+    kf.R, kf.H = r * np.eye(2), np.eye(2, 4)
 
     def move(to: float) -> None:
         nonlocal now
@@ -64,8 +70,17 @@ def test_the_fit_finds_the_noise_of_the_fixes(sigma: float):
     imu = make_drive(duration=400.0, seed=0)
     drive = replace(imu, gps=Gps(t, p[:, 0], p[:, 1]), truth=None)
     found = fit_noise(tracking_replay(PreparedDrive(drive)))
-    assert found.fix == pytest.approx(sigma**2, rel=0.25)
+    assert UNSTATED * found.fix == pytest.approx(sigma**2, rel=0.25)
     assert found.acceleration == pytest.approx(0.5, rel=0.5)
+    told = np.full(len(t), 2 * sigma)
+    stated = replace(drive, gps=replace(drive.gps, std_x=told, std_y=told))
+    assert noise_of(PreparedDrive(stated)).fix == pytest.approx(0.25, rel=0.25)
+
+
+def test_the_noise_of_several_drives_is_their_median():
+    each = [MotionNoise(0.1, 2.0), MotionNoise(1000.0, 0.5), MotionNoise(0.4, 4.0)]
+    found = MotionNoise.typical(each)
+    assert (found.acceleration, found.fix) == (pytest.approx(0.4), pytest.approx(2.0))
 
 
 def test_during_an_outage_it_goes_straight_on(drive: Drive):
@@ -86,3 +101,14 @@ def test_every_evaluation_has_its_row_also_without_truth(drive: Drive):
     assert scores["fixes_alone"].position_rmse < scores["raw_gps"].position_rmse
     assert blind.value(drive.name, "fixes_alone", "outage_drift_m") > 0  # pyright: ignore[reportOptionalOperand]
     assert blind.value(drive.name, "fixes_alone", "position_rmse_m") is None
+
+
+def test_an_evaluation_takes_the_noise_of_the_training_drives(drive: Drive):
+    own, tuned = evaluate(drive, baseline(drive)), evaluate(drive, baseline(drive), fixes_alone=NOISE)
+    assert own.setup.fixes_alone is None and tuned.setup.fixes_alone == NOISE
+    assert any("are fitted to each drive" in said for said in own.view.explanations())
+    assert any("are fitted to the training drives" in said for said in tuned.view.explanations())
+    drifts = [each.scores[drive.name]["fixes_alone"].outage_drift for each in (own, tuned)]
+    outages = Outages(PreparedDrive(drive), length=5.0, seed=0)
+    outages.run({"tuned": baseline(drive)}, {"alone": partial(FixesAlone, noise=NOISE)})
+    assert drifts[1] == outages.drift("alone") != drifts[0]

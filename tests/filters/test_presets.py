@@ -43,8 +43,12 @@ def test_datasheet_takes_what_the_drive_states():
 
 def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
     """What a tuning has to beat: nothing of it is tuned, and it uses what the tuned filter uses."""
-    plain, dt = baseline(DRIVE), DRIVE.nominal_interval
-    assert baseline(DRIVE, like=FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2)) == plain
+    dt, sheet = DRIVE.nominal_interval, baseline(DRIVE)
+    plain = baseline(DRIVE, like=FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2))
+    assert (plain.model, plain.kind, plain.alpha) == ("planar5", "ukf", sheet.alpha)
+    accel, gyro = 0.24**2 / 3600 + 0.3**2, np.radians(0.3) ** 2 / 3600 + 1e-3**2
+    assert np.array(plain.process_noise[2:]) / dt == pytest.approx([accel, accel, gyro], rel=1e-9)
+    assert plain.process_noise[:2] == pytest.approx((accel * dt**3 / 3,) * 2, rel=1e-9)
     q = [1e-3] * 12
     tuned = FilterParameters(
         1.0, 0.0, 0.0, q, [3.0] * 2, "tilted12", kind="ekf", lateral_noise=7.0, rear_axle=3.0, robust_dof=20.0
@@ -52,8 +56,8 @@ def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
     p = baseline(DRIVE, like=tuned)
     assert (p.model, p.kind, p.nominal_interval) == ("tilted12", "ekf", dt)
     assert p.process_noise[:5] == plain.process_noise and p.measurement_noise == plain.measurement_noise
+    white = gyro
     accel, gyro = 2 * 0.01**2 / 3600, 2 * np.radians(200 / 3600) ** 2 / 3600
-    white = np.radians(0.3) ** 2 / 3600
     assert np.array(p.process_noise[5:]) / dt == pytest.approx(
         [accel, accel, gyro, white, white, gyro, gyro], rel=1e-9
     )
@@ -62,6 +66,15 @@ def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
     stated = baseline(DRIVE, like=replace(tuned, accuracy_scale=5.0, lateral_noise=None))
     assert (stated.accuracy_scale, stated.rear_axle) == (1.0, 0.0)
     assert stated.measurement_noise == pytest.approx((0.01, 0.01))
+
+
+def test_the_accuracy_is_as_the_fixes_show_it():
+    """A receiver that states nothing and does not smooth shows its white noise."""
+    drive = simulate("urban", duration=60, gps="white-1m")
+    unstated = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata={})
+    like = FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2)
+    assert np.sqrt(baseline(unstated, like=like).measurement_noise) == pytest.approx(1.0, rel=0.2)
+    assert baseline(unstated).measurement_noise == pytest.approx((2.1**2, 2.1**2))
 
 
 def test_the_receiver_s_own_deviation_goes_before_the_file_s():

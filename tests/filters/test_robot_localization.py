@@ -336,7 +336,7 @@ def test_the_box_has_the_stated_variances_and_the_baseline_its_defaults():
     space = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "gate"))
     names = ["q_xy", "q_vx", "q_vy", "q_theta", "q_ax", "q_ay", "q_yaw_rate", "r_xy", "r_gyro", "r_accel"]
     assert list(space.names) == [*names, "lateral_noise", "gate"]
-    more = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "odometer", "imu_gate"))
+    more = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "odometer", "imu-gate"))
     assert list(more.names) == [*names, "lateral_noise", "odometer_noise", "gate_gyro", "gate_accel"]
     assert search_space(NAME, "log10", kind="ekf").decode(more.low[np.newaxis, :10])[0].imu_gate == (
         np.inf,

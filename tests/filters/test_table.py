@@ -28,8 +28,13 @@ SPACES: list[tuple[ModelName, FilterKind, tuple[Option, ...]]] = [
     ("planar5", "ukf", ()),
     ("planar5", "fuzzy-ukf", ()),
     ("planar8", "adaptive-ukf", ()),
-    ("planar8", "ukf", tuple(option for option in OPTIONS if option != "gate")),
+    (
+        "planar8",
+        "ukf",
+        tuple(option for option in OPTIONS if option not in ("gate", "imu-gate", "fix-error")),
+    ),
     ("tilted12", "ekf", ("lateral", "gate")),
+    ("robot-localization", "ekf", ("lateral", "odometer", "gate", "imu-gate")),
 ]
 
 

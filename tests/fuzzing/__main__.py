@@ -1,15 +1,15 @@
 """The fuzzer's long run: ``python -m fuzzing --minutes 30``. Prints what was tried, and keeps what was found."""
 
 import argparse
-import json
+import multiprocessing
 import resource
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
 import warnings
 from pathlib import Path
+from typing import Any
 
 from hypothesis import strategies as st
 
@@ -27,7 +27,7 @@ from fuzzing.check import (
 from fuzzing.seeds import SEEDS
 from importing.test_datasets import imu_csv
 
-BATCH = 50
+BATCH = 20
 """Inputs of one run of hypothesis; the clock is looked at in between."""
 NEAR = 0.5
 """Share of a limit from which the input that comes nearest to it is kept, as ``slowest`` or ``largest``."""
@@ -86,40 +86,53 @@ def fuzz(name: str, seconds: float, number: int, found: Path) -> dict[str, objec
     }
 
 
+def fuzz_in_child(*arguments: Any) -> tuple[dict[str, Any] | None, int | None]:
+    """Call `fuzz` in a process of its own, whose crash and peak memory are its own; its answer and its exit code."""
+    fork = multiprocessing.get_context("fork")
+    receiver, sender = fork.Pipe(duplex=False)
+
+    def work() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+        sender.send(fuzz(*arguments))
+
+    child = fork.Process(target=work)
+    child.start()
+    sender.close()
+    try:
+        answer = receiver.recv()
+    except EOFError:
+        answer = None
+    child.join()
+    return answer, child.exitcode
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="fuzzing", description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0, help="in all, over all readers")
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--found", type=Path, default=Path("fuzz-found"), help="folder for what is found")
-    parser.add_argument("--reader", choices=SEEDS, help="this one alone")
+    parser.add_argument("--reader", choices=SEEDS, nargs="+", default=list(SEEDS), help="these alone")
     options = parser.parse_args()
-    share = options.minutes * 60 / (1 if options.reader else len(SEEDS))
-    if options.reader:
-        resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
-        print(json.dumps(fuzz(options.reader, share, options.seed, options.found)))
-        return 0
-    print(f"seed {options.seed}, {share:.0f} s a reader, findings go to {options.found}/")
+    share = options.minutes * 60 / len(options.reader)
+    print(f"seed {options.seed}, {share:.0f} s a reader, findings go to {options.found}/", flush=True)
     failed = total = 0
-    for name in SEEDS:  # each in a process of its own, so that a crash and the peak memory are its own
-        command = [sys.executable, "-m", "fuzzing", "--reader", name, "--minutes", str(share / 60)]
-        command += ["--seed", str(options.seed), "--found", str(options.found)]
-        ended = subprocess.run(command, capture_output=True, text=True, check=False)
-        if ended.returncode:
+    for name in options.reader:
+        answer, code = fuzz_in_child(name, share, options.seed, options.found)
+        if answer is None:
             failed += 1
             last, died = options.found / name / "last", options.found / name / f"{options.seed}-died"
             if last.is_dir():
                 last.rename(died)
-            print(f"{name}: died with {ended.returncode} ({died}): {ended.stderr.strip()[-300:]}", flush=True)
+            print(f"{name}: died with {code} ({died})", flush=True)
             continue
-        told = json.loads(ended.stdout.splitlines()[-1])
-        total += told["tried"]
-        failed += len(told["findings"])
+        total += answer["tried"]
+        failed += len(answer["findings"])
         print(
-            f"{name:22} {told['tried']:6} inputs, {told['accepted']:6} read, slowest {told['slowest_s']:5.2f} s, "
-            f"peak {told['peak_mb']:5} MB, {len(told['findings'])} findings",
+            f"{name:22} {answer['tried']:6} inputs, {answer['accepted']:6} read, slowest "
+            f"{answer['slowest_s']:5.2f} s, peak {answer['peak_mb']:5} MB, {len(answer['findings'])} findings",
             flush=True,
         )
-        for kind, count in told["findings"].items():
+        for kind, count in answer["findings"].items():
             print(f"    {count:5} x {kind}", flush=True)
     print(f"{total} inputs, {failed} findings")
     return 1 if failed else 0

@@ -95,6 +95,8 @@ def test_comments_name_remarks_and_unknown_axes():
     assert "# a remark\n" in text
     assert "# gx is not known: as the other axes\n" in text
     assert "# az is not" not in text
+    assert "ICM-20602" not in text
+    assert "# an axis without a bias has the walk of an ICM-20602's\n" in text_of("kalibr", walk=0.0)
 
 
 @pytest.mark.parametrize(

@@ -141,6 +141,7 @@ def test_what_a_log_shows_has_an_interval_above_zero():
     found = mixed(1e-3, 0.0, 1e-3, math.inf, 0)
     assert 0.5e-3 < found.walk.low < 1e-3 < found.walk.high < 2e-3
     assert math.isinf(found.time)
+    assert found.white.high / found.white.low < 1.1  # 3600 frequencies
 
 
 def test_a_drive_uses_its_standstills_and_says_what_they_show():
@@ -197,10 +198,26 @@ def test_each_fault_of_a_log_gets_a_remark():
         "ay left out, constant at 0",
         "az left out, saturated: ",
         "gx left out, quantized in steps of 0.05",
-        "gy: the Allan deviation at 0.0",
+        "the Allan deviation is not that of the model (gy ",
     ):
         assert [remark for remark in noise.remarks if remark.startswith(expected)], (expected, noise.remarks)
-    assert not [remark for remark in noise.remarks if remark.startswith("gz")]
+    assert not [remark for remark in noise.remarks if "gz" in remark]
+
+
+@pytest.mark.parametrize("grade", ["mpu-6050", "adis16405"])
+def test_a_day_at_rest_is_one_stretch(grade):
+    log = static_log(grade, 86_400.0, 0.2)
+    (part,) = find_stretches(log).parts
+    assert len(log) - 20 <= part.stop - part.start
+
+
+def test_a_gyro_in_degrees_gets_a_remark():
+    log = replace(static_log("mpu-6050", 60.0, 0.05), az=None, gx=None, gy=None)
+    assert not [r for r in imu_noise(log).remarks if "unit" in r]
+    degrees = replace(log, gz=np.degrees(log.gz - np.mean(log.gz)))
+    assert [
+        r for r in imu_noise(degrees).remarks if r.startswith("the noise of gz is that of a gyro in deg/s")
+    ]
 
 
 def test_gaps_part_a_log():

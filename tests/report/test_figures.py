@@ -169,6 +169,7 @@ def test_comparison_has_bars_for_every_method():
         "position 50%, m",
         "position 95%, m",
         "heading error, deg",
+        "1 s outage drift, m",
         "5 s outage drift, m",
     ]
     assert [ax.get_title(loc="left") for ax in figure.axes] == titles
@@ -191,7 +192,7 @@ def test_comparison_has_bars_for_every_method():
 def test_comparison_without_truth_has_no_empty_panels():
     blind = replace(DRIVE, truth=None)
     figure = comparison(evaluate(blind, GOOD))
-    assert [ax.get_title(loc="left") for ax in figure.axes] == ["5 s outage drift, m"]
+    assert [ax.get_title(loc="left") for ax in figure.axes] == ["1 s outage drift, m", "5 s outage drift, m"]
     assert all(ax.patches for ax in figure.axes)
     short = replace(make_drive(duration=12.0, seed=1, name="short"), truth=None)
     (ax,) = comparison(evaluate(short, GOOD)).axes

@@ -26,7 +26,8 @@ BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
 METHODS = ["tuned", "untuned", "fixes_alone", "raw_gps", "imu_only"]
 NAMES = ["tuned UKF", "baseline", "fixes alone", "raw GPS", "IMU only"]
 POSITIONS = ["position_rmse_m", "position_median_m", "position_95_m"]
-MEASURES = [*POSITIONS, "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m"]
+DRIFTS = {"short_outage_drift_m": 1.0, "outage_drift_m": 5.0, "long_outage_drift_m": 30.0}
+MEASURES = [*POSITIONS, "heading_rmse_deg", *DRIFTS]
 DRIVES = [make_drive(duration=60.0, seed=s, name=f"drive-{s}") for s in range(2)]
 
 
@@ -155,7 +156,7 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
         start = initial_state(drive)
         sets = [GOOD, baseline(drive, like=GOOD)]
         batch = Replayer([drive], outages=False).scores(sets)
-        short, long = (drifts_of(drive, sets, length) for length in (5.0, 30.0))
+        drifts = {measure: drifts_of(drive, sets, length) for measure, length in DRIFTS.items()}
         for i, method in enumerate(METHODS[:2]):
             plain = score_estimate(drive, run_filter(drive, sets[i]))
             assert said[drive.name][method] == {
@@ -163,8 +164,7 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
                 "position_median_m": plain.position_median,
                 "position_95_m": plain.position_95,
                 "heading_rmse_deg": np.rad2deg(batch.heading_rmse[i, 0]),
-                "outage_drift_m": pytest.approx(short[i], rel=1e-12),
-                "long_outage_drift_m": pytest.approx(long[i], rel=1e-12),
+                **{measure: pytest.approx(each[i], rel=1e-12) for measure, each in drifts.items()},
             }
         raw = score_raw_gps(drive, start)
         assert [said[drive.name]["raw_gps"][m] for m in POSITIONS] == [

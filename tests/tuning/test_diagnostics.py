@@ -7,6 +7,7 @@ import pytest
 
 from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import divergence_warnings, drift_warnings, drifts_of, may_drift_far
@@ -57,6 +58,14 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     assert not may_drift_far([])
     assert may_drift_far([(25.0, 20.0)])
     assert np.isfinite(drifts_of(PreparedDrive(DRIVE), bad, most=2)).all()
+    assert [each.length_s for each in good.forecasts] == [1.0, 5.0, 30.0]
+    assert good.fixes_alone == MotionNoise.typical([noise_of(PreparedDrive(DRIVE))])
+    short = good.forecasts[1]
+    measured = drifts_of(PreparedDrive(DRIVE), good.parameters, 2, length=5.0, noise=good.fixes_alone)
+    assert (short.tuned_m, short.untuned_m, short.fixes_alone_m) == pytest.approx(measured)
+    assert "NOT BEATEN" in str(replace(short, fixes_alone_m=short.tuned_m))
+    assert "NOT BEATEN" not in str(replace(short, fixes_alone_m=1.01 * short.tuned_m))
+    assert f"drift without fixes: {good.forecasts[0]}" in repr(good)
     whole = evaluate([DRIVE], bad)
     assert (tuned, other) == pytest.approx(
         [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "untuned")]

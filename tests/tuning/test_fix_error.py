@@ -91,7 +91,7 @@ def test_without_truth_it_is_honest_where_white_noise_is_not(tmp_path):
     assert saved == tuning.parameters
     assert (saved.fix_std, saved.fix_error_time) == (1.0, 5.0)
     assert saved.fix_error is not None and saved.fix_error > 0.2
-    advice = "TO DO: add fix-error to --use"
+    advice = f"TO DO: tune with --use {' '.join(USE[:2])} fix-error"
     assert [w.startswith(advice) for w in white.warnings].count(True) == 1
     assert not any(w.startswith(advice) for w in tuning.warnings)
     with_error, without = (

@@ -95,6 +95,19 @@ def test_the_lateral_constraint_determines_the_heading():
     assert off[1] < off[0]
 
 
+def test_states_for_errors_that_last_whiten_the_innovations():
+    options: dict[str, Any] = {"model": "planar8", "kind": "ekf", **FEW}
+    plain = tune(smooth(0.3), use=["lateral"], **options)
+    use = re.findall(r"tune with --use (.*?):", to_dos(plain, "correlated")[0])[0].split()
+    assert use == ["lateral", "fix-error"]
+    mended = tune(smooth(0.3), use=use, **options)
+    assert not to_dos(mended, "correlated")
+    lag = [
+        evaluate(smooth(), t.parameters).consistency[DRIVE.name].autocorrelation[0] for t in (plain, mended)
+    ]
+    assert abs(lag[1]) < lag[0]
+
+
 @pytest.mark.long
 def test_a_log_that_begins_in_reverse_is_cut_as_the_doctor_says():
     whole = robot(True, 0)

@@ -25,6 +25,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
     from sigmaswarm.learned.folder import Learned
+    from sigmaswarm.tuning.record import TuningRecord
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,7 @@ class EvaluateOptions:
     Attributes
     ----------
     against
-        A second tuning to compare with, a file with your own parameters in a table [filter], or the ekf.yaml of
-        robot_localization.
+        A second tuning to compare with, your own parameters in a table [filter], or an ekf.yaml of robot_localization.
     out
         Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` needs.
     outage_length
@@ -102,13 +102,14 @@ def evaluate(
     from sigmaswarm.tuning.record import FILE, TuningRecord
 
     learned, out = load_learned(tuning), options.out
-    result = _evaluated(tuning, drives, options, learned)
+    record = load_record(TuningRecord, tuning / FILE if tuning.is_dir() else tuning)
+    result = _evaluated(tuning, drives, options, learned, record)
     _warn_of_training_drives(result)
     written = save_evaluation(result, out, tuning, learned) if out else []
     if options.json:
         print_json(result.to_dict())
         return
-    tuned = load_record(TuningRecord, tuning / FILE if tuning.is_dir() else tuning).result
+    tuned = record.result
     print_evaluation(result, verbose=options.verbose, more=tuned.warnings if tuned else ())
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
@@ -118,7 +119,11 @@ def evaluate(
 
 
 def _evaluated(
-    tuning: Path, drives: Sequence[str], options: EvaluateOptions, learned: "Learned | None"
+    tuning: Path,
+    drives: Sequence[str],
+    options: EvaluateOptions,
+    learned: "Learned | None",
+    record: "TuningRecord",
 ) -> "Evaluation":
 
     from sigmaswarm.learned.folder import seen_in
@@ -142,6 +147,7 @@ def _evaluated(
             smooth=options.smooth,
             swarm=options.swarm,
             more={learned.kind: run} if learned and run else {},
+            fixes_alone=record.fixes_alone,
         )
 
 

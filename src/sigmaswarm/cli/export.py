@@ -32,10 +32,9 @@ class ExportOptions:
     replay
         c99: a drive, written as input of the replay program.
     check
-        c99: drives on which the compiled C is compared with `sigmaswarm run`. robot-localization: drives on which
-        README.md compares the tuning with the default process noise.
+        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives whose errors README.md has.
     against
-        robot-localization, with --check: another tuning for this comparison, such as one of tilted12.
+        robot-localization, with --check: another tuning, whose errors README.md has, too.
     lanes
         c99: number of filters in a filter bank, 1 to 16, without its searches.
     seed

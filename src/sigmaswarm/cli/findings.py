@@ -1,5 +1,6 @@
 """A diagnosis on the terminal."""
 
+import re
 import shlex
 import warnings
 from collections.abc import Sequence
@@ -64,6 +65,13 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
                 f"{mending(diagnosis, folder)[0]}, or silence this with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+
+
+def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
+    """Return the command that cuts a drive in two, where a serious finding asks for that; else empty."""
+    remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
+    found = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
+    return found[0].replace("DRIVE", shlex.quote(str(folder))) if found else ""
 
 
 def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:

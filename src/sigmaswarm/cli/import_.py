@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
-from sigmaswarm.cli.findings import mending, print_diagnosis
+from sigmaswarm.cli.findings import cutting, mending, print_diagnosis
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json
 from sigmaswarm.cli.progress import progress_bar
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import shown
 
 if TYPE_CHECKING:
+    from sigmaswarm.doctor.findings import Diagnosis
     from sigmaswarm.importing.convert import Imported, Request
     from sigmaswarm.importing.look import Glance, Look
 
@@ -233,17 +234,21 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         return
     say(*_told(imported, out))
     print_diagnosis(diagnosis)
+    say(*_next_steps(diagnosis, out))
+
+
+def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
     ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
+    if cut := cutting(diagnosis, out):
+        yield from (f"next: {cut}", "then: sigmaswarm doctor parts --fix mended")
+        return
     if diagnosis.serious:
         command, mended = mending(diagnosis, out)
-        ready = mended or out
         go_on = f"go on with {mended}, not with {out}" if mended else "what it can't mend, mend in the log"
-        following = f"{command}    (then {go_on})"
-    say(
-        f"next: {following}",
-        f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned",
-        "      (or keep this drive back, to evaluate on it what was tuned on others)",
-    )
+        following, ready = f"{command}    (then {go_on})", mended or out
+    yield f"next: {following}"
+    yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
+    yield "      (or keep this drive back, to evaluate on it what was tuned on others)"
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

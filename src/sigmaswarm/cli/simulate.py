@@ -1,6 +1,5 @@
 """`sigmaswarm simulate`."""
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -160,10 +159,11 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
 def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
     """Refuse to continue a folder whose drives were made with other options."""
 
+    from sigmaswarm.records import read_content
     from sigmaswarm.simulation.journey import URBAN_DURATION
 
     try:
-        about = tomllib.loads(file.read_text(encoding="utf-8"))
+        about = read_content(file)
         scenario = about["scenario"]
         made = {
             "seed": scenario["seed"],
@@ -177,7 +177,7 @@ def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
             "terrain": scenario.get("terrain", "flat"),
             "odometer": about.get("odometer", {}).get("grade"),
         }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None
     urban = URBAN_DURATION if options["duration"] is None else options["duration"]
     wanted = {**options, "duration": None if made["duration"] is None else urban}  # of urban drives alone

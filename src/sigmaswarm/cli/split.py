@@ -39,6 +39,8 @@ def split(
         Time of the split on the drive's clock (`t` in its files), s.
     """
 
+    from sigmaswarm.drives.alignment import NoStart, find_start
+
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("give --at or --train-fraction, not both")
     whole = read_known(drive)
@@ -49,8 +51,10 @@ def split(
     if json:
         print_json({"drives": [train, test]})
         return
+    following = f"next: sigmaswarm tune {train} --out tuned", f"then: sigmaswarm evaluate tuned {test}"
+    if any(isinstance(find_start(part), NoStart) for part in parts):
+        following = (f"next: sigmaswarm doctor {train} {test} --fix mended",)
     say(
         *(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts),
-        f"next: sigmaswarm tune {train} --out tuned",
-        f"then: sigmaswarm evaluate tuned {test}",
+        *following,
     )

@@ -66,8 +66,7 @@ def tune(
     validation
         Drives that the search does not see, to measure the result on others.
     start
-        A filter from which the search starts: a tuning, or the ekf.yaml of robot_localization. Its inputs do not count;
-        --use chooses them.
+        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization; --use chooses the inputs.
     paper
         Use the paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
     resume
@@ -141,6 +140,7 @@ def _is_part(drive: "Drive") -> bool:
 
 
 def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
+    from sigmaswarm.tuning.diagnostics import said_of_forecasts
 
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
@@ -156,6 +156,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         on = counted(len(tuning.validation.drives), "validation drive")
         yield f"cost {tuning.validation.cost:.4f} on {on}: {said}"
+    yield from said_of_forecasts(tuning.forecasts)
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:

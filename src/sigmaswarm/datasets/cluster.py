@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from sigmaswarm.errors import InputError, SigmaswarmError
+from sigmaswarm.limits import MOST_TOML, read_bounded
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -161,8 +162,8 @@ def _scheduler(address: str) -> str:
             f"--cluster {address}: is no address like tcp://host:8786, no scheduler file that is there, and not local:N"
         )
     try:
-        return str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return str(json.loads(read_bounded(Path(address), MOST_TOML))["address"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(
             f"--cluster {address}: is no scheduler file; `dask scheduler --scheduler-file` writes one"
         ) from None

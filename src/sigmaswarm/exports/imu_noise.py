@@ -56,6 +56,8 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
         for axis in axes.split()
         if axis not in known
     ]
+    if not all(axis.bias(noise.longest)[0] for axis in noise.axes):
+        lines.append("an axis without a bias has the walk of an ICM-20602's")
     comments = [f"{sign} {' '.join(line.split())}" for line in lines]
     return {file: "\n".join([*comments, *written(noise), ""])}
 

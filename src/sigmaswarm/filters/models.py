@@ -350,7 +350,7 @@ MODELS: dict[str, CarModel] = {
         robot_localization,
         CITY_VARIANCE,
         measures_imu=True,
-        options=("lateral", "odometer", "gate", "imu_gate", "accuracy"),
+        options=("lateral", "odometer", "gate", "imu-gate", "accuracy"),
         kinds=("ekf",),
     ),
 }

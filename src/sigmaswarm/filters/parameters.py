@@ -159,9 +159,8 @@ class FilterParameters:
         if reason := clash(self.kind, used):
             raise ValueError(reason)
         known = MODELS[self.model].options
-        for field in (
-            () if known is None else ("velocity_noise", "standstill_noise", "robust_dof", "fix_error")
-        ):
+        absent = "velocity_noise", "standstill_noise", "robust_dof", "fix_error"
+        for field in () if known is None else absent:
             if getattr(self, field) is not None:
                 raise ValueError(f"{self.model} has no {field}; leave it out")
         if self.kernel not in FILTERS:

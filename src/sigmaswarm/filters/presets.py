@@ -10,16 +10,18 @@ Three presets, planar5 UKFs, stand for settings by hand:
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 
-A tuning is compared with the data-sheet filter of the same model and options: ``baseline(drive, like=tuned)``.
+A tuning is compared with a filter of the same model and options with usual noises: ``baseline(drive, like=tuned)``.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -51,6 +53,10 @@ ROBOT_LOCALIZATION_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 HALF_A_WHEELBASE = 1.3
 """m from the rear axle to an IMU in the middle of a car."""
+MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
+"""m/s2/sqrt(Hz), rad/s/sqrt(Hz): what a model leaves out (slopes, vibration, scale factors, mounting); added to the
+densities of the sensors. IMUs at standstill show 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With
+the densities of data sheets alone a filter drifted 1.3 to 60 times as far over 5 s as the tuned one, on six drives."""
 ACCURACY_FLOOR = 0.1**2
 """m2: R in addition to the stated variance of each fix."""
 
@@ -58,20 +64,22 @@ ACCURACY_FLOOR = 0.1**2
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is `drives.sensors.stated_std`; the IMU's densities are ``accel_noise_density``
-    (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, and the random walks of their biases
-    ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures.
-    Values without a data sheet are in `BY_HAND`.
+    The receiver's accuracy is that of `drives.sensors.receiver_std`: as stated, else as the fixes show it. The IMU's
+    densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml,
+    and `MODEL_NOISE` is added; the random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and
+    ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values without a data sheet are in
+    `BY_HAND`.
 
     Parameters
     ----------
     drive : Drive
     like : FilterParameters, optional
-        The filter whose model, type and options it gets. None: the paper's planar5 UKF.
+        The filter whose model, type and options it gets. None: the preset ``datasheet``, the paper's planar5 UKF with
+        data-sheet values alone.
     """
-    plain = _planar(drive)
-    if like is None or like == plain:
-        return plain
+    if like is None:
+        return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
+    plain = _planar(drive, receiver_std(drive), MODEL_NOISE)
     if MODELS[like.model].measures_imu:
         return _robot_localization(drive, like, plain)
     dt, gyro = drive.nominal_interval, plain.process_noise[THETA]
@@ -117,7 +125,9 @@ def as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
-    variances: dict[str, Any] = {"measurement_noise": _planar(drive).measurement_noise}
+    variances: dict[str, Any] = {
+        "measurement_noise": tuple(std**2 for std in stated_std(drive) or (UNSTATED_GPS_STD,) * 2)
+    }
     if drive.gps.std_x is not None and drive.gps.std_y is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None
@@ -129,18 +139,20 @@ def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 
-def _planar(drive: Drive) -> FilterParameters:
-    stated = drive.metadata
-    std_x, std_y = stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD)
-    accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY))
-    gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY))
-    dt = drive.nominal_interval
+def _planar(
+    drive: Drive, std: tuple[float, float], more: Mapping[str, float] = MappingProxyType({})
+) -> FilterParameters:
+    """The planar5 UKF for fixes of a standard deviation (east, north; m); ``more``: densities that add to the IMU's."""
+    stated, dt = drive.metadata, drive.nominal_interval
+    accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY)) ** 2
+    gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY)) ** 2
+    accel, gyro = accel + more.get("accel", 0.0) ** 2, gyro + more.get("gyro", 0.0) ** 2
     # White noise of density s over one step: s^2 dt in velocity and heading, s^2 dt^3 / 3 in position.
-    q_position, q_velocity, q_heading = accel**2 * dt**3 / 3, accel**2 * dt, gyro**2 * dt
+    q_position, q_velocity, q_heading = accel * dt**3 / 3, accel * dt, gyro * dt
     return replace(
         DEFAULTS,
         process_noise=(q_position, q_position, q_velocity, q_velocity, q_heading),
-        measurement_noise=(std_x**2, std_y**2),
+        measurement_noise=(std[0] ** 2, std[1] ** 2),
         nominal_interval=dt,
     )
 

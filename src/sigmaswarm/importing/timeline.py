@@ -10,6 +10,7 @@ from sigmaswarm.importing.dates import SECOND, WEEK, Nanoseconds
 from sigmaswarm.importing.places import Say
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import LONGEST_STEP, SHORTEST_STEP, UNITS
+from sigmaswarm.wording import names_shown
 
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of microseconds, 2^32"),
@@ -73,7 +74,7 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
     if len(parts) == 1:
         return parts[0], f"{where}: its clock does not restart; all its rows are taken" if part else ""
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
-    said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({', '.join(lengths)})"
+    said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({names_shown(lengths)})"
     if part is None:
         raise InputError(f"{said}; import each by itself: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):

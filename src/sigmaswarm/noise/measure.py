@@ -17,7 +17,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.importing.convert import import_imu, request_of
 from sigmaswarm.noise.allan import allan_deviation
 from sigmaswarm.noise.records import AxisNoise, Noise
-from sigmaswarm.noise.remarks import on_gravity, on_misfit, on_step, on_stretches, on_trend, trend_of
+from sigmaswarm.noise.remarks import on_gravity, on_gyro, on_misfit, on_step, on_stretches, on_trend, trend_of
 from sigmaswarm.noise.spectrum import Interval, fit, spectrum_of
 from sigmaswarm.noise.static import AXES, fault_of, find_stretches
 
@@ -132,6 +132,8 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
         raise InputError(f"no axis shows its noise: {'; '.join(remarks)}")
     lengths = tuple((float(time[p.start]), (p.stop - p.start) * interval) for p in parts)
     general = [*on_stretches(stretches, [length for _, length in lengths]), *on_gravity(imu, parts[0])]
+    remarks += on_gyro(axes)
+    remarks += on_misfit(axes, max(length for _, length in lengths))
     return Noise(name, 1 / interval, tuple(axes), lengths, (*general, *remarks))
 
 
@@ -142,5 +144,4 @@ def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[s
     tau, deviation = allan_deviation(values, interval)
     trend = trend_of(longest, interval, found)
     remarks += [*on_step(axis, longest), *on_trend(axis, trend)]
-    remarks += on_misfit(axis, tau, deviation, found, len(longest) * interval)
     return AxisNoise(axis, found.white, found.instability, found.walk, found.time, trend, tau, deviation)

@@ -120,9 +120,16 @@ class Noise:
             Column("unit"),
         )
         rows = [
-            (axis.axis, name, scale * one.value, (scale * one.low, scale * one.high), unit)
+            (
+                axis.axis,
+                name,
+                scale * i.value,
+                (scale * i.low, scale * i.high) if i.low < i.high else None,
+                unit,
+            )
             for axis in self.axes
-            for name, one, scale, unit in _in_units(axis)
+            for name, i, scale, unit in _in_units(axis)
+            if i.high > 0  # a filter has no flicker noise, and some have no bias
         ]
         return Table(f"Noise of the IMU, {self.name}", columns, tuple(rows))
 

@@ -1,13 +1,14 @@
 """Remarks on a log: what its stretches show, and what looks wrong about an axis."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.tables import Array, Imu
 from sigmaswarm.noise.allan import model_parts
-from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL
+from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL, AxisNoise
 from sigmaswarm.noise.spectrum import Fit
 from sigmaswarm.noise.static import Stretches, step_of
 from sigmaswarm.wording import counted
@@ -20,6 +21,8 @@ STATIC = 0.95
 """Share of a static log that is at rest."""
 UNLIKELY = 0.1
 """Relative error of gravity above which the unit is doubtful."""
+ROUGH_GYRO = 3e-3
+"""rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise that no sensor of a vehicle has, but many have it in deg/s."""
 MANY = 30.0
 """Averages of a stretch of which the Allan deviation is sure,"""
 MISFIT = 1.5
@@ -64,6 +67,17 @@ def on_gravity(imu: Imu, part: slice) -> list[str]:
     ]
 
 
+def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
+    """Return a remark where the gyro's noise is that of other units."""
+    rough = [a.axis for a in axes if a.axis[0] == "g" and a.white.value > ROUGH_GYRO]
+    if not rough:
+        return []
+    return [
+        f"the noise of {', '.join(rough)} is that of a gyro in deg/s: the unit looks wrong; correct it with "
+        '--map "gz=radians(gyro_z)"'
+    ]
+
+
 def on_step(axis: str, values: Array) -> list[str]:
     """Return a remark on an axis whose quantization adds to its noise."""
     step, deviation = step_of(values), float(np.std(values))
@@ -86,16 +100,20 @@ def on_trend(axis: str, trend: float) -> list[str]:
     ]
 
 
-def on_misfit(axis: str, tau: Array, deviation: Array, found: Fit, duration: float) -> list[str]:
-    """Return a remark on an axis whose Allan deviation (n,) at tau (n,), s, is not that of the model."""
-    model = model_parts(tau, found.white.value, found.instability.value, found.walk.value, found.time)
-    ratio = (deviation / np.sqrt(np.sum(np.square(model), axis=0)))[tau <= duration / MANY]
-    worst = int(np.argmax(np.abs(np.log(ratio))))
-    if 1 / MISFIT < ratio[worst] < MISFIT:
+def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
+    """Return a remark on the axes whose Allan deviation is not that of the model; ``duration``, s: longest stretch."""
+    found: list[str] = []
+    for a in axes:
+        parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)
+        ratio = (a.deviation / np.sqrt(np.sum(np.square(parts), axis=0)))[a.tau <= duration / MANY]
+        worst = int(np.argmax(np.abs(np.log(ratio))))
+        if not 1 / MISFIT < ratio[worst] < MISFIT:
+            found.append(f"{a.axis} {ratio[worst]:.2g} times at {a.tau[worst]:.2g} s")
+    if not found:
         return []
     return [
-        f"{axis}: the Allan deviation at {tau[worst]:.2g} s is {ratio[worst]:.2g} times the model, as with "
-        "vibration or a sensor's filter: the model describes the slow noise, which a navigation filter integrates"
+        f"the Allan deviation is not that of the model ({', '.join(found)}), as with vibration or a sensor's filter: "
+        "the model describes the slow noise, which a navigation filter integrates"
     ]
 
 

@@ -22,7 +22,7 @@ from sigmaswarm.drives.tables import Array
 
 BAND = 0.1
 """Highest frequency used, over the sampling rate: above, sensors filter, and engines shake."""
-ENOUGH = 400
+ENOUGH = 200
 """Frequencies that are used at least, if need be up to half the sampling rate."""
 FIRST = 2
 """Lowest frequency used, periods per stretch: the trend, which is taken off, contains most of the lower ones."""
@@ -87,7 +87,7 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
         time = np.arange(n) - (n - 1) / 2
         values = part[:n] - np.mean(part[:n])
         values -= time * (np.dot(time, values) / np.dot(time, time))
-        values *= np.sin(np.pi * (np.arange(n) + 0.5) / n)
+        values *= np.cos(np.pi / n * time)
         last = int(min(highest * n * interval, (n - 1) // 2))
         power = np.abs(np.asarray(rfft(values))[FIRST : last + 1]) ** 2
         frequencies.append(np.arange(FIRST, last + 1) / (n * interval))

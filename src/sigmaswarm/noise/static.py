@@ -17,6 +17,8 @@ FEWEST = 50
 """Samples of a stretch, at least."""
 BLOCK = 1.0
 """s over which a mean and a deviation show motion."""
+SMALLEST = 20
+"""Samples of a block, at least: the deviations of fewer scatter too much."""
 JUMP = {"a": 0.1, "g": np.radians(0.5)}
 """m/s2, rad/s: change of a sensor's mean from one block to the next that shows motion."""
 RESTLESS = 3.0
@@ -59,7 +61,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
         raise InputError(f"{wrong[0]} has values that are no numbers; leave these samples out")
     interval = float(np.median(steps))
-    size = max(round(BLOCK / interval), 5)
+    size = max(round(BLOCK / interval), SMALLEST)
     begins = np.concatenate([[0], np.flatnonzero(gaps_before(imu.time) > 0)])
     ends = np.append(begins[1:], len(imu))
     blocks = (ends - begins) // size

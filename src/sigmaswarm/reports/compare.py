@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import staged_files, write_whole
 from sigmaswarm.reports.figures import Chart, band, curve, figure_of, name_rows, save
 from sigmaswarm.reports.style import NO_LINE, Look, many_looks
 from sigmaswarm.tables import Cell, Column, Table
@@ -16,10 +16,12 @@ from sigmaswarm.tables import Cell, Column, Table
 
 def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
     """Write the tables and the figure of a comparison into its folder; return the paths."""
-    table = folder / "comparison.md"
-    write_whole(table, comparison_table(comparison).to_markdown())
-    frames = comparison.write(folder)
-    return [table, *frames, save(comparison_figure(comparison), folder / "comparison.png")]
+    with staged_files(folder) as new:
+        table = new / "comparison.md"
+        write_whole(table, comparison_table(comparison).to_markdown())
+        figure = save(comparison_figure(comparison), new / "comparison.png")
+        written = [table, *comparison.write(new), figure]
+    return [folder / file.name for file in written]
 
 
 def comparison_table(comparison: Comparison) -> Table:

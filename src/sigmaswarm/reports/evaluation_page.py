@@ -97,9 +97,10 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
 def _figures(view: EvaluationView) -> tuple[tuple[str, str, str], ...]:
     figures: list[tuple[str, str, str]] = []
     for name, measure in view.measures.items():
-        tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(view.rival, name)
+        rival = OWN if OWN in view.scores.mean else view.best_untuned(name) or UNTUNED
+        tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(rival, name)
         if tuned is not None:
-            note = "" if other is None else f"{view.names[view.rival]}: {other:.3g} {measure.unit}"
+            note = "" if other is None else f"{view.names[rival]}: {other:.3g} {measure.unit}"
             figures.append((measure.title, f"{tuned:.3g} {measure.unit}", note))
     if known := [c.mean_nis for c in view.scores.consistency.values() if c]:
         nis = sum(known) / len(known)

@@ -22,6 +22,7 @@ from sigmaswarm.scoring.measures import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import SWARM
+from sigmaswarm.tuning.diagnostics import said_of_forecasts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
@@ -110,7 +111,11 @@ def tuning_report(folder: Path) -> Report:
     command, note = tune_command(file.config, [d.name for d in file.data], result.validation_drives)
     return Report(
         title=f"Tuning of {filter_name(file)}",
-        lead=(what_was_tuned(file), held_out),
+        lead=(
+            what_was_tuned(file),
+            held_out,
+            *(f"D{said[1:]}." for said in said_of_forecasts(file.forecasts)),
+        ),
         figures=tuple(figures),
         remarks=tuple(result.remarks),
         sections=(
@@ -204,7 +209,12 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
     if not path.exists() or file.result is None:
         return ()
     best, costs = file.result.best_trial, file.result.trial_costs
-    chart = _convergence_chart(History.load(path), best, file.result.objective)
+    history = History.load(path)
+    if not np.array_equal([trial.best[-1] for trial in history.trials], costs):
+        raise InputError(
+            f"{path}: does not belong to {FILE} next to it; repeat the command, or take the file from where it came"
+        )
+    chart = _convergence_chart(history, best, file.result.objective)
     charts = (replace(chart, title="Cost over generations"),)
     if len(costs) == 1:
         return (Section("Convergence", charts=charts),)

@@ -20,7 +20,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.dead_reckoning import run_imu_only
-from sigmaswarm.filters.fixes_alone import FixesAlone, fit_noise
+from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.robot_yaml import filter_for
@@ -29,7 +29,7 @@ from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import FIXES, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
-from sigmaswarm.scoring.measures import ALSO, MEASURES, METHODS, Measure, measures, method_names
+from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
     ASKED_FILE,
@@ -44,6 +44,7 @@ from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import (
     LONG_OUTAGE_LENGTH,
     OUTAGE_LENGTH,
+    SHORT_OUTAGE_LENGTH,
     outage_windows,
     tracking_replay,
 )
@@ -82,6 +83,9 @@ class Options:
         Also evaluate a filter bank, see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
         Further methods, by names of `ALSO`: callables that run on a replay, such as a trained network.
+    fixes_alone : MotionNoise, optional
+        Noises of the filter of the fixes alone, ``tuning.fixes_alone``. None: they are fitted to each drive, so its
+        scores are optimistic.
     """
 
     against: FilterParameters | None = None
@@ -91,6 +95,7 @@ class Options:
     smooth: bool = False
     swarm: bool = False
     more: Runs = field(default_factory=dict[str, Callable[[Replay], Run]])
+    fixes_alone: MotionNoise | None = None
 
     def further(self, parameters: FilterParameters) -> dict[str, Callable[[Replay], Run]]:
         """The methods that are not a single filter, apart from fixes alone."""
@@ -156,6 +161,8 @@ class Evaluation:
         The other filter that was compared with.
     parameters : FilterParameters or None
         The filter that was evaluated.
+    fixes_alone : MotionNoise or None
+        Noises of the filter of the fixes alone; None where they were fitted to each drive.
     """
 
     drives: Mapping[str, Evaluated]
@@ -164,6 +171,7 @@ class Evaluation:
     outage_seed: int = 0
     against: FilterParameters | None = None
     parameters: FilterParameters | None = None
+    fixes_alone: MotionNoise | None = None
 
     @property
     def scores(self) -> Mapping[str, Mapping[str, Score]]:
@@ -250,6 +258,7 @@ class Evaluation:
             against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
             findings={name: list(found.findings) for name, found in self.drives.items() if found.findings},
             truth_offsets={n: found.truth_offset for n, found in self.drives.items() if found.truth_offset},
+            fixes_alone=self.fixes_alone,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -326,7 +335,7 @@ def evaluate(
         A Dask cluster whose workers read the drives, also given as paths or URLs, and do the work. The result's bits
         do not depend on it.
     **options
-        Those of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more.
+        Those of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more, fixes_alone.
 
     Raises
     ------
@@ -354,7 +363,15 @@ def evaluate(
     also = (*([OWN] if other else []), *chosen.further(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
-    return Evaluation(found, names, chosen.outage_length, chosen.outage_seed, other, parameters)
+    return Evaluation(
+        found,
+        names,
+        outage_length=chosen.outage_length,
+        outage_seed=chosen.outage_seed,
+        against=other,
+        parameters=parameters,
+        fixes_alone=chosen.fixes_alone,
+    )
 
 
 def _evaluated(
@@ -366,7 +383,7 @@ def _evaluated(
     filters, further = compared(drive, parameters) | own, options.further(parameters)
     ready = PreparedDrive(drive, as_recorded=options.as_recorded)
     tracker = Tracker(ready, picture=True)
-    lengths = {"outage_drift_m": options.outage_length, "long_outage_drift_m": LONG_OUTAGE_LENGTH}
+    lengths = dict(zip(DRIFTS, (SHORT_OUTAGE_LENGTH, options.outage_length, LONG_OUTAGE_LENGTH), strict=True))
     outages = {m: Outages(ready, length=each, seed=options.outage_seed) for m, each in lengths.items()}
 
     imu_only = run_imu_only(ready)  # first: it needs memory that the filters' targets take later
@@ -375,14 +392,14 @@ def _evaluated(
         of.add_estimate("imu_only", imu_only)
     scores = {"imu_only": replace(score_estimate(drive, imu_only), failed=False)}
     del imu_only
-    passed = _tracked(ready, tracker, filters, further)
+    passed = _tracked(ready, tracker, filters, further, options.fixes_alone)
     for of in outages.values():
         of.run(filters, passed.further)
 
     for method, score in {**scores, **passed.scores}.items():
-        short, long = (of.drift(method) for of in outages.values())
+        drifts = {measure.removesuffix("_m"): of.drift(method) for measure, of in outages.items()}
         failed = score.failed or any(method in of.failed for of in outages.values())
-        scores[method] = replace(score, outage_drift=short, long_outage_drift=long, failed=failed)
+        scores[method] = replace(score, **drifts, failed=failed)
     scores["raw_gps"] = score_raw_gps(drive, ready.initial)
     tuned, start, end = scores["tuned"], ready.initial.time, float(drive.imu.time[-1])
     innovations, sigma = passed.innovations, tracker.own_sigma["tuned"]
@@ -417,11 +434,15 @@ class _Passed:
 
 
 def _tracked(
-    ready: PreparedDrive, tracker: Tracker, filters: Mapping[str, FilterParameters], further: Runs
+    ready: PreparedDrive,
+    tracker: Tracker,
+    filters: Mapping[str, FilterParameters],
+    further: Runs,
+    noise: MotionNoise | None,
 ) -> _Passed:
     """Run every method over all fixes; a separate function, to free the memory for the next pass."""
     replay = tracking_replay(ready)
-    further = {**further, FIXES: partial(FixesAlone, noise=fit_noise(replay))}
+    further = {**further, FIXES: partial(FixesAlone, noise=noise or fit_noise(replay))}
     recorded = {m: tracker.record(m, replay, p, recover=True) for m, p in filters.items()}
     restarts = {m: tuple(recording.restarts) for m, recording in recorded.items()}
     sums = joined([recording.sums for recording in recorded.values()], axis=1)

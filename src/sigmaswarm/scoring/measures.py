@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, SMOOTHED, SWARM, UNTUNED
 from sigmaswarm.scoring.score import Score
-from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 
 METHODS = {
     "tuned": "tuned filter",
@@ -17,7 +17,7 @@ METHODS = {
     "imu_only": "IMU only",
 }
 """The rows of every comparison: keys in files and display names."""
-HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noises are fitted to each drive"
+HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noises are fitted to {}"
 """Definition of the filter without an IMU."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 """A sentence for users who do not know the option."""
@@ -58,8 +58,8 @@ def how_untuned(tuned: str) -> str:
             "and 0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
         )
     return (
-        "The baseline is the tuned filter's model with noises from data sheets: R from the stated accuracy of the "
-        "fixes (else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
+        "The baseline is the tuned filter's model without tuning: R from the accuracy of the fixes, stated or shown "
+        "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's) and usual errors of the model"
     )
 
 
@@ -84,6 +84,9 @@ def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
         "position_median_m": Measure("position 50%", "m", lambda s: s.position_median),
         "position_95_m": Measure("position 95%", "m", lambda s: s.position_95),
         "heading_rmse_deg": Measure("heading error", "deg", lambda s: float(np.degrees(s.heading_rmse))),
+        "short_outage_drift_m": Measure(
+            f"{SHORT_OUTAGE_LENGTH:g} s outage drift", "m", lambda s: s.short_outage_drift
+        ),
         "outage_drift_m": Measure(f"{outage_length:g} s outage drift", "m", lambda s: s.outage_drift),
         "long_outage_drift_m": Measure(
             f"{LONG_OUTAGE_LENGTH:g} s outage drift", "m", lambda s: s.long_outage_drift
@@ -92,5 +95,7 @@ def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
 
 
 MEASURES = measures()
+DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
+"""Measures of forecasts, which a filter with an IMU should do better than the fixes alone."""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
 """Measures in which a filter is compared with the raw fixes, and their names in sentences."""

@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json
+from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.consistency import Consistency
 
@@ -105,6 +106,8 @@ class EvaluationRecord(BaseModel):
     """By drive: serious findings and warnings of the doctor, as sentences; empty before 0.4.0."""
     truth_offsets: dict[str, str] = Field(default_factory=dict)
     """By drive: a sentence on a constant offset between fixes and truth."""
+    fixes_alone: MotionNoise | None = None
+    """Noises of the filter of the fixes alone, as tuned; None: those of each drive."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files that belong to the evaluation, by name; empty before 0.4.0."""
 

@@ -8,7 +8,7 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import said_of_restarts
 from sigmaswarm.scoring.consistency import CORRELATED, Consistency
 from sigmaswarm.scoring.drifts import FIXES, UNTUNED
-from sigmaswarm.scoring.measures import METHODS, POSITION_MEASURES, Measure
+from sigmaswarm.scoring.measures import DRIFTS, METHODS, POSITION_MEASURES, Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstLook
 from sigmaswarm.wording import counted
@@ -75,7 +75,7 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
     for method, name in ((UNTUNED, "the baseline"), (FIXES, "a filter of the fixes alone")):
         known = {
             m: (tuned, other)
-            for m in ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
+            for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
             if (tuned := scores.mean_of("tuned", m)) is not None
             and (other := scores.mean_of(method, m)) is not None
         }

@@ -33,7 +33,7 @@ class Score:
     position_median, position_95 : m, the 50% and 95% quantiles of sqrt(ex^2 + ey^2) at truth times
     heading_rmse : rad, RMS of the wrapped error where the true speed is over 2 m/s
     outage_drift : m, RMS over windows without fixes of the position error at the window's end
-    long_outage_drift : m, the same over windows of 30 s
+    short_outage_drift, long_outage_drift : m, the same over windows of 1 s and of 30 s
     fix_rmse : m, RMS residual of the fixes after their update (the paper's equation 4)
     forecast_rmse : m, RMS innovation of fixes hidden in windows of 3 to 5 s
     innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each update
@@ -56,6 +56,7 @@ class Score:
     mean_nees: float = math.nan
     position_median: float = math.nan
     position_95: float = math.nan
+    short_outage_drift: float = math.nan
     long_outage_drift: float = math.nan
     failed: bool = False
 

@@ -16,6 +16,10 @@ OUTAGE_LENGTH = 5.0
 """s without fixes, after which the drift is measured."""
 LONG_OUTAGE_LENGTH = 30.0
 """s: long enough to show the biases of a filter."""
+SHORT_OUTAGE_LENGTH = 1.0
+"""s: about the time to the next fix."""
+FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
+"""s: outages over which the drift of a tuned filter is compared with that of a filter of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
 """On a drive: this many determine its drift to about a tenth."""

@@ -1,6 +1,5 @@
 """Tables and sentences of an evaluation, for the terminal, notebooks and the page."""
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,7 +7,7 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.scoring.consistency import FORECASTS, Consistency, verdicts
 from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
-from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
+from sigmaswarm.scoring.measures import DRIFTS, HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     how_far,
@@ -18,7 +17,7 @@ from sigmaswarm.scoring.remarks import (
     worse_than_raw,
     worse_than_untuned,
 )
-from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
 _Row = tuple[str, str, Mapping[str, float | None]]
@@ -61,10 +60,10 @@ class EvaluationView:
         """True if no drive has truth."""
         return all(drive.has_truth is False for drive in self.setup.data)
 
-    @property
-    def rival(self) -> str:
-        """The method to beat: the user's own filter where it was compared, else the baseline."""
-        return OWN if OWN in self.scores.mean else UNTUNED
+    def best_untuned(self, measure: str) -> str | None:
+        """The method without tuning that has the lowest mean of a measure, if any has one."""
+        known = {m: v for m in ("raw_gps", FIXES, UNTUNED) if (v := self.scores.mean_of(m, measure))}
+        return min(known, key=known.__getitem__, default=None)
 
     # ---- tables ----
 
@@ -141,14 +140,25 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            others = {m: v for m in (OWN, "raw_gps", FIXES, UNTUNED) if (v := mean_of(m, measure))}
-            if others.get(UNTUNED, 0.0) > others.get(FIXES, math.inf):
-                others.pop(UNTUNED)  # a gain over the worse rival would flatter
-            each = [_compared(tuned, value, self.names[m]) for m, value in others.items()]
+            rivals = (OWN, self.best_untuned(measure))  # a gain over a worse one would flatter
+            each = [
+                _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
+            ]
             spread = self.scores.drift_said(measure)
             said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
-            return f"{said}: {', '.join(each)}." if each else f"{said}."
+            return f"{': '.join([said, ', '.join(each)][: 1 + bool(each)])}.{self._not_beaten()}"
         return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
+
+    def _not_beaten(self) -> str:
+        """The forecasts in which the tuned filter does not beat the fixes alone, in a sentence."""
+        mean_of = self.scores.mean_of
+        pairs = {m: (mean_of("tuned", m), mean_of(FIXES, m)) for m in DRIFTS}
+        lost = [
+            f"{self.measures[m].title} ({tuned:.3g} m; {alone:.3g} m)"
+            for m, (tuned, alone) in pairs.items()
+            if tuned is not None and alone is not None and tuned >= alone
+        ]
+        return f" It does NOT beat the fixes alone in the {', '.join(lost)}." if lost else ""
 
     def coverage(self) -> tuple[str, ...]:
         """Sentences about the coverage of the scores: their start, truth, and stale fixes."""
@@ -169,9 +179,10 @@ class EvaluationView:
     def explanations(self) -> tuple[str, ...]:
         """Sentences that define the rows."""
         methods = self.scores.mean
+        fitted = "the training drives" if self.setup.fixes_alone else "each drive"
         return (
             *([f"{how_untuned(self.names['tuned'])}."] if UNTUNED in methods else []),
-            *([f"{HOW_FIXES}."] if FIXES in methods else []),
+            *([f"{HOW_FIXES.format(fitted)}."] if FIXES in methods else []),
             *([] if OWN in methods else [f"{HOW_AGAINST}."]),
         )
 
@@ -269,7 +280,8 @@ def explained_scores(view: EvaluationView) -> str:
             "below the 95% column."
         )
     return (
-        f"Lower is better. Outages last {view.setup.outage_length_s:g} s, and {LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
+        f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
+        f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
         "IMU only uses no fix after the drive's start, so its drift accumulates from there."
     )
 

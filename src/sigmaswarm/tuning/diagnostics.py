@@ -13,7 +13,8 @@ degrees, where the sigma points' spread, and with it the mean, follows the scale
 therefore measured.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -23,13 +24,14 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.divergence import said_of_restarts
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
+from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
-from sigmaswarm.scoring.drifts import UNTUNED, Outages
+from sigmaswarm.scoring.drifts import FIXES, UNTUNED, Outages
 from sigmaswarm.scoring.remote import Replays
-from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
+from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
 from sigmaswarm.wording import to_do
 
 NAMED = 3
@@ -50,7 +52,6 @@ REMEDY = (
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given. Medians of three seeds of filters tuned without
 truth: -0.05 and 0.12 on drives with white errors, 0.15 with a simulated u-blox M8, 0.33 to 0.91 with real receivers."""
-CORRELATION_REMEDY = "add fix-error to --use"
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not depend on the covariance."""
 SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
@@ -58,6 +59,42 @@ SCALE_MOVED = 0.02
 """Largest change of the position RMSE, as a share, with which the factor is offered."""
 SCALE_NEAR = 0.2
 """Largest error of mean NIS after scaling, as a share, with which the factor is offered."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """RMS drift of the tuned filter and of two without tuning over outages of one length on training drives.
+
+    Attributes
+    ----------
+    length_s : float
+    tuned_m, untuned_m, fixes_alone_m : float
+    """
+
+    length_s: float
+    tuned_m: float
+    untuned_m: float
+    fixes_alone_m: float
+
+    def __str__(self) -> str:
+        beaten = "" if self.tuned_m < self.fixes_alone_m else ": NOT BEATEN"
+        others = f"fixes alone {self.fixes_alone_m:.3g} m{beaten}, baseline {self.untuned_m:.3g} m"
+        return f"{self.length_s:g} s {self.tuned_m:.3g} m ({others})"
+
+
+def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
+    """Return the drifts as one sentence, or none."""
+    return [f"drift without fixes: {', '.join(map(str, forecasts))}"] if forecasts else []
+
+
+def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Replays) -> Iterator[Forecast]:
+    """Measure the drift over outages of several lengths in the middle of the first drives."""
+    some = replays.subset(range(min(len(replays.dataset), NAMED)))
+    for length in FORECAST_LENGTHS:
+        measure = partial(drifts_of, parameters=parameters, length=length, most=FEW, noise=noise)
+        drifts = _together(some.of_each_prepared(measure))
+        if drifts[0] > 0:
+            yield Forecast(length, *drifts)
 
 
 def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bool) -> list[str]:
@@ -81,15 +118,15 @@ def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
     return [to_do(REMEDY, why)]
 
 
-def may_drift_far(found: Iterable[tuple[float, float]]) -> bool:
+def may_drift_far(found: Iterable[tuple[float, ...]]) -> bool:
     """Decide from a few outages if the drift deserves a full measurement; ``found``: `drifts_of` each drive."""
-    tuned, other = _together(found)
+    tuned, other = _together(found)[:2]
     return tuned > NEAR * other
 
 
-def drift_warnings(found: Iterable[tuple[float, float]]) -> list[str]:
+def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
     """Warn of a filter that drifts much further than the data-sheet filter; ``found``: `drifts_of` each drive."""
-    tuned, other = _together(found)
+    tuned, other = _together(found)[:2]
     if tuned <= FAR * other:
         return []
     why = (
@@ -116,8 +153,13 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
         return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
 
 
-def correlation_warnings(parameters: FilterParameters, found: Iterable[float]) -> list[str]:
-    """Warn where the innovations of most drives are correlated, and states for lasting errors would explain it."""
+def correlation_warnings(
+    parameters: FilterParameters, found: Iterable[float], use: Sequence[str] = ()
+) -> list[str]:
+    """Warn where the innovations of most drives are correlated, and states for lasting errors would explain it.
+
+    ``use``: the measurements of the filter, to which the remedy adds.
+    """
     known = [value for value in found if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
     supported = parameters.kind in ("ukf", "ekf") and augmented in FILTERS
@@ -127,7 +169,7 @@ def correlation_warnings(parameters: FilterParameters, found: Iterable[float]) -
         f"the innovations are correlated from fix to fix (lag 1: {np.median(known):.2f}), so errors of the fixes last, "
         "and the stated covariance is too small"
     )
-    return [to_do(CORRELATION_REMEDY, why)]
+    return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
 
 
 def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
@@ -139,29 +181,33 @@ def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
 
 
 def drifts_of(
-    ready: PreparedDrive, parameters: FilterParameters, most: int | None = None
-) -> tuple[float, float]:
-    """Measure the drift of a filter and of the data-sheet filter over long outages, m; NaN where none fits.
+    ready: PreparedDrive,
+    parameters: FilterParameters,
+    most: int | None = None,
+    *,
+    length: float = LONG_OUTAGE_LENGTH,
+    noise: MotionNoise | None = None,
+) -> tuple[float, ...]:
+    """Measure the drift of a filter and of the data-sheet filter over outages, m; NaN where none fits.
 
-    ``most`` limits the outage placements.
+    With ``noise`` the drift of the fixes alone follows. ``most`` limits the outage placements.
     """
     middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
     part = _part(ready, middle - LOOK / 2, middle + LOOK / 2)
     try:
-        outages = Outages(part, length=LONG_OUTAGE_LENGTH, seed=0, most=most)
+        outages = Outages(part, length=length, seed=0, most=most)
     except InputError:  # the car stands there
         return np.nan, np.nan
-    outages.run({"tuned": parameters, UNTUNED: baseline(ready.drive, like=parameters)}, watched=False)
-    return outages.drift("tuned"), outages.drift(UNTUNED)
+    filters = {"tuned": parameters, UNTUNED: baseline(ready.drive, like=parameters)}
+    also = {} if noise is None else {FIXES: partial(FixesAlone, noise=noise)}
+    outages.run(filters, also, watched=False)
+    return tuple(outages.drift(method) for method in (*filters, *also))
 
 
-def _together(found: Iterable[tuple[float, float]]) -> tuple[float, float]:
+def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
     """Combine the drifts of all drives by their RMS; 0 where nothing is known."""
-    known = np.array([pair for pair in found if np.isfinite(pair).all()])
-    if not len(known):
-        return 0.0, 0.0
-    tuned, other = np.sqrt(np.mean(known**2, axis=0)).tolist()
-    return tuned, other
+    known = np.array([drifts for drifts in found if np.isfinite(drifts).all()])
+    return np.sqrt(np.mean(known**2, axis=0)).tolist() if len(known) else [0.0, 0.0]
 
 
 def scale_warnings(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:

@@ -22,7 +22,7 @@ Option = Literal[
     "standstill",
     "odometer",
     "gate",
-    "imu_gate",
+    "imu-gate",
     "latency",
     "accuracy",
     "robust",

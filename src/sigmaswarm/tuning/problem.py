@@ -18,6 +18,7 @@ from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.fix_error import kernel_name
+from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_named_axes
 from sigmaswarm.scoring.batch import Scores
@@ -25,7 +26,14 @@ from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
-from sigmaswarm.tuning.diagnostics import correlation_of, correlation_warnings, loss_warnings, scale_warnings
+from sigmaswarm.tuning.diagnostics import (
+    Forecast,
+    correlation_of,
+    correlation_warnings,
+    forecasts_of,
+    loss_warnings,
+    scale_warnings,
+)
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs
 from sigmaswarm.tuning.receiver import (
@@ -101,6 +109,14 @@ class Problem(ABC, Generic[P]):
         """List faults of the filter at a point that the objective does not see, as sentences."""
         return []
 
+    def fixes_alone(self) -> MotionNoise | None:
+        """Fit the noises of a filter of the fixes alone to the data; None for a model of a user's own."""
+        return None
+
+    def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
+        """Compare the drift of the filter at a point with a filter of the fixes alone, by outage length."""
+        return []
+
     def why_none(self, point: Array) -> str | None:
         """Return the failure of the filter at a point, if it is known."""
         return None
@@ -170,6 +186,14 @@ class CarProblem(Problem[FilterParameters]):
         """The same filters and objective on other drives."""
         return car_problem(data, self.config, self.space)
 
+    def fixes_alone(self) -> MotionNoise:
+        """Fit the noises of a filter of the fixes alone to the drives."""
+        return MotionNoise.typical(self.replays.of_each_prepared(noise_of))
+
+    def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
+        """Compare the drift of the filter at a point with a filter of the fixes alone, by outage length."""
+        return [*forecasts_of(self.parameters(point), noise, self.replays)]
+
     def warnings(self, point: Array) -> list[str]:
         """List divergence, unused measurements, a free covariance scale and, without truth, an implausible R."""
         parameters, replays, objective = self.parameters(point), self.replays, self.objective
@@ -185,7 +209,9 @@ class CarProblem(Problem[FilterParameters]):
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             found += decided or noise_warnings(parameters, noise, self.config.use)
             found += correlation_warnings(
-                parameters, replays.of_each_prepared(partial(correlation_of, parameters=parameters))
+                parameters,
+                replays.of_each_prepared(partial(correlation_of, parameters=parameters)),
+                self.config.use,
             )
         return found
 

@@ -14,9 +14,11 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.limits import require_text
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
+from sigmaswarm.tuning.diagnostics import Forecast
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
@@ -73,6 +75,8 @@ class TuningRecord(TuningConfigRecord):
     densities: dict[str, str] = Field(default_factory=dict)
     result: ResultRecord | None = None
     within_1_percent_of_the_cost: dict[str, tuple[End, End]] = Field(default_factory=dict)
+    fixes_alone: MotionNoise | None = None
+    forecasts: list[Forecast] = Field(default_factory=list[Forecast])
     versions: dict[str, str] = Field(default_factory=dict)
     data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
 

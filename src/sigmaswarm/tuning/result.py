@@ -1,7 +1,7 @@
 """`Tuning`: the result of a tuning, and its file."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Generic
 
@@ -13,13 +13,14 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import SCALE_FREE
+from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast, said_of_forecasts
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord, seen_by
 from sigmaswarm.tuning.search import Trial, saved_trials
@@ -100,6 +101,10 @@ class Tuning(Generic[P]):
         Factor of the process-noise inflation, see `tuning.inflation`; 1 without it.
     start_cost : float or None
         The objective of the filter that the search started from, with the same inputs; None without a start.
+    fixes_alone : MotionNoise or None
+        Noises of a constant-velocity filter of the fixes alone, of the largest likelihood on the training drives.
+    forecasts : tuple of Forecast
+        Drift over outages of 1, 5 and 30 s on the training drives, compared with that filter and the baseline.
     """
 
     parameters: P
@@ -120,6 +125,8 @@ class Tuning(Generic[P]):
     validation: Validation | None = None
     inflation_factor: float = 1.0
     start_cost: float | None = None
+    fixes_alone: MotionNoise | None = None
+    forecasts: tuple[Forecast, ...] = ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -182,6 +189,8 @@ class Tuning(Generic[P]):
                 for s in self.sensitivities
             },
             "config": self.config.model_dump(mode="json", exclude_none=True),
+            **({"fixes_alone": asdict(self.fixes_alone)} if self.fixes_alone else {}),
+            **({"forecasts": [asdict(each) for each in self.forecasts]} if self.forecasts else {}),
             "versions": versions(),
             "data": self.data,
         }
@@ -216,6 +225,7 @@ class Tuning(Generic[P]):
         if v := self.validation:
             on = counted(len(v.drives), "validation drive")
             lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%}")
+        lines += said_of_forecasts(self.forecasts)
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
@@ -295,6 +305,8 @@ class Tuning(Generic[P]):
             validation=validation,
             inflation_factor=result.inflation_factor,
             start_cost=result.start_cost,
+            fixes_alone=record.fixes_alone,
+            forecasts=tuple(record.forecasts),
         )
 
 

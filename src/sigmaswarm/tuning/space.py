@@ -44,7 +44,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
         Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
     ),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
-    "imu_gate": (
+    "imu-gate": (
         Dimension("gate_gyro", "imu_gate", 1, 4.0, 100.0),
         Dimension("gate_accel", "imu_gate", 1, 4.0, 100.0),
     ),
@@ -176,7 +176,7 @@ def search_space(
         raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
     if reason := clash(kind, use):
         raise InputError(reason)
-    kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu_gate"]
+    kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu-gate"]
     lacking = [option for option in use if option not in options]
     if lacking:
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")

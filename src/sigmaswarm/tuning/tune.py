@@ -260,6 +260,7 @@ def tune_problem(
         names = tuple(entry["name"] for entry in held_back.data)
         validation = Validation(other, float(problem.rise(other, own)), names)
     evaluations = sum(trial.evaluations for trial in trials)
+    noise = problem.fixes_alone() if diagnose else None
     tuning = Tuning(
         parameters=problem.parameters(point),
         cost=cost,
@@ -276,6 +277,8 @@ def tune_problem(
         data=problem.data,
         seen=problem.seen,
         warnings=tuple(problem.warnings(point)) if diagnose else (),
+        fixes_alone=noise,
+        forecasts=tuple(problem.forecasts(point, noise)) if noise else (),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
         inflation_factor=factor,

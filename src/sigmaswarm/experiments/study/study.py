@@ -36,7 +36,7 @@ from sigmaswarm.experiments.study.results import results_of, rival_results
 from sigmaswarm.experiments.study.scores import score_all
 from sigmaswarm.experiments.study.timings import Stopwatch, kept_time, rival_times, write_timings
 from sigmaswarm.experiments.study.tracks import follow
-from sigmaswarm.files import held_folder, make_folder, write_whole
+from sigmaswarm.files import held_folder, make_folder, staged_files, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.fitting import exact
@@ -225,11 +225,12 @@ def _run(
     touched = {task: spaces[task.variant].touched(trial.point) for task, trial in trials.items()}
     results = results_of(trials, points, touched, scores, rivals)
     tracks, picture = follow(design, points, shown_trial(trials))
-    scores.write(folder)
-    for place, table in away.items():
-        table.write(make_folder(folder / "elsewhere" / place.replace(" ", "-")))
-    results.write(folder)
-    save_tracks(tracks, folder / "tracks.npz")
+    with staged_files(folder) as new:
+        scores.write(new)
+        for place, table in away.items():
+            table.write(make_folder(new / "elsewhere" / place.replace(" ", "-")))
+        results.write(new)
+        save_tracks(tracks, new / "tracks.npz")
     watch.lap("scoring")
     times = rival_times(folder, design, points, whole) if design.config.rivals else {}
     live = write_timings(folder, design, watch, times)

@@ -1,6 +1,5 @@
 """The duration of a study and of an update of each filter: the only results that differ between two runs."""
 
-import json
 import os
 import time
 from collections import deque
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, Training
 from sigmaswarm.files import write_json
@@ -19,6 +19,7 @@ from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.recording import Recording
+from sigmaswarm.records import read_content
 from sigmaswarm.scoring.targets import tracking_replay
 
 LIVE: dict[str, tuple[FilterKind, ModelName]] = {
@@ -85,10 +86,9 @@ def rival_times(
 def _content(file: Path) -> dict[str, Any]:
     """Read timings.json, if it was written."""
     try:
-        content: Any = json.loads(file.read_text())
-    except (OSError, ValueError):
+        return read_content(file)
+    except InputError:
         return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:

@@ -6,7 +6,7 @@ the true place, north and east of a reference.
 """
 
 import io
-from contextlib import ExitStack
+from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
 
 import polars as pl
@@ -67,7 +67,7 @@ def recognizes(path: Path) -> bool:
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read the topics that a drive is made of; the others are skipped."""
     core = library("pyulog.core", "logs")
-    with whole(path), _Log(io.FileIO(path)) as file:
+    with whole(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # it prints its findings
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     if log.file_corruption or file.stopped < path.stat().st_size:
         raise InputError(f"{path}: is cut short or broken before byte {file.stopped}; copy the log again")

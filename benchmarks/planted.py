@@ -1,0 +1,198 @@
+"""How reliable the doctor is: planted faults that it names, false alarms, and repairs of clocks on short windows.
+
+    python benchmarks/planted.py faults drives --simulated 20
+    python benchmarks/planted.py windows drives --count 3000
+
+faults: every fault of `tests/doctor/faults.py` is planted in each recording below a folder and in simulated drives.
+windows: 60 s of a drive whose fixes keep a clock with an offset, a drift, jitter, all of these or none; where the
+diagnosis offers a repair, it is applied as `sigmaswarm.repair` does, and forecasts of the fixes 1 s and 5 s ahead by
+another filter than that of the repair are compared before and after. Prints Markdown.
+"""
+
+import argparse
+import sys
+import warnings
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sigmaswarm import (
+    Diagnosis,
+    Drive,
+    FilterParameters,
+    SigmaswarmError,
+    diagnose,
+    read_drive,
+    repair,
+    simulate,
+)
+from sigmaswarm.drives.split import clip
+from sigmaswarm.filters.presets import baseline
+from sigmaswarm.filters.run import run_innovations
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.simulation import IMU_GRADES
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from doctor.faults import FAULTS, MORE, THIRD_AXES, codes_of
+
+GPS = ("white-1m", "ublox-m8", "f9p-rtk")
+LONGEST = 180.0
+"""s, of a recording: its middle."""
+LENGTH = 60.0
+"""s, of a window."""
+
+
+def sound_drives(folder: Path, simulated: int) -> Iterator[Drive]:
+    """Recordings below a folder, without those that are as recorded, and simulated drives of all IMU grades."""
+    for about in sorted(folder.glob("*/drive.toml")):
+        if not about.parent.name.endswith("as-recorded"):
+            drive = read_drive(about.parent)
+            middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
+            yield clip(drive, middle - LONGEST / 2, middle + LONGEST / 2)
+    grades = [name for name in IMU_GRADES if name not in ("ideal", "carla")]
+    for run in range(simulated):
+        yield simulate(
+            "urban", run=run, imu=grades[run % len(grades)], gps=GPS[run % len(GPS)], duration=120.0,
+            terrain=("flat", "hilly")[run // 2 % 2], vibration=float(run % 3 > 0),
+        )  # fmt: skip
+
+
+def faults(drives: Iterator[Drive]) -> None:
+    """Print a row per fault: drives on which it is named, on which it is said not to be seen, and the others."""
+    named, told, missed = Counter[str](), Counter[str](), defaultdict[str, list[str]](list)
+    alarms, count = [], 0
+    for drive in drives:
+        count += 1
+        sound = diagnose(drive)
+        alarms += [f"{drive.name}: {f.code}" for f in sound.findings if f.severity == "serious"]
+        six = drive.imu.az is not None and drive.imu.gx is not None
+        for fault, (plant, _) in {**FAULTS, **MORE, **(THIRD_AXES if six else {})}.items():
+            found = diagnose(plant(drive))
+            each = {**THIRD_AXES, **FAULTS, **MORE}[fault][1]  # a rotation may be named by its single signs
+            if codes_of(fault, drive) <= found.codes or each <= found.codes:
+                named[fault] += 1
+            elif hidden(fault, sound):
+                told[fault] += 1
+            else:
+                missed[fault].append(drive.name)
+        print(drive.name, named.total(), told.total(), dict(missed), alarms, file=sys.stderr, flush=True)
+    print("| planted | named | reported as not to be seen | missed on |\n|---|---|---|---|")
+    for fault in {**named, **told, **missed}:
+        print(f"| {fault} | {named[fault]} | {told[fault] or ''} | {', '.join(missed[fault])} |")
+    lost = sum(map(len, missed.values()))
+    whole = named.total() + told.total() + lost
+    print(
+        f"\n{named.total()} of {whole} named ({named.total() / whole:.1%}), {told.total()} reported as not to be"
+    )
+    print(f"seen, {lost} missed; serious findings on the {count} sound drives: {', '.join(alarms) or 'none'}")
+
+
+def hidden(fault: str, sound: Diagnosis) -> bool:
+    """True where the diagnosis of the sound drive reports that such a fault would not be seen."""
+    if "s late" in fault or "s early" in fault:
+        visible = sound.visible_clock_offset
+        return visible is None or visible > float(fault.split()[0])
+    if "stated" in fault:
+        return "gps-correlated" in sound.codes  # errors that last: their size does not show
+    return bool({c for c in sound.codes if c.startswith("unseen-") and c != "unseen-clock"})
+
+
+def windows(drives: list[Drive], count: int) -> None:
+    """Print, by kind of clock, how many windows get a serious finding or a repair, and the forecasts after it."""
+    rng, table = np.random.default_rng(0), defaultdict[str, Counter[str]](Counter)
+    for number in range(count):
+        drive = drives[number % len(drives)]
+        first = drive.imu.time[0] + rng.uniform(0, max(drive.duration - LENGTH, 0.0))
+        kind = ("sound", "offset", "drift", "jitter", "all")[number // len(drives) % 5]
+        offset = float(rng.choice([rng.uniform(-1, 1), 18.0])) * (kind in ("offset", "all"))
+        try:
+            window = clip(drive, first, first + LENGTH)
+            sick = with_clock(window, offset, rng.uniform(-3e-3, 3e-3) * (kind in ("drift", "all")),
+                              rng.uniform(0, 0.05) * (kind in ("jitter", "all")), rng)  # fmt: skip
+            found = diagnose(sick)
+        except SigmaswarmError:
+            continue
+        seen = table[kind]
+        seen["windows"] += 1
+        clock = [f for f in found.findings if f.code == "clock-offset"]
+        seen["serious"] += any(f.severity == "serious" for f in clock)
+        if any(f.repair for f in clock):
+            judge(sick, found, offset, seen)
+        if number % 50 == 49:
+            print(number + 1, {k: dict(v) for k, v in table.items()}, file=sys.stderr, flush=True)
+    heads = (
+        "windows",
+        "serious",
+        "repairs offered",
+        "applied",
+        "within 0.15 s",
+        "1 s or 5 s worse by 5%",
+        "worst",
+    )
+    print(f"| clock | {' | '.join(heads)} |\n|---|{'---|' * len(heads)}")
+    for kind, seen in table.items():
+        print(f"| {kind} | {' | '.join(str(seen[head]) for head in heads)} |")
+
+
+def judge(sick: Drive, found: Diagnosis, offset: float, seen: Counter[str]) -> None:
+    """Apply the repair, and compare forecasts before and after it; counts go into ``seen``."""
+    seen["repairs offered"] += 1
+    mended = repair(sick, found)
+    moved = float(np.median(mended.gps.time - sick.gps.time)) if len(mended.gps) == len(sick.gps) else 0.0
+    if moved == 0.0:
+        return
+    seen["applied"] += 1
+    seen["within 0.15 s"] += abs(moved + offset) < 0.15
+    before, after = (forecasts(drive, baseline(sick)) for drive in (sick, mended))
+    if before is not None and after is not None:
+        ratio = float(np.max(after / before))
+        seen["1 s or 5 s worse by 5%"] += ratio > 1.05
+        seen["worst"] = max(seen["worst"], round(ratio, 2))  # type: ignore[assignment]
+
+
+def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np.random.Generator) -> Drive:
+    """The drive with fixes on another clock: s late, s per s, and a deviation of each time in s."""
+    time = drive.gps.time
+    wrong = time + offset + drift * (time - np.mean(time)) + jitter * rng.standard_normal(len(time))
+    order = np.argsort(wrong, kind="stable")
+    gps = drive.gps.select(order)
+    return replace(
+        drive, gps=replace(gps, time=np.maximum.accumulate(wrong[order]) + 1e-6 * np.arange(len(time)))
+    )
+
+
+def forecasts(drive: Drive, parameters: FilterParameters) -> np.ndarray | None:
+    """RMS errors, m, of forecasts of the next fix and of fixes hidden for 3 to 5 s; None where no filter starts."""
+    try:
+        size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
+        hidden_fixes = (
+            Replayer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
+        )
+    except SigmaswarmError:
+        return None
+    found = np.array([np.sqrt(np.mean(size[: max(int(0.95 * len(size)), 1)] ** 2)), hidden_fixes])
+    return found if np.isfinite(found).all() else None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=["faults", "windows"])
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--simulated", type=int, default=20)
+    parser.add_argument("--count", type=int, default=3000)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    drives = sound_drives(options.drives, options.simulated)
+    if options.what == "faults":
+        faults(drives)
+    else:
+        windows(list(drives), options.count)
+
+
+if __name__ == "__main__":
+    main()
