@@ -17,7 +17,6 @@ from sigmaswarm.drives.standstill import (
     is_as_it_was,
     is_calm,
     new_memory,
-    new_stop,
 )
 from sigmaswarm.drives.timeline import CORNERING
 from sigmaswarm.filters.schedule import (
@@ -60,7 +59,7 @@ class Ukf:
         self.filter.x, self.filter.P = mean, covariance
         self.filter.Q, self.filter.R = np.diag(p.process_noise), np.diag(p.measurement_noise)
         self.p, self.start, self.slots = p, initial.time, [-1, -1]
-        self.memory, self.stop = new_memory(), new_stop()
+        self.memory, self.stop = new_memory(), np.array([-np.inf, 0.0, 0.0])
         self.fixes = []
 
     @property
@@ -104,9 +103,10 @@ class Ukf:
         if not is_calm(self.memory, t, *u) or not self.fixes:
             return False
         recent = np.array([fix for fix in self.fixes if fix[0] >= t - FIX_WINDOW]).reshape(-1, 3)
-        return fixes_stand(recent, np.zeros(len(recent)), t) and is_as_it_was(
-            self.stop, t, self.memory[MEANS]
-        )
+        if not fixes_stand(recent, np.zeros(len(recent)), len(recent), t, np.empty(1)):
+            return False
+        passed, self.stop[0] = t - self.stop[0], t
+        return is_as_it_was(self.stop[1:], passed, self.memory[MEANS])
 
 
 class Ekf:

@@ -157,8 +157,8 @@ def test_frozen_fixes_of_a_driving_car_are_no_evidence():
     fixes = np.column_stack([t, np.minimum(t, 5.0) * 9.0, 0 * t])
     kinds = judged(Gps(t, fixes[:, 1], fixes[:, 2]))
     assert (kinds[t > 5.0] == FROZEN_MOVING).all()
-    assert not fixes_stand(fixes, kinds, 11.9)
-    assert fixes_stand(fixes, 0 * kinds, 11.9)
+    assert not fixes_stand(fixes, kinds, len(t), 11.9, np.empty(1))
+    assert fixes_stand(fixes, 0 * kinds, len(t), 11.9, np.empty(1))
 
 
 @needs_shared

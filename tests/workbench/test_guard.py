@@ -8,6 +8,7 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm import InputError
+from sigmaswarm.cli.workbench import workbench
 from sigmaswarm.workbench.state import MOST_UPLOADED, Workbench
 from support import make_drive
 
@@ -92,3 +93,10 @@ def test_names_and_sources(tmp_path: Path):
     assert bench.log is None
     with pytest.raises(InputError, match="does not exist"):
         Workbench(tmp_path / "bench", [tmp_path / "none"])
+
+
+def test_without_the_extra(monkeypatch: pytest.MonkeyPatch):
+    """One line names what to install."""
+    monkeypatch.setattr("sigmaswarm.cli.workbench.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'sigmaswarm\[workbench\]'"):
+        workbench()

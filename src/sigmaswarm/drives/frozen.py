@@ -27,7 +27,7 @@ NO_REST = 2.0
 """m/s: a repeat that begins above is no evidence of a standstill."""
 BRAKING = 4.0
 """m/s2: harder braking in the fixes is noise."""
-ENOUGH = 3
+ENOUGH = 3.0
 """New fixes that show a braking; fewer show a mean speed only."""
 
 
@@ -81,15 +81,15 @@ def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     The smaller of two: that of a straight line, and along it that of a parabola at the time itself; a car that brakes
     to a halt has been fast a second before. A log that begins with repeats begins at rest: nothing shows that it moves.
     """
-    origin, n = fixes[last, 0], 0
+    origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0
     x0, x1, x2, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     j = last
-    while j >= 0 and (n < 2 or fixes[j, 0] >= origin - SPEED_WINDOW):
+    while j >= 0 and (n < 2.0 or fixes[j, 0] >= origin - SPEED_WINDOW):
         if kinds[j] == NEW:
-            t, x, y = fixes[j, 0] - origin, fixes[j, 1] - fixes[last, 1], fixes[j, 2] - fixes[last, 2]
+            t, x, y = -(origin - fixes[j, 0]), fixes[j, 1] - fixes[last, 1], fixes[j, 2] - fixes[last, 2]
             tt = t * t
-            n += 1
+            n += 1.0
             t1 += t
             t2 += tt
             t3 += tt * t
@@ -101,7 +101,7 @@ def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
             y1 += y * t
             y2 += y * tt
         j -= 1
-    s11 = t2 - t1 * t1 / max(n, 1)  # sums about the means
+    s11 = t2 - t1 * t1 / max(n, 1.0)  # sums about the means
     if not s11 > 0.0:
         return 0.0
     sx, sy = (x1 - x0 * t1 / n) / s11, (y1 - y0 * t1 / n) / s11

@@ -6,10 +6,13 @@ Slow wheels give few pulses and read zero while the car still creeps.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Odometer
 
 INTERVAL = 0.1
@@ -27,8 +30,8 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    Each step of ``absorbs`` (k,) ends with one of ``rows`` (o, 3): see SPEED ... MORE. At the end of steps of ``turn``
-    (k,) the wheels turn, so the car does not stand.
+    Each step of ``absorbs`` (k,) ends with one of ``rows`` (o, 3): see SPEED ... MORE. At the samples that end steps of
+    ``turn`` (k,) the wheels turn, so the car does not stand.
     """
 
     absorbs: NDArray[np.bool_]
@@ -41,27 +44,68 @@ def measurements_of(odometer: Odometer, start: float, end: Array, sampled: NDArr
 
     The first sample of each interval with a new reading uses the readings since the last measurement.
     """
-    time, speed = odometer.time, odometer.speed
-    steps = np.flatnonzero(sampled)
-    samples = end[steps]
-    oldest = np.maximum(np.append(start, samples[:-1]), samples - INTERVAL)
-    fresh = np.searchsorted(time, samples, "right") > np.searchsorted(time, oldest, "right")
-    slots = np.floor((samples[fresh] - start) / INTERVAL + 1e-6)  # as the live filter's `_slot`
-    chosen = steps[fresh][np.unique(slots, return_index=True)[1]]
-    looks = end[chosen]
-    look = np.searchsorted(looks, time, "left")
-    inside = (time > start) & (look < len(looks))
-    inside[inside] = time[inside] > looks[look[inside]] - INTERVAL
-    look = look[inside]
-    counts = np.bincount(look, minlength=len(looks))
-    mean = np.bincount(look, speed[inside], len(looks)) / counts  # added up in order, as the live filter does
-    age = np.bincount(look, looks[look] - time[inside], len(looks)) / counts
-    absorbs = np.zeros(len(end), dtype=np.bool_)
-    absorbs[chosen] = True
-    last = np.searchsorted(time, end, "right") - 1
-    known = (last >= 0) & (time[last] > end - STALE)
-    return Wheels(
-        absorbs,
-        np.column_stack([mean, age, np.where(np.abs(mean) < SLOW, SLOW**2, 0.0)]),
-        known & (np.abs(speed[last]) >= SLOW),
-    )
+    readings = np.column_stack([odometer.time, odometer.speed])
+    absorbs, turn = np.zeros((2, len(end)), dtype=np.bool_)
+    rows = np.empty((np.count_nonzero(sampled), 3))
+    n = _measure_all(readings, start, end, sampled, absorbs, turn, rows)
+    return Wheels(absorbs, rows[:n].copy(), turn)
+
+
+@cached
+def _measure_all(
+    readings: Array,
+    start: float,
+    end: Array,
+    sampled: NDArray[np.bool_],
+    absorbs: NDArray[np.bool_],
+    turn: NDArray[np.bool_],
+    rows: Array,
+) -> int:
+    """Fill in what `measurements_of` returns; return the number of rows."""
+    n, r, last_slot, taken, before = 0, 0, -1.0, start, start
+    for k in range(len(end)):
+        if sampled[k]:
+            now = end[k]
+            while r < len(readings) and readings[r, 0] <= now:
+                r += 1
+            turn[k] = wheels_turn(readings, r, now)
+            slot = slot_of(now, start, INTERVAL)
+            if slot != last_slot and mean_reading(readings, r, now, before, taken, rows[n]):
+                absorbs[k] = True
+                n, last_slot, taken = n + 1, slot, now
+            before = now
+    return n
+
+
+@register_jitable
+def slot_of(t: Any, start: float, interval: float) -> Any:
+    """The number of the interval of time since the start that a moment lies in: a constraint is used once in each."""
+    return np.floor((t - start) / interval + 1e-6)
+
+
+@cached
+def wheels_turn(readings: Array, end: int, now: float) -> bool:
+    """Return True if the wheels turn; rows of ``readings`` are time and speed, ``end`` of them are not after now."""
+    return end > 0 and readings[end - 1, 0] > now - STALE and abs(readings[end - 1, 1]) >= SLOW
+
+
+@cached
+def mean_reading(readings: Array, end: int, now: float, before: float, taken: float, wheels: Array) -> bool:
+    """Average the readings since the last measurement, at ``taken``; return False if none came since ``before``.
+
+    ``wheels`` (3,) is the measurement: see SPEED ... MORE.
+    """
+    oldest = now - INTERVAL
+    if end == 0 or readings[end - 1, 0] <= max(before, oldest):
+        return False
+    first = end
+    while first > 0 and readings[first - 1, 0] > max(taken, oldest):
+        first -= 1
+    total, age, n = 0.0, 0.0, float(end - first)
+    for r in range(first, end):
+        total += readings[r, 1]
+        age += now - readings[r, 0]
+    wheels[SPEED] = total / n
+    wheels[AGE] = age / n
+    wheels[MORE] = SLOW * SLOW if abs(wheels[SPEED]) < SLOW else 0.0
+    return True

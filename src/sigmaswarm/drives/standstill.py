@@ -7,7 +7,8 @@ the stop began. The same functions serve a drive and a live filter.
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
 last second is the current, incomplete block and the 20 before it, the last quarter that block and the 5 before. Blocks
 are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing sample
-variances, 1979). Complete blocks are merged again whenever a block ends, so that rounding does not accumulate.
+variances, 1979). None is subtracted, so that rounding does not accumulate: the blocks form two stacks of 20. Those of
+the older stack are each merged with the ones after them; those of the newer one are single, and merged in FRESH.
 """
 
 import math
@@ -22,8 +23,8 @@ from sigmaswarm.drives.frozen import FROZEN_MOVING
 BLOCK = 0.05
 """s: length of a block."""
 SECOND = 20
-"""Complete blocks that must be calm, next to the current one."""
-MOST_OF_IT = 16
+"""Complete blocks that must be calm, next to the current one: a second."""
+MOST_OF_IT = 16.0
 """Blocks since the oldest of them, at least, for a full second."""
 QUARTER = 5
 """Complete blocks, next to the current one, that show a departure."""
@@ -45,18 +46,21 @@ FILLED = 1.5
 """Mean intervals of fixes between the start of the window and the first fix, at most."""
 FIX_SPEED = 0.8
 """m/s: highest speed of the fixes at standstill."""
+CLOSE = 1e-5
+"""s before a fix leaves the window, from which its line is fitted again."""
 TURNING = math.radians(1.5)
 """rad/s: a car that stands does not turn; a gyro's bias stays below this."""
 
-# A detector's memory, shape (N_MEMORY, 8). Rows: blocks, by number; all whole blocks of the second; of the quarter; how
-# restless the car is in calm, and the last sample's time; means of ax, ay over the second, then over the quarter.
-WHOLE, PART, FLOOR, MEANS = range(SECOND + 1, SECOND + 5)
-N_MEMORY = SECOND + 5
-# Columns of a block: its number, how many samples, means of ax, ay, gz, sums of squares about the means.
-NUMBER, COUNT, MEAN, SQUARES = 0, 1, 2, 5
-# Memory of a stop, shape (N_STOP,): the last moment of calm and constant fixes, and ax, ay at it.
-LAST, STOP_X, STOP_Y = range(3)
-N_STOP = 3
+# A detector's memory, shape (N_MEMORY, 8). Rows: the stacks, from row PLACE on the older one; the current block; the
+# newer stack, merged; the complete blocks of the last second, merged; of the last quarter; the level of calm; means of
+# ax, ay over the second, then over the quarter.
+NOW, FRESH, WHOLE, PART, LEVEL, MEANS = range(SECOND, SECOND + 6)
+N_MEMORY = SECOND + 6
+# Columns of a block: how many samples, means of ax, ay, gz, sums of squares about the means, row of the first of them.
+COUNT, MEAN, SQUARES, FIRST = 0, 1, 4, 7
+# Columns of LEVEL behind the usual deviations of calm (negative: unknown): the row of the stacks that comes next, the
+# age of the oldest block of WHOLE in blocks, the current block's number, the time of the last sample.
+PLACE, AGE, NUMBER, LAST = 3, 4, 5, 6
 
 PIECE = 100_000
 """Samples per copy, to limit the memory."""
@@ -70,7 +74,7 @@ def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
     fixes = np.column_stack([gps.time, gps.x, gps.y])
-    memory, stop = new_memory(), new_stop()
+    memory, stop = new_memory(), np.array([-np.inf, 0.0, 0.0])
     for first in range(0, len(stands), PIECE):
         part = slice(first, first + PIECE)
         samples = np.column_stack([imu.time[part], imu.ax[part], imu.ay[part], imu.gz[part]])
@@ -81,153 +85,200 @@ def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
 def new_memory() -> Array:
     """A detector that has seen nothing."""
     memory = np.zeros((N_MEMORY, 8))
-    memory[: SECOND + 1, NUMBER] = -np.inf
-    memory[FLOOR] = np.inf  # calm is still unknown
-    memory[FLOOR, 3] = -np.inf
+    memory[LEVEL, :3] = -1.0
+    memory[LEVEL, NUMBER] = memory[LEVEL, LAST] = -np.inf
     return memory
-
-
-def new_stop() -> Array:
-    """No stop was seen yet."""
-    return np.array([-np.inf, 0.0, 0.0])
 
 
 @cached
 def _find_standstills(
     samples: Array, fixes: Array, kinds: Array, memory: Array, stop: Array, stands: NDArray[np.bool_]
 ) -> None:
-    first, end = 0, 0
+    end, seen, still, until = 0, -1, False, np.empty(1)
     for k in range(len(samples)):
         t = samples[k, 0]
         while end < len(fixes) and fixes[end, 0] <= t:
             end += 1
-        while first < end and fixes[first, 0] < t - FIX_WINDOW:
-            first += 1
-        calm = is_calm(memory, t, samples[k, 1], samples[k, 2], samples[k, 3])
-        if calm and fixes_stand(fixes[first:end], kinds[first:end], t):
-            stands[k] = is_as_it_was(stop, t, memory[MEANS])
+        if is_calm(memory, t, samples[k, 1], samples[k, 2], samples[k, 3]):
+            if end != seen or t >= until[0]:
+                seen, still = end, fixes_stand(fixes, kinds, end, t, until)
+            if still:
+                passed, stop[0] = t - stop[0], t
+                stands[k] = is_as_it_was(stop[1:], passed, memory[MEANS])
 
 
 @cached
 def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
     """Add a sample; return True if the last second is calm."""
-    number = np.floor(t / BLOCK)
+    number, level = np.floor(t / BLOCK), memory[LEVEL]
     if not abs(number) < 1e15:  # no time of any clock
         return False
-    row = int(number - (SECOND + 1) * np.floor(number / (SECOND + 1)))
-    if memory[row, NUMBER] != number:
-        memory[row] = 0.0
-        memory[row, NUMBER] = number
-        _put_together(memory, row)
-    _count(memory[row], ax, ay, gz)
-    dt, memory[FLOOR, 3] = min(t - memory[FLOOR, 3], 1.0), t
-    before, now, part, floor, means = memory[WHOLE], memory[row], memory[PART], memory[FLOOR], memory[MEANS]
-    n = before[COUNT] + now[COUNT]
-    if n < 5 or before[NUMBER] > number - MOST_OF_IT:
-        return False
-    calm = abs(gz) < TURNING
+    begun, level[NUMBER] = min(number - level[NUMBER], SECOND + 1.0), number
+    dt, level[LAST] = min(t - level[LAST], 1.0), t
+    return calm_after(memory, int(begun), dt, ax, ay, gz)
+
+
+@cached
+def calm_after(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
+    """Add a sample, dt s after the last one, and learn the level of calm; return True if the last second is calm.
+
+    ``begun``: number of blocks since the last sample's.
+    """
+    if begun > 0:
+        _begin_block(memory, begun)
+    level, now, whole, part = memory[LEVEL], memory[NOW], memory[WHOLE], memory[PART]
+    values = (ax, ay, gz)
+    now[COUNT] += 1.0
     for c in range(3):
-        away = now[MEAN + c] - before[MEAN + c]
-        share = now[COUNT] / n
-        squares = before[SQUARES + c] + now[SQUARES + c] + away * away * before[COUNT] * share
+        away = values[c] - now[MEAN + c]
+        now[MEAN + c] += away / now[COUNT]
+        now[SQUARES + c] += away * (values[c] - now[MEAN + c])
+    n = whole[COUNT] + now[COUNT]
+    if n < 5.0 or level[AGE] < MOST_OF_IT:
+        return False
+    calm, share = abs(gz) < TURNING, now[COUNT] / n
+    for c in range(3):
+        away = now[MEAN + c] - whole[MEAN + c]
+        squares = whole[SQUARES + c] + now[SQUARES + c] + away * away * whole[COUNT] * share
         restless = math.sqrt(squares / n)
-        if not floor[c] < math.inf:
-            floor[c] = restless
-        elif restless < floor[c]:
-            floor[c] += (restless - floor[c]) * min(1.0, dt / SETTLES)
-        elif restless < 3.0 * floor[c]:
-            floor[c] *= 1.0 + RISES * dt
-        calm = calm and restless <= CALM * max(floor[c], 1e-6)
-        if c < 2:
-            means[c] = before[MEAN + c] + away * share
-            quarter = now[COUNT] / (part[COUNT] + now[COUNT])
-            means[2 + c] = part[MEAN + c] + (now[MEAN + c] - part[MEAN + c]) * quarter
+        if level[c] < 0.0:
+            level[c] = restless
+        elif restless < level[c]:
+            level[c] += (restless - level[c]) * min(1.0, dt / SETTLES)
+        elif restless < 3.0 * level[c]:
+            level[c] *= 1.0 + RISES * dt
+        calm = calm and restless <= CALM * max(level[c], 1e-6)
+    if calm:
+        if part[COUNT] == 0.0:
+            _merge_quarter(memory)
+        quarter = now[COUNT] / (part[COUNT] + now[COUNT])
+        for c in range(2):
+            memory[MEANS, c] = whole[MEAN + c] + (now[MEAN + c] - whole[MEAN + c]) * share
+            memory[MEANS, 2 + c] = part[MEAN + c] + (now[MEAN + c] - part[MEAN + c]) * quarter
     return calm
 
 
 @cached
-def _count(block: Array, ax: float, ay: float, gz: float) -> None:
-    """Take a sample into a block."""
-    block[COUNT] += 1.0
-    for c, value in enumerate((ax, ay, gz)):
-        away = value - block[MEAN + c]
-        block[MEAN + c] += away / block[COUNT]
-        block[SQUARES + c] += away * (value - block[MEAN + c])
+def _begin_block(memory: Array, begun: int) -> None:
+    """Push the current block and those without samples, and merge the complete blocks of the last second."""
+    level, now, fresh, whole = memory[LEVEL], memory[NOW], memory[FRESH], memory[WHOLE]
+    place = int(level[PLACE])
+    for _ in range(begun):
+        now[FIRST] = float(place)
+        _copy(now, memory[place])
+        _merge(fresh, now)
+        _clear(now)
+        place += 1
+        if place == SECOND:
+            place = 0
+            _clear(fresh)
+            for i in range(2, SECOND + 1):
+                _merge(memory[SECOND - i], memory[SECOND + 1 - i])
+    _copy(memory[place], whole)
+    _merge(whole, fresh)
+    _clear(memory[PART])  # merged where it is needed
+    level[PLACE], level[AGE] = float(place), 0.0
+    if whole[COUNT] > 0.0:
+        level[AGE] = level[PLACE] - whole[FIRST]
+        if level[AGE] <= 0.0:
+            level[AGE] += float(SECOND)
 
 
 @cached
-def _put_together(memory: Array, row: int) -> None:
-    """All whole blocks before the one that begins in a row, the oldest first: those of the second, of the quarter."""
-    number = memory[row, NUMBER]
-    memory[WHOLE], memory[PART] = 0.0, 0.0
-    memory[WHOLE, NUMBER] = np.inf
-    for k in range(1, SECOND + 1):
-        block = memory[(row + k) % (SECOND + 1)]
-        if block[NUMBER] >= number - SECOND:
-            if memory[WHOLE, COUNT] == 0.0:
-                memory[WHOLE, NUMBER] = block[NUMBER]
-            _add(memory[WHOLE], block)
-            if block[NUMBER] >= number - QUARTER:
-                _add(memory[PART], block)
+def _merge_quarter(memory: Array) -> None:
+    """Merge the complete blocks of the last quarter of a second."""
+    part, place = memory[PART], int(memory[LEVEL, PLACE])
+    if place < QUARTER:
+        _copy(memory[SECOND - QUARTER + place], part)
+    for i in range(max(place - QUARTER, 0), place):
+        _merge(part, memory[i])
 
 
 @cached
-def _add(total: Array, block: Array) -> None:
-    n = total[COUNT] + block[COUNT]
-    share = block[COUNT] / n
-    for c in range(3):
-        away = block[MEAN + c] - total[MEAN + c]
-        total[MEAN + c] += away * share
-        total[SQUARES + c] += block[SQUARES + c] + away * away * total[COUNT] * share
-    total[COUNT] = n
+def _merge(total: Array, block: Array) -> None:
+    """Add a block to those before it."""
+    if total[COUNT] == 0.0:
+        _copy(block, total)
+    elif block[COUNT] > 0.0:
+        n = total[COUNT] + block[COUNT]
+        share = block[COUNT] / n
+        for c in range(3):
+            away = block[MEAN + c] - total[MEAN + c]
+            total[MEAN + c] += away * share
+            total[SQUARES + c] += block[SQUARES + c] + away * away * total[COUNT] * share
+        total[COUNT] = n
 
 
 @cached
-def is_as_it_was(stop: Array, t: float, means: Array) -> bool:
-    """At a moment of calm and of fixes that stay: whether the acceleration is what it was when the stop began.
+def _copy(block: Array, to: Array) -> None:
+    """Copy a block."""
+    for c in range(8):
+        to[c] = block[c]
 
-    ``stop`` is what is remembered of it, changed; ``means`` (4,) are those of ax, ay over the last second, then over
-    the last quarter, m/s2.
+
+@cached
+def _clear(block: Array) -> None:
+    """Empty a block."""
+    for c in range(8):
+        block[c] = 0.0
+
+
+@cached
+def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
+    """At a moment of calm and of constant fixes: return True if the acceleration is as when the stop began.
+
+    ``stop`` (2,) is the stop's ax, ay, changed; ``passed`` (s) the time since the last such moment. ``means`` (4,) are
+    those of ax, ay over the last second, then over the last quarter, m/s2.
     """
-    since, stop[LAST] = t - stop[LAST], t
-    if not since <= FORGETS:
-        stop[STOP_X], stop[STOP_Y] = means[0], means[1]
-    away_x, away_y = means[2] - stop[STOP_X], means[3] - stop[STOP_Y]
+    if not passed <= FORGETS:
+        stop[0] = means[0]
+        stop[1] = means[1]
+    away_x, away_y = means[2] - stop[0], means[3] - stop[1]
     stands = abs(away_x) <= DEPARTS and abs(away_y) <= DEPARTS
     if stands:
-        share = min(1.0, since / FOLLOWS)
-        stop[STOP_X] += share * away_x
-        stop[STOP_Y] += share * away_y
+        share = min(1.0, passed / FOLLOWS)
+        stop[0] += share * away_x
+        stop[1] += share * away_y
     return stands
 
 
 @cached
-def fixes_stand(fixes: Array, kinds: Array, now: float) -> bool:
-    """True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
+def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
+    """Return True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
 
-    None is after ``now``. ``kinds`` has the kind of each: see `frozen`. Repeats of a fix of a driving car show nothing.
-    Behind an outage the window must fill up first: the slope of half of it is three times as noisy, and shows a car
-    that departs, by an acceleration as steady as gravity, as standing.
+    The first ``n`` rows are read, but those after ``now``. The answer holds before ``until[0]`` if no fix is added.
+    ``kinds`` has the kind of each: see `frozen`. Repeats of a fix of a driving car show nothing. Behind an outage the
+    window must fill up first: the slope of half of it is three times as noisy, and shows a car that departs, by an
+    acceleration as steady as gravity, as standing.
     """
-    n, first, last, mean = 0, now, now, 0.0
-    for k in range(len(fixes)):
-        if fixes[k, 0] >= now - FIX_WINDOW and kinds[k] != FROZEN_MOVING:
-            first = fixes[k, 0] if n == 0 else first
-            last = fixes[k, 0]
-            n += 1
-            mean += fixes[k, 0] - now
-    if (
-        n < 3
-        or last - first < 0.5 * FIX_WINDOW
-        or first - (now - FIX_WINDOW) > FILLED * (last - first) / (n - 1)
-    ):
+    count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    first, last, k = 0, 0, n - 1
+    until[0] = now + FIX_WINDOW
+    while k >= 0 and fixes[k, 0] >= now - FIX_WINDOW:
+        if fixes[k, 0] > now:
+            until[0] = fixes[k, 0]
+        elif kinds[k] != FROZEN_MOVING:
+            first = k
+            last = max(last, k)
+            age, x, y = now - fixes[k, 0], fixes[k, 1] - fixes[last, 1], fixes[k, 2] - fixes[last, 2]
+            count += 1.0
+            t1 += age
+            x1 += x
+            y1 += y
+            tt += age * age
+            tx += age * x
+            ty += age * y
+        k -= 1
+    if count < 3.0:
         return False
-    mean = now + mean / n
-    tt, tx, ty = 0.0, 0.0, 0.0
-    for k in range(len(fixes)):
-        if fixes[k, 0] >= now - FIX_WINDOW and kinds[k] != FROZEN_MOVING:
-            t = fixes[k, 0] - mean
-            tt += t * t
-            tx += t * fixes[k, 1]
-            ty += t * fixes[k, 2]
-    return math.hypot(tx / tt, ty / tt) < FIX_SPEED
+    until[0] = min(until[0], fixes[first, 0] + FIX_WINDOW - CLOSE)
+    span = fixes[last, 0] - fixes[first, 0]
+    if span < 0.5 * FIX_WINDOW:
+        return False
+    if fixes[first, 0] - (now - FIX_WINDOW) > FILLED * span / (count - 1.0):
+        until[0] = now
+        return False
+    tt -= t1 * t1 / count
+    tx -= t1 * x1 / count
+    ty -= t1 * y1 / count
+    return math.hypot(tx, ty) < FIX_SPEED * tt

@@ -11,6 +11,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_kernels import kernels_of
+from sigmaswarm.exports.c_rules import rules_of
 from sigmaswarm.exports.features import PARAMETERS, features_of, in_range, listed, plain, values_of
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.template import fill
@@ -19,6 +20,7 @@ from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.versions import __version__
 
 FILES = (
@@ -72,6 +74,7 @@ def c99(
     features["USE_LANES_OR_NIS"] = features["USE_LANES"] or features["USE_NIS"]
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     values["KERNELS"] = kernels_of(parameters, features, values)
+    values["RULES"] = rules_of(features)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 
@@ -179,6 +182,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "GAP_TURN": schedule.GAP_TURN_STD,
         "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
         "GAP_TILT": schedule.GAP_TILT_STD,
+        "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
         "LOST_AFTER": divergence.DIVERGED_AFTER,
         "FEWEST_LOOKS": divergence.FEWEST_CHECKS,
         "SLOTS": round(1.0 / schedule.LATERAL_INTERVAL),  # of the standstill and the odometer, too

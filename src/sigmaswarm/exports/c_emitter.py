@@ -43,10 +43,10 @@ INPUTS = {
 }
 """What stands for an element of a step, a fix and a reading."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
-RENAMED = {"b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
+RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
 _SIGNS: dict[type, str] = {
-    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"},
+    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
     **{ast.BitAnd: "&&", ast.BitOr: "||", ast.And: "&&", ast.Or: "||"},
 }
@@ -127,19 +127,24 @@ class _Function(ast.NodeTransformer):
         self.drop_unused()
         code, signature = "\n".join(self.lines), list[list[str]]()
         for each in self.definition.args.args:
-            ours = PARAMETERS.get(each.arg) if self.is_kernel else None
-            ours = (f"real {self.local(each.arg)}",) if ours is None else ours
+            ours = self.parameters_of(each.arg)
             signature.append([p for p in ours if _uses(code, p.split()[-1].lstrip("*"))])
         self.emitter.signatures[self.definition.name] = self.name, signature
         parameters = [p for each in signature for p in each] + [f"real *{out}" for out in self.outs]
+        parameters = [p.replace(" ", "\0") for p in parameters]  # a line does not end within one
         head = f"static {self.returns or 'void'} {self.name}({', '.join(parameters)})"
         if "P[" in code:
             self.lines.insert(0, "    real(*P)[N] = b->covariance;")
         documented = (ast.get_docstring(self.definition) or "").split("\n\n")[0].split()
         doc = textwrap.fill(" ".join(documented), 116, subsequent_indent=" * ")
         comment = f"/* {doc} */\n" if documented else ""
-        head = textwrap.fill(head, 118, subsequent_indent="    ")
+        head = textwrap.fill(head, 118, subsequent_indent="    ").replace("\0", " ")
         return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
+
+    def parameters_of(self, name: str) -> tuple[str, ...]:
+        """C's parameters in place of one."""
+        ours = PARAMETERS.get(name) if self.is_kernel else None
+        return (f"real {self.local(name)}",) if ours is None else ours
 
     def chosen(self, statements: list[ast.stmt]) -> list[ast.stmt]:
         """The statements whose conditions hold, where those are known."""
@@ -449,7 +454,7 @@ def _numeral(value: float) -> ast.Name:
 
 
 def _number(node: ast.expr) -> float | None:
-    match = re.fullmatch(r"R\((.+)\)|\d+", node.id) if isinstance(node, ast.Name) else None
+    match = re.fullmatch(r"R\(([-+.\de]+)\)|\d+", node.id) if isinstance(node, ast.Name) else None
     return float(match[1] or match[0]) if match else None
 
 

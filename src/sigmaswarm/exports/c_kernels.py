@@ -39,6 +39,10 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
     emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
         emitter.add(measurements._stretch, n=n)
+    if features["USE_STRONG_TRACKING"]:
+        emitter.add(measurements._fade, n=n)
+    if features["USE_ROBUST"]:
+        emitter.add(measurements._weigh)
     if features["USE_ADAPTIVE"]:
         emitter.add(measurements._adapt, n=n)
     return emitter.text()
@@ -109,7 +113,8 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         "R_ODOMETER": "ODOMETER_NOISE",
         "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",
-        "FORGETTING": "FORGETTING",
+        **{"FORGETTING": "FORGETTING", "FADING": "FORGETTING", "RECENT": "b->recent", "USE": 1.0},
+        **{"DOF": "ROBUST_DOF", "PATIENCE": "PATIENCE", "OUTLIERS": "b->outliers", "SPAN": "b->span"},
         "OK": "b->failed",
         **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
         **dict.fromkeys(("FACED", "FACED_ALL"), "b->faced" if turns_along else None),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from types import ModuleType
 
-from sigmaswarm.drives import alignment, frozen, gaps, gyro_seen, odometer, standstill, timeline
+from sigmaswarm.drives import alignment, gyro_seen, standstill, timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import divergence, fuzzy, schedule, student, tilted
 from sigmaswarm.filters.compiled import live
@@ -36,7 +36,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "FIX_ERROR": p.fix_error is not None,
         "PLANAR_FIX_ERROR": p.fix_error is not None and not has_tilts,
         "STD": p.accuracy_scale is not None or p.fix_error is not None,
-        "SINCE": adaptive or p.fix_error is not None,
+        "SINCE": adaptive or robust or p.fix_error is not None,
         "ROBUST": robust,
         "STRETCH": tracking or robust,
         "VELOCITY": velocity,
@@ -72,16 +72,11 @@ PARAMETERS = (
 CONSTANTS: tuple[tuple[ModuleType, str, str], ...] = (
     (alignment, "", "REFITS"),
     (divergence, "", "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD"),
-    (frozen, "", "BEFORE SPEED_WINDOW BRAKING REST NO_REST"),
     (fuzzy, "", "LARGEST_RATIO SLOWER"),
-    (gaps, "GAP_", "MANY SHORTEST OVER MOST"),
     (gyro_seen, "", "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS"),
     (live, "", "LEAP AGREES"),
-    (odometer, "", "SLOW STALE"),
-    (odometer, "ODOMETER_", "INTERVAL"),
     (schedule, "", "LATERAL_INTERVAL STANDSTILL_INTERVAL STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED"),
-    (standstill, "", "BLOCK DEPARTS FOLLOWS FORGETS CALM SETTLES RISES TURNING FIX_WINDOW FILLED FIX_SPEED"),
-    (standstill, "", "MOST_OF_IT QUARTER"),
+    (standstill, "", "BLOCK N_MEMORY"),
     (student, "", "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN"),
     (tilted, "", "GRAVITY"),
     (timeline, "", "CORNERING"),

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import Alignments, InitialState
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
+from sigmaswarm.drives.odometer import slot_of
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL
@@ -68,7 +69,7 @@ def check_times(line: Timeline) -> CheckTimes:
     silence = np.diff(line.end[sampled], prepend=line.start)[fresh]
     soon = (line.end[step] - line.end[last] <= LATEST_LOOK) & (silence <= LEAP)
     step, last = step[soon], last[soon]
-    slot = np.floor((line.end[step] - line.start) / LOOK_INTERVAL + 1e-6)
+    slot = slot_of(line.end[step], line.start, LOOK_INTERVAL)
     first = np.unique(slot, return_index=True)[1]
     fix = np.searchsorted(line.fix_time, line.end[last[first]], side="right") - 1
     return CheckTimes(step[first], fix)

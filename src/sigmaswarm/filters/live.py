@@ -9,7 +9,7 @@ import numpy as np
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.frozen import FROZEN
-from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory, new_stop
+from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory
 from sigmaswarm.drives.table_files import LARGEST
 from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
@@ -432,6 +432,6 @@ def _believe(
     given = MODELS[p.model].imu
     nothing = len(given)  # behind the model's axes come zeros
     v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]
-    v[live.STOP] = new_stop()
+    v[live.STOP_TIME] = -np.inf
     v[live.DIMENSION] = len(FILTERS[p.kernel].states)
     return v

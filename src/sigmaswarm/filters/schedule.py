@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.gyro_seen import GyroSeen, together
+from sigmaswarm.drives.odometer import slot_of
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, add_start, known_states
@@ -158,11 +159,7 @@ def flags_of(
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
     """The first wanted step of each interval of time."""
-    slots = line.end[wanted]
-    slots -= line.start
-    slots /= interval
-    slots += 1e-6
-    np.floor(slots, out=slots)  # as the live filter's `_slot`
+    slots = slot_of(line.end[wanted], line.start, interval)
     first = np.ones(len(slots), dtype=np.bool_)
     np.not_equal(slots[1:], slots[:-1], out=first[1:])
     chosen = wanted.copy()

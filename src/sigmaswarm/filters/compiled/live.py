@@ -29,8 +29,8 @@ from numba.core.dispatcher import Dispatcher
 from sigmaswarm.compilation import once
 from sigmaswarm.drives.frozen import FROZEN, kind_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
-from sigmaswarm.drives.odometer import INTERVAL, SLOW, STALE
-from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, N_STOP, fixes_stand, is_as_it_was, is_calm
+from sigmaswarm.drives.odometer import INTERVAL, STALE, mean_reading, slot_of, wheels_turn
+from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, fixes_stand, is_as_it_was, is_calm
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import COVARIANCE, N_KEPT, P0, R
@@ -45,7 +45,8 @@ from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELO
 N_FILTER = N_KEPT
 OK = R.OK
 TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(N_FILTER, N_FILTER + 6)
-STOP = slice(N_FILTER + 6, N_FILTER + 6 + N_STOP)  # what is remembered of a stop
+STOP_TIME = N_FILTER + 6  # of the last moment of calm and constant fixes; then the stop's ax, ay
+STOP = slice(STOP_TIME + 1, STOP_TIME + 3)
 N_BELIEF = STOP.stop
 # Behind it, what no late fix takes back. An interval of 0: the filter does not take that constraint.
 N_SAMPLE = 1 + len(AXES)
@@ -139,12 +140,6 @@ def _same(a, b, n):
 
 
 @_plain
-def _slot(t, start, interval):
-    """The interval that contains a time, as in `schedule._every`; a constraint is absorbed once in each."""
-    return math.floor((t - start) / interval + 1e-6)
-
-
-@_plain
 def is_definite(p, n, factor, first):
     """Whether a covariance of n states is positive semidefinite, but for rounding: by its Cholesky factor.
 
@@ -186,7 +181,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
     """
     before, nothing = v[TIME], np.zeros(9)
     no_fix, wheels = nothing[:6], nothing[6:]
-    end = _seen(counts, fixes, t)
+    end, came = _until(fixes, counts[N_FIXES], t), _until(speeds, counts[N_SPEEDS], t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
         first -= 1
@@ -199,17 +194,17 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
         v[SINCE] = 0.0
     happens = 0
     if v[LATERAL_INTERVAL] > 0.0 and abs(u[AY]) <= CORNERING:
-        slot = _slot(t, v[START], v[LATERAL_INTERVAL])
+        slot = slot_of(t, v[START], v[LATERAL_INTERVAL])
         if slot != v[LATERAL_SLOT]:
             happens |= LATERAL
             v[LATERAL_SLOT] = slot
     if speeds.shape[0] > 0:
-        slot = _slot(t, v[START], INTERVAL)
-        if slot != v[ODOMETER_SLOT] and _gather(v, counts, speeds, before, t, wheels):
+        slot = slot_of(t, v[START], INTERVAL)
+        if slot != v[ODOMETER_SLOT] and mean_reading(speeds, came, t, before, v[ODOMETER_TIME], wheels):
             happens |= ODOMETER
             v[ODOMETER_SLOT], v[ODOMETER_TIME] = slot, t
-    if calm and _stands(v, fixes, end, t, means) and not _turn(counts, speeds, t):
-        slot = _slot(t, v[START], v[STANDSTILL_INTERVAL])
+    if calm and _stands(v, fixes, end, t, means) and not wheels_turn(speeds, came, t):
+        slot = slot_of(t, v[START], v[STANDSTILL_INTERVAL])
         if slot != v[STANDSTILL_SLOT]:
             happens |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
@@ -220,51 +215,20 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 
 @_plain
-def _gather(v, counts, speeds, before, t, wheels):
-    """Put the readings since the last look together, as `drives.odometer`; False if none came since ``before``."""
-    end = counts[N_SPEEDS]
-    while end > 0 and speeds[end - 1, 0] > t:
-        end -= 1
-    oldest = t - INTERVAL
-    if end == 0 or speeds[end - 1, 0] <= max(before, oldest):
-        return False
-    first = end
-    while first > 0 and speeds[first - 1, 0] > max(v[ODOMETER_TIME], oldest):
-        first -= 1
-    total, age, n = 0.0, 0.0, end - first
-    for r in range(first, end):
-        total += speeds[r, 1]
-        age += t - speeds[r, 0]
-    wheels[0], wheels[1] = total / n, age / n
-    wheels[2] = SLOW * SLOW if abs(wheels[0]) < SLOW else 0.0
-    return True
-
-
-@_plain
-def _turn(counts, speeds, t):
-    """Whether the wheels turn: the car does not stand then, however calm it is."""
-    end = counts[N_SPEEDS] if speeds.shape[0] > 0 else 0
-    while end > 0 and speeds[end - 1, 0] > t:
-        end -= 1
-    return end > 0 and speeds[end - 1, 0] > t - STALE and abs(speeds[end - 1, 1]) >= SLOW
-
-
-@_plain
-def _seen(counts, fixes, now):
-    """How many fixes there are up to a time."""
-    end = counts[N_FIXES]
-    while end > 0 and fixes[end - 1, FIX_TIME] > now:
-        end -= 1
-    return end
+def _until(rows, n, now):
+    """How many of the first n rows, which begin with their times, are up to a time."""
+    while n > 0 and rows[n - 1, 0] > now:
+        n -= 1
+    return n
 
 
 @_plain
 def _stands(v, fixes, end, now, means):
     """After a calm second: whether the fixes up to row ``end`` and the stop so far show a standstill."""
-    first = end
-    while first > 0 and fixes[first - 1, FIX_TIME] >= now - FIX_WINDOW:
-        first -= 1
-    return fixes_stand(fixes[first:end], fixes[first:end, KIND], now) and is_as_it_was(v[STOP], now, means)
+    if not fixes_stand(fixes, fixes[:, KIND], end, now, np.empty(1)):
+        return False
+    passed, v[STOP_TIME] = now - v[STOP_TIME], now
+    return is_as_it_was(v[STOP], passed, means)
 
 
 @_plain
@@ -360,7 +324,7 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
     if t <= v[START]:
         _copy(sample, last, N_SAMPLE)
         if calm:  # a stop may have begun before
-            _stands(v, fixes, _seen(counts, fixes, t), t, means)
+            _stands(v, fixes, _until(fixes, counts[N_FIXES], t), t, means)
         return
     if counts[N_HISTORY] < history.shape[0]:
         counts[N_HISTORY] += 1
@@ -479,7 +443,7 @@ def _is_due(v, counts, fixes, t):
     """Whether the filter is to be looked at after a sample: once in each interval, where a fix has just come."""
     if not _sees_more(v, counts, fixes, t):
         return False
-    slot = _slot(t, v[START], LOOK_INTERVAL)
+    slot = slot_of(t, v[START], LOOK_INTERVAL)
     soon = t - v[SEEN_FIX] <= LATEST_LOOK + v[LATE_BY] * counts[CAME_LATE]
     if not soon or slot == v[LOOKED]:
         return False

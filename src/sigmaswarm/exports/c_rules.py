@@ -1,0 +1,206 @@
+"""Print the rules for what happens to a sample as C99: standstill, stale fixes, gaps; the library's own functions.
+
+They are plain functions over times, fixes and small arrays. A time is a type of its own in C, whose float build counts
+ticks: a difference of two times becomes ``since``, and a number of seconds that is added to a time ``SECONDS``.
+"""
+
+# pyright: reportPrivateUsage=false
+
+import ast
+import inspect
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from sigmaswarm.drives import frozen, gaps, odometer, standstill
+from sigmaswarm.exports.c_emitter import Emitter, _Function
+
+ALWAYS = gaps.gap_of, gaps.usual_after, frozen._speed_at, frozen.kind_of
+STANDSTILL = (
+    *(standstill._clear, standstill._copy, standstill._merge, standstill._merge_quarter),
+    *(standstill._begin_block, standstill.calm_after, standstill.is_as_it_was, standstill.fixes_stand),
+)
+POINTERS = {
+    **{"fixes": "const InsGpsFix *", "readings": "const InsGpsReading *", "wheels": "Wheels *"},
+    **{"memory": "InsGpsBlock *", "means": "const real *", "until": "ins_gps_time *"},
+}
+"""Types of arrays, others being ``real *``. The array ``kinds`` is a field of the fixes."""
+FIELDS = {"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")}
+"""Names of columns."""
+TIMES = ("now", "before", "taken")
+ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "FROZEN": "FROZEN", "FROZEN_MOVING": "FROZEN_MOVING"}
+_TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
+_TYPES = {float: "real", int: "int", bool: "bool", None: "void"}
+_CALLS = {"min": "SMALLER", "max": "LARGER", "math.hypot": "HYPOT"}
+_CASTS = {"int": "(int)", "float": "(real)"}
+
+
+def rules_of(features: Mapping[str, bool]) -> str:
+    """The rules that a filter needs in C, after the constants that they use."""
+    stands, wheels = features["USE_STANDSTILL"], features["USE_ODOMETER"]
+    functions = [*ALWAYS, *(STANDSTILL if stands else ()), *([odometer.mean_reading] if wheels else [])]
+    functions += [odometer.wheels_turn] if stands and wheels else []
+    emitter, constants, texts = Emitter({}), dict[str, str](), list[str]()
+    for function in functions:
+        rule = _Rule(emitter, function)
+        texts.append(rule.text())
+        constants |= rule.used
+    return "\n".join(["".join(constants.values()), *texts])
+
+
+class _Rule(_Function):
+    """One rule on its way to C. A local variable has one type, that of its first value."""
+
+    def __init__(self, emitter: Emitter, compiled: Any) -> None:
+        function = getattr(compiled, "py_func", compiled)
+        super().__init__(emitter, function, function.__name__.lstrip("_"), {})
+        self.types = {name: _TYPES.get(kind, "real *") for name, kind in function.__annotations__.items()}
+        self.types |= {name: kind for name, kind in POINTERS.items() if name in self.types}
+        self.types |= {name: _TIME for name in self.types if name in TIMES}
+        self.returns = {"kind_of": _KIND}.get(self.name, self.types["return"])
+        module = inspect.getsource(inspect.getmodule(function) or function)
+        found = re.findall(r'^(\w+) = .*\n"""([^"]*)"""', module, re.MULTILINE)
+        self.described = {name: " ".join(text.split()) for name, text in found}
+        self.used: dict[str, str] = {}  # definitions of constants
+
+    def parameters_of(self, name: str) -> tuple[str, ...]:
+        return () if name == "kinds" else (f"{self.types[name]} {self.local(name)}".replace("* ", "*"),)
+
+    # ---- statements ----
+
+    def block(self, statements: list[ast.stmt], depth: int) -> None:
+        for statement in statements:
+            if isinstance(statement, ast.While | ast.For | ast.If):
+                for comment in self.comments.get(statement.lineno, []):
+                    self.put(f"/* {comment} */", depth)
+            match statement:
+                case ast.While(test, body):
+                    self.nested(f"while ({self.c(test)}) {{", body, depth)
+                case ast.For(ast.Name(name), ast.Call(_, bounds), body):
+                    self.types[name] = "int"
+                    first, end = ("0", *map(self.c, bounds))[-2:]
+                    name = self.local(name)
+                    self.nested(f"for (int {name} = {first}; {name} < {end}; {name}++) {{", body, depth)
+                case ast.If():
+                    self.branch("if", statement, depth)
+                case ast.Assign([ast.Name(name)], ast.Tuple(elts=values)):
+                    self.types[name] = "real *"
+                    self.put(f"const real {name}[] = {{{', '.join(map(self.c, values))}}};", depth)
+                case ast.Return(ast.expr() as value):
+                    self.put(f"return {self.c(value)};", depth)
+                case _:
+                    super().block([statement], depth)
+
+    def branch(self, head: str, statement: ast.If, depth: int) -> None:
+        self.nested(f"{head} ({self.c(statement.test)}) {{", statement.body, depth)
+        if statement.orelse:
+            self.lines.pop()
+            match statement.orelse:
+                case [ast.If() as other]:
+                    self.branch("} else if", other, depth)
+                case body:
+                    self.nested("} else {", body, depth)
+        elif head != "if":  # as MISRA's rule 15.7 asks
+            self.lines.pop()
+            self.put("} else {", depth)
+            self.put("/* nothing */", depth + 1)
+            self.put("}", depth)
+
+    def nested(self, head: str, body: list[ast.stmt], depth: int) -> None:
+        self.put(head, depth)
+        before = set(self.declared)
+        self.block(body, depth + 1)
+        self.declared = before
+        self.put("}", depth)
+
+    def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
+        for target, value in zip(targets, values, strict=True):
+            if isinstance(target, ast.Name):
+                self.types.setdefault(target.id, self.type_of(value))
+        super().store_all(targets, values, depth)
+
+    def store(self, target: ast.expr, place: str, mirror: str, value: ast.expr, depth: int) -> None:
+        declared = ""
+        if isinstance(target, ast.Name) and place not in self.declared:
+            kind = self.types[target.id]
+            declared = ("" if target.id in self.changing or "*" in kind else "const ") + f"{kind} "
+            self.declared.add(place)
+        self.put(f"{declared.replace('* ', '*')}{place} = {self.print(value)};", depth)
+
+    def place(self, node: ast.expr) -> tuple[str | None, str]:
+        return self.c(node), ""
+
+    # ---- expressions ----
+
+    def type_of(self, node: ast.expr) -> str:
+        """C's type of an expression."""
+        match node:
+            case ast.Name(name) if name in self.types:
+                return self.types[name]
+            case ast.Subscript(ast.Name("fixes" | "readings"), ast.Tuple([_, ast.Constant(0)])):
+                return _TIME
+            case ast.Subscript(ast.Name("memory"), index) if not isinstance(index, ast.Tuple):
+                return "real *"
+            case ast.Subscript(ast.Name("kinds")):
+                return _KIND
+            case ast.Call(ast.Name("int")):
+                return "int"
+            case ast.BinOp(left, _, right):
+                kinds = [self.type_of(left), self.type_of(right)]
+                return _TIME if kinds.count(_TIME) == 1 else "int" if kinds == ["int", "int"] else "real"
+            case ast.Compare() | ast.BoolOp():
+                return "bool"
+            case _:
+                return _TYPES.get(type(self.value(node)), "real")
+
+    def visit_Constant(self, node: ast.Constant) -> ast.expr:
+        return (
+            ast.Name(str(node.value).lower())
+            if isinstance(node.value, bool)
+            else super().visit_Constant(node)
+        )
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if node.id in ENUMERATORS:
+            return ast.Name(f"INS_GPS_{ENUMERATORS[node.id]}")
+        if not isinstance(self.names.get(node.id), int | float):
+            return super().visit_Name(node)
+        name = self.constant(node.id)
+        return ast.Name(name if isinstance(self.names[name], int) else f"R({name})")
+
+    def constant(self, name: str) -> str:
+        """Note that a constant is used."""
+        comment = f" /* {self.described[name]} */" if name in self.described else ""
+        self.used[name] = f"#define {name} {self.names[name]!r}{comment}\n"
+        return name
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
+        assert isinstance(node.value, ast.Name)
+        name, indices = node.value.id, node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        if name == "kinds":
+            return ast.Name(f"fixes[{self.c(indices[0])}].kind")
+        if name in FIELDS:
+            field = FIELDS[name][self.value(indices[-1])]
+            return ast.Name(
+                f"{name}->{field}" if name == "wheels" else f"{name}[{self.c(indices[0])}].{field}"
+            )
+        return ast.Name(name + "".join(f"[{self.c(index)}]" for index in indices))
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        kinds = [self.type_of(node.left), self.type_of(node.right)]
+        if kinds == [_TIME, _TIME]:
+            return ast.Name(f"since({self.c(node.right)}, {self.c(node.left)})")
+        if kinds[0] == _TIME:
+            seconds = ast.Name(f"SECONDS({self.constant(ast.unparse(node.right))})")
+            return ast.BinOp(self.visit(node.left), node.op, seconds)
+        return super().visit_BinOp(node)
+
+    def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
+        name = ast.unparse(node.func)
+        if name in _CASTS and self.type_of(node.args[0]) != _KIND:
+            return _CASTS[name] + self.print(self.fold(node.args[0]), 8)
+        if name in _CALLS:
+            return f"{_CALLS[name]}({', '.join(map(self.c, node.args))})"
+        if name == "int":
+            return self.c(node.args[0])
+        return super().call(node)
