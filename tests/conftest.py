@@ -3,7 +3,7 @@
 import gc
 import os
 import signal
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 # Before NumPy is imported: as many processes as cores run the tests, and threads of BLAS would wait for each other.
@@ -49,3 +49,12 @@ def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda _, file, **__: file.write(b"a picture"))
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[object]:
+    """One for a process: Playwright can't be started twice in a thread."""
+    from browsing import open_browser
+
+    with open_browser() as opened:
+        yield opened

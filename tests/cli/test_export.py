@@ -120,7 +120,10 @@ def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):
         (["--to", "filterpy", "--out", "x", "--replay", "DRIVE"], "--replay is for --to c99 only"),
         (["--to", "c99", "--out", "x", "--replay", "nowhere"], "nowhere does not exist"),
         (["--to", "c99", "--out", "x", "--check", "nowhere"], "nowhere does not exist"),
-        (["--to", "filterpy", "--out", "x", "--check", "DRIVE"], "--check is for --to c99 only"),
+        (
+            ["--to", "filterpy", "--out", "x", "--check", "DRIVE"],
+            "--check is for --to c99, and for tunings of robot-localization",
+        ),
     ],
 )
 def test_mistakes_get_one_line(

@@ -13,7 +13,7 @@ from sigmaswarm.drives.tables import Imu
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import baseline
+from sigmaswarm.filters.presets import MODEL_NOISE, baseline
 from sigmaswarm.noise import allan_deviation, filter_noise, imu_noise
 from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK, model_parts
 from sigmaswarm.noise.spectrum import Fit, fit, spectrum_of
@@ -305,7 +305,7 @@ def test_a_tuned_q_per_second():
 
 
 def test_a_baseline_s_q_is_the_stated_noise():
-    """What drive.toml states comes back from the Q of the filter that starts from it."""
+    """What drive.toml states comes back from the Q of the filter that starts from it, with the noise of the model."""
     stated = {
         "accel_noise_density": 3e-3,
         "gyro_noise_density": 2e-4,
@@ -314,9 +314,9 @@ def test_a_baseline_s_q_is_the_stated_noise():
     }
     drive = replace(make_drive(duration=20.0), metadata=stated)
     found = {a.axis: (a.white.value, a.walk.value) for a in filter_noise(baseline(drive, TUNED)).axes}
-    assert found == {
-        "ax": pytest.approx((3e-3, 5e-5)), "ay": pytest.approx((3e-3, 5e-5)), "gz": pytest.approx((2e-4, 7e-6))
-    }  # fmt: skip
+    accel, gyro = np.hypot(3e-3, MODEL_NOISE["accel"]), np.hypot(2e-4, MODEL_NOISE["gyro"])
+    assert found["ax"] == found["ay"] == pytest.approx((accel, 5e-5))
+    assert found["gz"] == pytest.approx((gyro, 7e-6))
 
 
 @needs_shared

@@ -45,7 +45,7 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     whole = prepared(DRIVE)
     lengths = [
         len(outage_replay(whole, length=length, seed=seed).timeline.dt)
-        for length in (5.0, 30.0)
+        for length in (1.0, 5.0, 30.0)
         for seed in placements(DRIVE, whole.initial, length=length, seed=0)
     ]
     aligned, lines, reckoned = (

@@ -40,6 +40,9 @@ class Table:
     def mean(self, each: np.ndarray) -> np.ndarray:
         return each.mean(axis=1)
 
+    def parameters(self, point: np.ndarray) -> np.ndarray:
+        return point
+
 
 def raced(costs: np.ndarray, order):
     table = Table(costs)
@@ -186,6 +189,9 @@ class Bowls:
 
     def mean(self, each: np.ndarray) -> np.ndarray:
         return each.mean(axis=1)
+
+    def parameters(self, point: np.ndarray) -> np.ndarray:
+        return point
 
     def costs(self, points: np.ndarray, executor) -> np.ndarray:
         return self.mean(self.each(points, range(len(self.steps)), executor))

@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from browsing import open_browser
-
 pytest.importorskip("nicegui", reason="NiceGUI is not installed (extra workbench)")
 
 SERVER = """
@@ -72,12 +70,6 @@ def serve() -> Iterator[Any]:
     yield start
     for one in served:
         one.end()
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    with open_browser() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -102,8 +102,9 @@ def evaluate(
     from sigmaswarm.tuning.record import FILE, TuningRecord
 
     learned, out = load_learned(tuning), options.out
+    parameters = sigmaswarm.FilterParameters.load(tuning)
     record = load_record(TuningRecord, tuning / FILE if tuning.is_dir() else tuning)
-    result = _evaluated(tuning, drives, options, learned, record)
+    result = _evaluated(tuning, parameters, drives, options, learned, record)
     _warn_of_training_drives(result)
     written = save_evaluation(result, out, tuning, learned) if out else []
     if options.json:
@@ -120,17 +121,16 @@ def evaluate(
 
 def _evaluated(
     tuning: Path,
+    parameters: "sigmaswarm.FilterParameters",
     drives: Sequence[str],
     options: EvaluateOptions,
     learned: "Learned | None",
     record: "TuningRecord",
 ) -> "Evaluation":
-
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
     from sigmaswarm.tuning.record import FILE, seen_by
 
-    parameters = sigmaswarm.FilterParameters.load(tuning)
     if not 0 < options.outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
     run = learned and partial(learned.run, parameters=parameters, recover=True)

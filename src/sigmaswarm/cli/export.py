@@ -110,7 +110,7 @@ def export(
 
 
 def _accuracy(
-    parameters: sigmaswarm.FilterParameters, drives: "Sequence[Drive]", tuning: Path, against: Path | None
+    parameters: "sigmaswarm.FilterParameters", drives: "Sequence[Drive]", tuning: Path, against: Path | None
 ) -> str:
     """The section of README.md on the accuracy on drives."""
     from sigmaswarm.exports.robot_localization import accuracy_section

@@ -17,15 +17,15 @@ def workbench(
     port: int = 0,
     no_browser: bool = False,
 ) -> None:
-    """Open the workbench in the browser: import, check, tune, evaluate and export without typing.
+    """Open the browser: import, check, tune, evaluate and export by mouse.
 
     The page is served on this machine only, at an address with a secret token. OUT is an ordinary folder of drives,
     tunings and evaluations, with which the other commands work, too. An interrupted tuning is resumed there.
 
     Examples:
 
-        sigmaswarm workbench
         sigmaswarm workbench monday.mcap
+        sigmaswarm workbench
         sigmaswarm workbench phone-export --out trial
 
     Parameters
