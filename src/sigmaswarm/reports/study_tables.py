@@ -194,15 +194,20 @@ def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> 
     rows: list[Row] = []
     for name, times in live.items():
         theirs = paper.get(LIVE_NAMES.get(name), {}).get("update_ms")
-        rows.append((name, theirs, times.get("predict_ms"), times.get("predict_and_update_ms")))
-    ours = ("ours, an IMU sample", "ours, an IMU sample with a fix")
-    columns = (Column("filter"), _figures("paper"), *(_figures(title, 4) for title in ours))
+        row: list[Cell] = [name, theirs]
+        for call in ("predict", "predict_and_update"):
+            low, high = times.get(f"{call}_low_ms"), times.get(f"{call}_high_ms")  # since 0.4.0
+            row += [times.get(f"{call}_ms"), None if low is None or high is None else (low, high)]
+        rows.append(tuple(row))
+    columns = [Column("filter"), _figures("paper")]
+    for title in ("ours, an IMU sample", "ours, an IMU sample with a fix"):
+        columns += [_figures(title, 4), _figures("95% of the calls", 4, joined=True)]
     note = (
-        "Medians over one drive of the live filter, called from Python, on the machine that ran the study. Tuning does "
-        "not change them. The paper's limit for real time is "
+        "Medians over one drive of the live filter, called from Python, on the machine that ran the study; in brackets "
+        "the range of 95% of the calls. Tuning does not change them. The paper's limit for real time is "
         f"{results.paper['real_time_limit_ms']:g} ms."
     )
-    return Table("Table III, run time: ms per update", columns, tuple(rows), note=note)
+    return Table("Table III, run time: ms per update", tuple(columns), tuple(rows), note=note)
 
 
 def comparison(results: Results, protocol: str, measure: str, against: str) -> PairedComparison | None:

@@ -313,7 +313,7 @@ class StudyRecord:
     spreads : list of Spread
         Of scores.csv.
     live : mapping of filter to mapping
-        predict_ms and predict_and_update_ms of live filters, of timings.json.
+        predict_ms and predict_and_update_ms of live filters, and their ranges, of timings.json.
     rival_times : mapping of variant to mapping
         Of timings.json: training_s (processor time of a trial) and sample_us (of an IMU sample).
     tracks : list of Tracks
