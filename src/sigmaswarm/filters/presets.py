@@ -125,9 +125,7 @@ def as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
-    variances: dict[str, Any] = {
-        "measurement_noise": tuple(std**2 for std in stated_std(drive) or (UNSTATED_GPS_STD,) * 2)
-    }
+    variances: dict[str, Any] = {"measurement_noise": baseline(drive).measurement_noise}
     if drive.gps.std_x is not None and drive.gps.std_y is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None

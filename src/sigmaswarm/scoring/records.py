@@ -65,7 +65,9 @@ class ScoresRecord(BaseModel):
             return ""
         means = [sum(one[i] or 0.0 for one in drawn) / len(drawn) for i in range(count)]
         outages = sum(one.outages for one in found)
-        few = ", all on the same short stretch: another one may give far more" * (outages < FEW * count)
+        few = (
+            ", all on the same short stretch: another one may give far more" if outages < FEW * count else ""
+        )
         single = f"a single placement gives {min(means):.3g} to {max(means):.3g} m"
         return f"{outages} outages in {count} placements; {single}{few}"
 

@@ -75,9 +75,13 @@ class EvaluationView:
     def drive_table(self) -> Table:
         """The scores of each drive."""
 
+        def label(drive: str, method: str) -> str:
+            failed = method in self.scores.failed.get(drive, ())
+            return f"{self.names[method]} (failed)" if failed else self.names[method]
+
         def rows(methods: Sequence[str]) -> list[_Row]:
             return [
-                (drive, self.names[m] + " (failed)" * (m in self.scores.failed.get(drive, ())), found[m])
+                (drive, label(drive, m), found[m])
                 for drive, found in self.scores.drives.items()
                 for m in methods
                 if m in found

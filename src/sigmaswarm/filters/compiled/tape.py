@@ -29,7 +29,7 @@ MOVES = {
         *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
     ),
 }
-"""By kernel: the rows that make A beside the step's length, all in proportion to it. Then comes phi of `fix_error`."""
+"""By kernel: the rows, each in proportion to the step's length, that make A with it. Then comes phi of `fix_error`."""
 
 
 def _moves_of(name):
