@@ -40,7 +40,7 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
 
     write_ros(here / "monday", messages(simulated()), "mcap")
     assert sigmaswarm("import", "monday", "--out", "drive").code == 0
-    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.ros2", "--beside", "monday")
+    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.ros2", "--merge", "monday")
     assert (ended.code, ended.err) == (0, "")
     assert "Foxglove: import estimate.ros2/foxglove-layout.json as a layout" in ended.out
     with AnyReader([here / "monday"]) as before, AnyReader([here / "estimate.ros2"]) as after:
@@ -53,9 +53,9 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
         assert min(own.values()) > 100
         assert counts == {topic: info.msgcount for topic, info in before.topics.items()}
         assert before.start_time <= after.start_time and after.end_time <= before.end_time
-    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.tum", "--beside", "monday")
+    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.tum", "--merge", "monday")
     assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
-    ended = sigmaswarm("run", tuned, "drive", "--out", "e.ros2", "--beside", "tuesday")
+    ended = sigmaswarm("run", tuned, "drive", "--out", "e.ros2", "--beside", "tuesday")  # the name of 0.3.0
     assert ended.code == 2
     assert "tuesday: no such bag" in ended.err
 
