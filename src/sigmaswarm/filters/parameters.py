@@ -234,12 +234,8 @@ class FilterParameters:
         """
         path = Path(path)
         if path.suffix in YAML:
-            of_file = read_configuration(path) | {
-                "model": "robot-localization",
-                "kind": "ekf",
-                "nominal_interval": 1.0,
-            }
-            return cls(1.0, 0.0, 0.0, measurement_noise=(1.0, 1.0), **of_file)
+            usual: dict[str, Any] = {"model": "robot-localization", "kind": "ekf", "nominal_interval": 1.0}
+            return cls(1.0, 0.0, 0.0, measurement_noise=(1.0, 1.0), **usual, **read_configuration(path))
         if path.is_dir():
             from sigmaswarm.drives.reader import has_table  # slow to import
 
