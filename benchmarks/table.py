@@ -166,9 +166,7 @@ def live(measured: dict) -> Iterator[str]:
     rows["test_swarm planar8 ukf, lateral and standstill"] = "LiveFilterBank, sixteen of the one above"
     for name, label in rows.items():
         cells = [
-            "{:.2f}; {:.1f}".format(
-                *(middle(measured[name], f"{c}_{k}") / 1e3 for k in ("median", "tail"))
-            )
+            "{:.2f}; {:.1f}".format(*(middle(measured[name], f"{c}_{k}") / 1e3 for k in ("median", "tail")))
             for c in ("predict", "update", "both")
         ]
         rival = measured.get(theirs + name.removeprefix(ours)) if name.startswith(ours) else None
