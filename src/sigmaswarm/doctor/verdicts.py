@@ -24,7 +24,7 @@ CLEARLY = 16.0
 ALIKE = 0.05
 """Tolerance of M's entries off the axes, for other reasons: tilt that follows the maneuvers, slip."""
 SCALE = 0.12
-"""The same along the axes; besides, a body that rolls and pitches makes accelerometers feel 5 to 10% more."""
+"""The same along the axes; roll and pitch of the body add 5 to 10% to the measured acceleration."""
 SHOWN = 0.25
 """Deviation of an entry of M, in its unit, below which the drive shows it."""
 LEAST_OFFSET = 0.1

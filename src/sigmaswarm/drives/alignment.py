@@ -24,7 +24,7 @@ from sigmaswarm.geodesy import wrap_angle
 MIN_DURATION = 4.0
 """s, at least, between the first and the last fix of an alignment."""
 MAX_DURATION = 6.0
-"""s, at most: older fixes say little about the heading, since the gyro's bias adds up."""
+"""s, at most: older fixes hardly determine the heading, since the gyro's bias adds up."""
 MIN_TRAVEL = 20.0
 """m of forward travel in that time, for an accurate heading; it needs 12 km/h."""
 FEWEST_FIXES = 4

@@ -38,7 +38,7 @@ _USUAL = (0.5, 20.0)
 _JUMP = 3600.0
 """s between two rows, above which a time stamp is corrupt or the clock was set."""
 _WINDOW = 5.0
-"""s over which fixes give speed and course: long enough for metres of noise, short enough for turns."""
+"""s over which fixes give speed and course: long enough for meters of noise, short enough for turns."""
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ OWN = (
     *("particles", "generations", "trials", "polish", "racing"),
     *("inertia", "cognitive", "social", "zero_velocity_at_bounds"),
 )
-"""Options in which contenders may differ, besides optimizer and scale."""
+"""Options in which contenders may differ, in addition to optimizer and scale."""
 REFUSED = {
     **{name: f"is compared; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(

@@ -31,7 +31,7 @@ SMALL, FIRST_FIX = 1e-6, 1.0
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
 """Measures in README.md."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
-"""At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md says."""
+"""At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md explains."""
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:

@@ -147,7 +147,7 @@ HEADING_VARIANCE = (1e-10, 1e-1)
 which a likelihood without truth may prefer where a receiver smooths them: half of dresden's tunings did.
 """
 CITY_VARIANCE = (1e-5, 1e3)
-"""For R: between high buildings fixes err by tens of metres."""
+"""For R: between high buildings fixes err by tens of meters."""
 BIAS_WALK = (1e-16, 1e-4)
 """For the random walks of the biases."""
 

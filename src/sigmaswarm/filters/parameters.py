@@ -288,7 +288,7 @@ _SCALED = (
     "accuracy_scale",
     "fix_error",
 )
-"""Variances, or factors of them, besides Q and R."""
+"""Variances, or factors of them, in addition to Q and R."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 

@@ -19,7 +19,7 @@ FASTEST = 150.0
 FIT = 0.35
 """rad: a heading that agrees with the course within this, by its median, is in that convention."""
 MOVING = 1.0
-"""m/s; slower than this, the course says nothing about the heading."""
+"""m/s; at lower speeds the course does not show the heading."""
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:

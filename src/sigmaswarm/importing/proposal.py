@@ -63,7 +63,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Of which a receiver states the accuracy, too: that says nothing of the position, by which R goes."""
+"""Quantities whose accuracy a receiver states, too; it is not the accuracy of the position."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 """Repairs that are done to a proposal's expressions; the others are of the drive."""
 EXCHANGED = 0.2

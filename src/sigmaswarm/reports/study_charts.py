@@ -41,7 +41,7 @@ COLORS = {
 }
 """Colors of the protocols."""
 REACH = 12
-"""The scale ends at this multiple of the lowest mean, so that the good ones can be told apart."""
+"""The scale ends at this multiple of the lowest mean, so that the good ones can be distinguished."""
 DRAWN: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
     f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),

@@ -134,7 +134,7 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Optimistic: innovations are larger than their covariances; pessimistic: smaller.
+"""Too confident: innovations are larger than their covariances; pessimistic: smaller.
 
 Alike: smaller, and neighbors are much alike, so that nothing is known without truth.
 Lasting: smaller, and the errors against truth are as large as the covariances; predictions share the fixes' errors.

@@ -11,7 +11,7 @@ BLOCKS = 8
 CLEAR = 5.0
 """Deviations of the mean from which on an offset is reported."""
 SIMILAR = 0.5
-"""Share of the other frame's deviations from which on both are reported: a straight road does not tell them apart."""
+"""Share of the other frame's deviations from which on both are reported: a straight road does not distinguish them."""
 LEAST = 0.3, 0.3
 """m, and share of the fixes' scatter: smaller offsets do not matter."""
 

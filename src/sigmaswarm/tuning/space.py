@@ -93,7 +93,7 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
         Dimension("fuzzy_gain_q", "fuzzy_gains", 1, 1.0, 100.0),
     ),
 }
-"""Parameters of a filter type besides its noise."""
+"""Parameters of a filter type in addition to its noise."""
 
 
 @dataclass(frozen=True, eq=False)

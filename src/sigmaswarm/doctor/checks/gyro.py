@@ -28,7 +28,7 @@ SMOOTHED, LAG = 0.3, 0.5
 """s: over which the force is averaged, and over which its direction changes. Longer ones show more of the car's own
 acceleration, shorter ones more shaking. On seven recordings every right sign stands out by 9.5 deviations or more."""
 CLEAR = 7.0
-"""Deviations; neighboring changes share samples, so that these are optimistic."""
+"""Standard deviations; they are too small, since neighboring changes share samples."""
 CLEARER = 2.0
 """Times the other column's deviations."""
 OUTLYING = 3.0

@@ -28,7 +28,7 @@ LEAST_MISSED = 0.3
 AROUND = 2.0
 """s on each side of a gap in which the speed is measured."""
 SIGMAS = 3.0
-"""By which a pause has to lie off a jump to be told from it, each from the middle between them."""
+"""Distance, in standard deviations, of a pause and of a jump from the middle between them, to distinguish the two."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:

@@ -42,7 +42,7 @@ SEARCH_TAKES = 1.0
 REPLAYED = 60.0
 """s that a search replays."""
 FASTER = 2.0
-"""m/s: at lower speeds fixes say little on headings and biases, and no lane is replaced."""
+"""m/s: at lower speeds fixes hardly determine headings and biases, and no filter is replaced."""
 REPLACED = 7
 """Lanes replaced after a search: one by the result, the others by copies of good ones, jittered."""
 JITTER = 0.6

@@ -93,7 +93,7 @@ ROUNDING = 1e-8
 LEAP = 10.0
 """s: a sample or fix that is stamped farther ahead of the filter is held back until a second one agrees."""
 AGREES = 1.0 + 1e-6
-"""s between the two; beside the second, what rounding takes off times that count from 1970."""
+"""s between the two: one second, and the rounding of times that count from 1970."""
 
 # The numbers (DT ... GY) of the step that ends at a sample's time; whether the last second was calm, and its means.
 S_TIME = N_BELIEF
@@ -106,7 +106,7 @@ N_RECORD = S_MEANS.stop
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
 DUE = 2
-"""What became of a sample, beside NOTHING and TAKEN: it was taken, and it is time to look at the filter."""
+"""Result of a sample, in addition to NOTHING and TAKEN: it was taken, and the divergence monitor is due."""
 
 
 _plain = njit(**OPTIONS)

@@ -48,6 +48,6 @@ def _in_python(lanes):
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
 """``(lanes)``: an array of rows, not yet written; it lives as long as the kernel that asked for it.
 
-It is said to have ``lanes`` columns, but has LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
+Its type has ``lanes`` columns, the memory LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
 where nothing is compiled.
 """

@@ -37,7 +37,7 @@ LARGEST_NIS = 200.0
 """That a fix counts at most: one alone does not decide. Student's t would forgive more, too much: between high
 buildings fixes are good until they jump, and to it the jumps are what a small R has to expect."""
 EVIDENCE_COUNTS = 0.1
-"""Fixes' errors last: so many of them tell as much as one that is independent, about a tenth."""
+"""Weight of a fix in the evidence: errors of fixes are correlated, so about ten of them count as one."""
 
 # Behind the belief, counted from BEHIND: how many steps there were on tape, and how many the tape holds; when the last
 # fix was absorbed, how many were; nu and S of the mixture at the last one.
