@@ -32,7 +32,7 @@ def filter_of(given: Filter) -> FilterParameters:
         return FilterParameters.load(given)
     parameters = given.parameters if isinstance(given, Tuning) else given
     if not isinstance(parameters, FilterParameters):
-        raise InputError(f"got a {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
+        raise InputError(f"got {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
     return parameters
 
 

@@ -134,7 +134,7 @@ def _folder() -> tuple[Path | None, str]:
     except OSError:
         return None, f"{folder} can't be made"
     if not private:
-        return None, f"{folder} is open to others, who could put code into it (mode 700 is private)"
+        return None, f"{folder} can be written by other users, who could put code into it (use mode 700)"
     return folder, ""
 
 
@@ -157,7 +157,7 @@ class _Checked(CompileResultCacheImpl):
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         digest, kept = payload
         if hashlib.sha256(kept).digest() != digest:
-            raise ValueError("the machine code is garbled")
+            raise ValueError("the machine code is damaged")
         return super().rebuild(target_context, pickle.loads(kept))
 
 
@@ -209,7 +209,7 @@ class _NoCache(NullCache):
 @cache
 def _log_once(folder: str) -> None:
     """Log the first compilation, which commands show on a terminal."""
-    _log.info("compiling filters, once on this machine: ten seconds or so (kept in %s)", folder)
+    _log.info("compiling filters, once on this machine: about ten seconds (cached in %s)", folder)
 
 
 @cache

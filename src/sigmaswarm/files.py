@@ -78,7 +78,7 @@ def held_folder(path: Path) -> Generator[Path]:
         lock = _lock(file, wait=False)
     except TimeoutError:
         raise InputError(
-            f"{path}: another run is filling it; wait for its end, or choose another --out"
+            f"{path}: another run is writing to it; wait for its end, or choose another --out"
         ) from None
     # A run that was killed just after its last file of a folder within left a lock file that no write would find. No
     # run makes folders deeper than this; all of a large tree that a user named would take long.

@@ -70,7 +70,9 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "importing" in ended.err  # progress
     then = ended.out.splitlines()[-2]
     # Its speeds are drawn by chance, which no repair mends.
-    assert "next: sigmaswarm doctor drives/monday    (then what it can't mend, mend in the log)" in ended.out
+    assert (
+        "next: sigmaswarm doctor drives/monday    (then correct in the log what it can't repair)" in ended.out
+    )
     assert then == "then: sigmaswarm tune drives/monday --out tuned"
     app.parse_args(
         shlex.split(then)[2:], exit_on_error=False, print_error=False
@@ -161,7 +163,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
         (("log.mcap",), "--out is missing: name the drive's folder"),
         (("log.mcap", "--out", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
         (("log.mcap", "--out", "out", "--format", "ros"), "log.mcap"),
-        (("notes.md", "--out", "out"), "of no format that is known"),
+        (("notes.md", "--out", "out"), "has an unknown format"),
         (("log.mcap", "--out", "out", "--imu-topic", "/imu7"), "no topic '/imu7'"),
         (("log.mcap", "--out", "out", "--mount", "sideways"), "mount 'sideways'"),
         (("log.mcap", "--out", "out", "--origin", "1,2"), "--origin '1,2' is not 3 numbers"),

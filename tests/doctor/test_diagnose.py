@@ -199,7 +199,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, 
             continue
         (note,) = [f for f in clean.findings if f.code == "unseen-clock"]
         if size is None:
-            assert "of any size could hide here" in note.what
+            assert "of any size could be invisible here" in note.what
             continue
         assert f"below {size:.2f} s" in note.what
         for sign in (1, -1):

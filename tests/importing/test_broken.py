@@ -556,7 +556,7 @@ def test_categories_are_read_by_their_names(tmp_path: Path):
     frame.write_parquet(tmp_path / "log.parquet")
     got = imported(tmp_path / "log.parquet").drive
     np.testing.assert_array_equal(got.imu.az[:4], [3, 7, 3, 7])
-    refused("can't be made numbers", lambda: imported(tmp_path / "log.parquet", maps=["gx=tags"]))
+    refused("can't be converted to numbers", lambda: imported(tmp_path / "log.parquet", maps=["gx=tags"]))
     assert look(Request(tmp_path / "log.parquet")).tables
 
 

@@ -39,7 +39,7 @@ def convert(
     from sigmaswarm.drives.urls import is_url
 
     if len(drives) < 2:
-        raise InputError("convert takes drives and, last, a folder for what they are converted to")
+        raise InputError("convert takes drives and, last, a folder for the converted drives")
     *given, last = drives
     if is_url(last):
         raise InputError(f"{last}: drives are written to folders; name one")

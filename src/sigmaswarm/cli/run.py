@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.run import Run
 
 LATE_START = 5.0
-"""s without an estimate that a drive which begins while driving has anyway."""
+"""s without an estimate at the start of every drive that begins while driving."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +213,7 @@ def _save_bank(run: Any, out: Path) -> dict[str, Any]:
 
 
 def _place(text: str) -> tuple[float, float, float]:
-    """Latitude and longitude (deg), and altitude (m, 0 where it is left out)."""
+    """Latitude and longitude (deg), and altitude (m, 0 by default)."""
 
     try:
         latitude, longitude, *altitude = (float(part) for part in text.split(","))

@@ -135,12 +135,12 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         return
     say(f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else ""))
     if len({"clear", "night", "fog"} & set(environments)) > 1:
-        say("note: clear, night and fog share one physics; only their random numbers differ")
+        say("note: clear, night and fog have the same physics; only their random numbers differ")
     say(f"next: sigmaswarm plot {out / names[0]}")
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep; refuse anything else in the way before any work."""
+    """Return the names of existing drives to keep; refuse any other existing file before any work."""
 
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():

@@ -98,7 +98,7 @@ class Cluster:
     def lost_scheduler(self) -> ClusterError:
         """Return the error for a scheduler that does not answer."""
         return ClusterError(
-            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: go on with "
+            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: continue with "
             "--resume and another cluster"
         )
 
@@ -159,7 +159,8 @@ def _scheduler(address: str) -> str:
         return address
     if not Path(address).is_file():
         raise InputError(
-            f"--cluster {address}: is no address like tcp://host:8786, no scheduler file that is there, and not local:N"
+            f"--cluster {address}: is neither an address like tcp://host:8786 nor an existing scheduler file nor "
+            "local:N"
         )
     try:
         return str(json.loads(read_bounded(Path(address), MOST_TOML))["address"])

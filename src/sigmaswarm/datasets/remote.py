@@ -66,7 +66,7 @@ class Assignment:
             while not (present := self._usable_workers()):
                 if not waited:
                     what = "no worker is left" if self.workers else "there is no worker yet"
-                    message = f"{what} at {self.cluster.address}: waiting for one to come"
+                    message = f"{what} at {self.cluster.address}: waiting for one"
                     warnings.warn(message, SigmaswarmWarning, stacklevel=2)
                 waited = True
                 time.sleep(POLL_INTERVAL / 4)

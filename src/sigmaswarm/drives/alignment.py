@@ -189,14 +189,14 @@ class Alignments:
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return NoStart(
-                    f"its fixes move {travel} within {time}, but nowhere the way that the IMU felt, so the heading "
+                    f"its fixes move {travel} within {time}, but never as the IMU measured, so the heading "
                     "can't be found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
-                    "mend what `sigmaswarm doctor` finds",
+                    "repair what `sigmaswarm doctor` finds",
                 )
             return NoStart(
                 f"never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
                 f"{SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
-                f"use a longer drive, or one that gets up to speed ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
+                f"use a longer drive, or a faster one ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
                 f"{time}), or state the heading at the first IMU sample in drive.toml, as heading_deg = 90 "
                 "(degrees counter-clockwise from east)",
             )

@@ -173,7 +173,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
         remedy = "turn the axes, or change the sign of ax, ay, az where the sensor reports the opposite"
     elif abs(az) < 0.2 * GRAVITY:
-        remedy = "check its unit and axis, or leave it out where gravity was already taken off"
+        remedy = "check its unit and axis, or leave it out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
         remedy = "check its unit and axis"
     else:
@@ -195,11 +195,11 @@ def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     """One sentence on the gaps of all files; the remedy is for the sensor whose gaps matter most."""
     crossed = (
-        "a filter crosses a gap with the mean of the samples around it, and its covariance grows by what the car may "
-        "have done there; if it maneuvered, split the drive"
+        "a filter crosses a gap with the mean of the samples around it, and its covariance grows; if the car "
+        "maneuvered there, split the drive"
     )
-    alone = "a filter runs on the IMU alone there; nothing to do if so meant"
-    unscored = "nothing is scored there; nothing to do if so meant"
+    alone = "a filter uses the IMU alone there; nothing to do if this is intended"
+    unscored = "nothing is scored there; nothing to do if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
     found = [

@@ -81,7 +81,7 @@ def balanced_windows(
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
             f"outages of length {length} s, apart {apart:g} s, one in every {every:g} s can't be drawn; "
-            "use a positive length (shortest first), and as many seconds for each as it needs"
+            "use a positive length (shortest first), and enough seconds for each"
         )
     # One slot for each window; the remaining time makes all of them longer.
     count = int((end - start) / every) or int(end - start >= apart + length[1])

@@ -22,7 +22,7 @@ LARGEST = 1e7
 _NO_STD = "leave the column out where no deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
-    "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
+    "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
     "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
     "x": (-LARGEST, LARGEST, "give meters from an origin near by"),
     "y": (-LARGEST, LARGEST, "give meters from an origin near by"),
@@ -176,7 +176,7 @@ class TableFile:
     def _require_increasing(self, time: Array) -> None:
         """Refuse times that do not increase, and those behind an implausibly long interval."""
         late, i = np.flatnonzero(np.diff(time) <= 0), _leap(time)
-        what, remedy = "lies absurdly far after", "delete the row with the damaged time"
+        what, remedy = "lies too far after", "delete the row with the damaged time"
         if late.size:
             i, what, remedy = (
                 int(late[0]) + 1,

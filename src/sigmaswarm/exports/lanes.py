@@ -30,7 +30,7 @@ class Lanes:
 
     def __post_init__(self) -> None:
         if not 1 <= self.n <= LANES:
-            raise InputError(f"lanes = {self.n}: a swarm has 2 to {LANES}; 1 is the filter alone")
+            raise InputError(f"lanes = {self.n}: a filter bank has 2 to {LANES}; 1 is the filter alone")
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
         """Of each lane; the first one is the tuning."""

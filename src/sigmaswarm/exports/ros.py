@@ -127,7 +127,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         raise InputError(f"{path}: holds no bag; name the folder with metadata.yaml, or a .db3 or .mcap file")
     if paths[0].suffix == ".bag":
         raise InputError(
-            f"{path}: is a ROS 1 bag, whose messages ROS 2 reads only when they are rewritten; convert it first: "
+            f"{path}: is a ROS 1 bag, which ROS 2 cannot read; convert it first: "
             f"rosbags-convert --src {path} --dst {path.with_suffix('')}"
         )
     try:
@@ -136,7 +136,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     except Exception as error:  # the library raises anything on damaged bytes
         if "rofile" in str(error):
             raise InputError(
-                f"{path}: is an MCAP file that ROS 2 did not write; its messages have no place in a ROS 2 bag, so "
+                f"{path}: is an MCAP file that ROS 2 did not write; its messages can't be copied into a ROS 2 bag, so "
                 "leave --merge out"
             ) from None
         raise broken(path, error) from None

@@ -71,7 +71,7 @@ def assemble(
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
     if recipe.gps_from_truth:
         if truth is None:
-            raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
+            raise InputError(f"{name}: fixes can't be made from the truth, since there is none")
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
     drive = Drive(
@@ -143,13 +143,11 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
         values["course"] = np.asarray(wrap_angle(values["course"]))
     if "lat" in values and "lon" in values:
         if not len(values["lat"]):
-            raise InputError("the gps: no fix is left; --show shows what the log holds")
+            raise InputError("gps: no fix is left; --show shows the contents of the log")
         origin = origin or _first_place(values)
         values = level(values, values.get("alt", origin[2]), origin, "gps")
     elif not {"x", "y"} <= set(values):
-        raise InputError(
-            "the gps: nothing gives a position; map lat and lon (deg), or x and y (m east, north)"
-        )
+        raise InputError("gps: no column gives a position; map lat and lon (deg), or x and y (m east, north)")
     for lone, mate in (("std_x", "std_y"), ("std_y", "std_x")):
         if lone in values and mate not in values:
             values[mate] = values[lone]
@@ -178,7 +176,7 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
         values = level(values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth")
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(
-            "the truth: nothing gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
+            "truth: no column gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
         )
     return values, origin
 
@@ -237,7 +235,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         apart = np.hypot(east, north)
         if apart > 1000.0:
             say(
-                f"truth: lies {apart:.0f} m from the fixes on the whole; if it has another origin, give --origin"
+                f"truth: lies {apart:.0f} m from the fixes on average; if it has another origin, give --origin"
             )
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 

@@ -205,7 +205,7 @@ class _Compiler:
                 uses, function = _FUNCTIONS[f]
                 if len(args) != len(uses):
                     raise InputError(
-                        f"{f} in {quoted(self.text)} takes {len(uses)} value(s), not {len(args)}; mend the expression"
+                        f"{f} in {quoted(self.text)} takes {len(uses)} value(s), not {len(args)}; correct the expression"
                     )
                 return function(*(_number(self._argument(a, n)) for a, n in zip(args, uses, strict=True)))
             case _:
@@ -263,7 +263,7 @@ class _Compiler:
         if len(names) < len(args) or not names:
             raise InputError(
                 f"utc(...) in {quoted(self.text)} takes the name of a column, or of two, and how dates are written, as "
-                "utc(date, '%d.%m.%Y %H:%M:%S'); mend the expression"
+                "utc(date, '%d.%m.%Y %H:%M:%S'); correct the expression"
             )
         for name in names:
             self._use(name)

@@ -64,11 +64,11 @@ NOT_READ: dict[tuple[str, ...], str] = {
         ".npy",
         ".npz",
         ".pkl",
-    ): "arrays of Python; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
+    ): "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
     (".h5", ".hdf5"): "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv",
     (".gz", ".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz"): "packed; unpack it",
     (".db", ".sqlite"): "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
-    (".pcap", ".pcapng"): "packets of a network; decode them with the sensor's own program, and export CSV",
+    (".pcap", ".pcapng"): "network packets; decode them with the sensor's own program, and export CSV",
 }
 """Endings of unsupported formats: their names, and how to convert them."""
 _MAGIC = {b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"}
@@ -130,9 +130,7 @@ def format_of(path: Path) -> str:
     for endings, what in NOT_READ.items():
         if kinds & set(endings):
             raise InputError(f"{path}: is not read, since it is {what}")
-    raise InputError(
-        f"{path}: is of no format that is known here; name it with --format: {', '.join(READERS)}"
-    )
+    raise InputError(f"{path}: has an unknown format; name it with --format: {', '.join(READERS)}")
 
 
 def _reader(name: str) -> Any:

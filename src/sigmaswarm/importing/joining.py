@@ -41,9 +41,9 @@ def join(
             continue
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
-            say(f"{role}: {left} rows left out, since not all its tables have begun or still go on there")
+            say(f"{role}: {left} rows left out, since not all tables of the sensor cover them")
         if not inside.any():
-            raise InputError(f"the {role}: its tables have no time in common; put them on one clock")
+            raise InputError(f"the {role}: its tables do not overlap in time; put them on one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
         for name, column in other.items():
@@ -85,7 +85,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     if part.timeless:
         say(f"{role}: {part.timeless} rows of {table} without a time left out")
     if not len(time):
-        why = "no usable row; --show shows what it holds"
+        why = "no usable row; --show shows its contents"
         if part.timeless:
             why = "no time within 292 years of 1970; give its column and unit with --time"
         raise InputError(f"the {role}: {table} holds {why}")

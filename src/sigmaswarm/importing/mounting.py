@@ -26,7 +26,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     """
     mounting = gather(drive).mounting
     if mounting is None or mounting.confidence == "no":
-        reason = mounting.reason if mounting else "it takes ax, ay, az, gx, gy, gz and a vehicle that drives"
+        reason = mounting.reason if mounting else "it takes ax, ay, az, gx, gy, gz and a moving vehicle"
         raise InputError(
             f"mount auto: the log does not show the mounting ({reason}); state it, as in mount 0,10,90"
         )
@@ -99,7 +99,7 @@ def _from_axes(text: str, parts: list[str]) -> Array:
     matrix = np.array([rows[axis] for axis in _AXES])
     if round(float(np.linalg.det(matrix))) != 1:
         raise InputError(
-            f"mount {text!r} is a mirror image or uses an axis twice, no rotation; check signs with the right hand"
+            f"mount {text!r} is a mirror image or uses an axis twice, no rotation; check the signs by the right-hand rule"
         )
     return matrix
 

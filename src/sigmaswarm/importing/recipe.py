@@ -74,7 +74,7 @@ class Recipe:
         try:
             content = tomllib.loads(text)
         except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
-            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; mend that line") from None
+            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; correct that line") from None
         known = (*ROLES, *_SETTINGS)
         if unknown := sorted(set(content) - set(known)):
             raise InputError(f"{path}: {quoted(unknown[0])} is unknown; the keys are {', '.join(known)}")

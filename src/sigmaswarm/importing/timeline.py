@@ -72,7 +72,7 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
     """The rows of the recording that is wanted; refused where there are several and none was chosen."""
     parts = recordings(time)
     if len(parts) == 1:
-        return parts[0], f"{where}: its clock does not restart; all its rows are taken" if part else ""
+        return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({names_shown(lengths)})"
     if part is None:
@@ -99,8 +99,8 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
             return time, ""
         lost, rate = len(time) - len(new), usual * SECOND / step
         raise InputError(
-            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and how many "
-            f"share one varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; name a "
+            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and the number "
+            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; name a "
             f"finer one with --map {role}.t=..., or count rows where the rate is known, as "
             f'--map "{role}.t=row/{rate:.6g}"'
         )
@@ -130,7 +130,7 @@ def in_order(
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
         moved = int(np.count_nonzero(order != np.arange(len(order))))
-        say(f"{where}: {moved} rows came out of order ({backwards} falls of the time); sorted by time")
+        say(f"{where}: {moved} rows were out of order ({backwards} falls of the time); sorted by time")
         time, rows = time[order], rows[order]
     time, note = spread(time, role, where)
     if note:

@@ -135,7 +135,7 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     else:
         long = (numbers_of(frame[tow.column]) > 604_800).any()
         seconds = _scaled(written(tow.column), "ms" if long else "s")
-    return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week made UTC")
+    return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week converted to UTC")
 
 
 def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
@@ -229,7 +229,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
         if likely and begin < low and high < end:
             return Found(f"({text} - {epoch})*86400", f"{column} taken as days since {whose}")
     if likely and low > 1e-3 and high < 1:
-        return Found(f"{text}*86400", f"{column} taken as shares of a day (days)")
+        return Found(f"{text}*86400", f"{column} read as fractions of a day")
     said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes'
     fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}"
     return Found("", fault=fault)

@@ -47,9 +47,11 @@ def require_supported(parameters: FilterParameters) -> None:
     """
     p = parameters
     if p.model not in ("planar5", "planar8"):
-        raise InputError(f"noise-gru is not trained through {p.model}; tune planar8, and learn for that")
+        raise InputError(
+            f"noise-gru is not trained through {p.model}; tune planar8, and train noise-gru for it"
+        )
     if p.kind not in ("ukf", "ekf"):
-        raise InputError(f"{p.kind} adapts its noises itself; tune a ukf or an ekf for noise-gru")
+        raise InputError(f"{p.kind} adapts its own noises; tune a ukf or an ekf for noise-gru")
     for name in ("velocity_noise", "odometer_noise", "fix_error"):
         if getattr(p, name) is not None:
             raise InputError(f"noise-gru is not trained through a filter with {name}; tune one without")

@@ -48,8 +48,8 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
         )
     if longest < LONG:
         remarks.append(
-            f"the longest stretch has {longest:.0f} s: it shows the white noise; of bias instability and rate random "
-            "walk only what grows within that time, so take the upper ends of their intervals; log an hour at rest"
+            f"the longest stretch has {longest:.0f} s: it shows the white noise, but bias instability and rate random "
+            "walk only as far as they grow in that time: take the upper ends of their intervals, or log an hour at rest"
         )
     return remarks
 

@@ -81,7 +81,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
         raise InputError(
-            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU lying still, an hour for all noises"
+            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU at rest, for an hour to show all noises"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)

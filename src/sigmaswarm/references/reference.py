@@ -150,12 +150,12 @@ def _smoothed(
     ready = PreparedDrive(receiver)
     estimate = smooth(ready, parameters)
     if estimate.failure:
-        raise SigmaswarmError(f"{name}: {estimate.failure}; look at the log with sigmaswarm doctor")
+        raise SigmaswarmError(f"{name}: {estimate.failure}; check the log with sigmaswarm doctor")
     stretched = _stretch(ready, parameters, np.random.default_rng(options.seed))
     truth = _truth(estimate, receiver.gps, stretched, accuracy)
     if truth is None:
         raise InputError(
-            f"{name}: the car's place is nowhere known to {accuracy:g} m; raise --accuracy, or look at the log with "
+            f"{name}: the position is never known to {accuracy:g} m; raise --accuracy, or check the log with "
             "sigmaswarm doctor"
         )
     share = share_known(truth, float(receiver.imu.time[0]), float(receiver.imu.time[-1]))

@@ -270,6 +270,6 @@ def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
         ax.set(xlabel="time, s", ylabel="decades of variance")
 
     return (
-        Chart(f"{tracks.name}: weights of the filters of the swarm", weights),
-        Chart(f"{tracks.name}: distance of the swarm from its tuning", distance),
+        Chart(f"{tracks.name}: weights of the filters of the bank", weights),
+        Chart(f"{tracks.name}: distance of the bank from its tuning", distance),
     )

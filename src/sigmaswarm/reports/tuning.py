@@ -166,8 +166,8 @@ def parameters_section(file: TuningRecord) -> Section:
         rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
-        "From and to: the values at which the cost is 1% higher, all other parameters unchanged; at the bound: "
-        "it is less than 1% higher at the bound of the search."
+        "From and to: the values at which the cost is 1% higher, all other parameters unchanged. At the bound: "
+        "the cost at the bound of the search is less than 1% higher."
     )
     table = Table("", tuple(map(Column, titles)), tuple(rows))
     return Section("Parameters", (text,) if ranges else (), (table,))

@@ -123,7 +123,7 @@ def said_of_position(found: Consistency) -> str:
     expected, the receiver smooths its fixes or their errors last: then the filter may be off by as much as the fixes.
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
-    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} where 2 is right"
+    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} (2 is consistent)"
     alike = found.autocorrelation[0] > CORRELATED
     if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
         guess = ""

@@ -48,7 +48,7 @@ ENVIRONMENTS = {
         Environment("night", 0.85, 1.0, _DRY),
         Environment("rain", 0.65, 1.3, "Bosch Automotive Handbook: new tires, wet, 50 km/h"),
         Environment("fog", 0.85, 1.1, _DRY),
-        Environment("slippery", 0.25, 1.2, "packed snow, 0.2-0.3: recalled, not verified"),
+        Environment("slippery", 0.25, 1.2, "packed snow, 0.2-0.3: from memory, not verified"),
     )
 }
 """Environments by name, in the paper's order."""

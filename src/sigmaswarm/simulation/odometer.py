@@ -50,13 +50,17 @@ ODOMETER_GRADES = {
     for grade in (
         OdometerGrade("ideal", 100.0, 0.002, 1_000_000, 0.0, source="the wheels themselves: slip is left"),
         OdometerGrade(
-            "pulses", 50.0, 0.1, 96, source="a ring of 48 teeth on each rear wheel, counted; recalled"
+            "pulses",
+            50.0,
+            0.1,
+            96,
+            source="a ring of 48 teeth on each rear wheel, counted; from memory, not verified",
         ),
         OdometerGrade(
             *("can", 83.0, 0.05, 10_000),
             resolution=0.01 / 3.6,
             slowest=0.3,
-            source="comma2k19's CAN: 83 Hz, fine; the times between pulses are measured. Its cutoff is recalled",
+            source="comma2k19's CAN: 83 Hz, fine; the times between pulses are measured. Its cutoff is from memory, not verified",
         ),
     )
 }

@@ -88,7 +88,7 @@ def worst_mean(costs: Array, share: float) -> Array:
     J. Risk 2, 2000, of the row's values, each as likely as the others.
     """
     if not 0 < share <= 1:
-        raise InputError(f"worst = {share:g}: a share of the drives lies above 0 and is at most 1")
+        raise InputError(f"worst = {share:g}: give a share of the drives above 0 and at most 1")
     if share == 1.0:
         return costs.mean(axis=1)
     count = costs.shape[1]
@@ -128,14 +128,14 @@ OBJECTIVES = {
         ),
         Objective(
             "innovation-nll",
-            "mean negative log-likelihood of each fix before it is absorbed, nats",
+            "mean negative log-likelihood of each fix before its update, nats",
             lambda scores: scores.innovation_nll,
             likelihood=True,
             nats=1.0,
         ),
         Objective(
             "innovation-t",
-            "mean negative log-likelihood of each fix under Student's t before it is absorbed, nats",
+            "mean negative log-likelihood of each fix under Student's t before its update, nats",
             lambda scores: scores.innovation_t,
             likelihood=True,
             nats=1.0,
@@ -169,11 +169,11 @@ OBJECTIVES = {
         ),
         Objective(
             "gps-rmse",
-            "the paper's equation 4: RMSE against the fixes that the filter has just absorbed, m",
+            "the paper's equation 4: RMSE against the fixes after their update, m",
             lambda scores: scores.fix_rmse,
             warning=(
-                "gps-rmse scores the filter against the GPS that it has just absorbed, so it rewards a filter "
-                "that copies the GPS; kept to reproduce the paper. Without truth, use innovation-nll"
+                "gps-rmse compares the filter with the fix of the last update, so it rewards a filter that copies "
+                "the GPS; kept to reproduce the paper. Without truth, use innovation-nll"
             ),
         ),
     )

@@ -24,7 +24,7 @@ from sigmaswarm.tuning.search import Trial
 End = float | Literal["-"]
 """Of the range in which the cost rises by less than 1%; ``-`` where it reaches the bound."""
 NOT_VALIDATED = (
-    "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
+    "its cost is on the drives that it was tuned on; evaluate it on others, or give validation drives"
 )
 """The remark that an evaluation answers."""
 FILE = "tuning.toml"

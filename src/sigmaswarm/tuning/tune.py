@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
-NOT_ROBUST = "innovation-nll counts outliers in full, robust or not; for robust use innovation-t"
+NOT_ROBUST = "innovation-nll counts outliers in full, with robust, too; for robust use innovation-t"
 P = TypeVar("P")
 
 

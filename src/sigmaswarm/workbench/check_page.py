@@ -209,7 +209,7 @@ class CheckPage:
         time = drive.imu.time
         with card():
             text("h2", "Cut")
-            text("p", "Drag over the part to keep, or type its ends.", "soft")
+            text("p", "Drag over the part to keep, or enter its ends.", "soft")
             with ui.element("div").classes("grid"):
                 with ui.element("div"):
                     low, high = float(time[0]), float(time[-1])

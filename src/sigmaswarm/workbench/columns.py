@@ -115,7 +115,7 @@ def options_of(choices: Mapping[str, Any]) -> dict[str, Any]:
         try:
             forward, left, up = (float(v) for v in arm.split(","))
         except ValueError:
-            raise InputError(f"{arm!r} is no lever arm; write m forward,left,up, as 1.2,0,0.5") from None
+            raise InputError(f"{arm!r} is not a lever arm; write m forward,left,up, as 1.2,0,0.5") from None
         options["gps_lever_arm_m"] = forward, left, up
     return options | {key: Path(choices[key]) for key in ("gps", "truth") if choices.get(key)}
 

@@ -23,7 +23,7 @@ STEPS = {
     "log": ("Log", "what is in it"),
     "check": ("Check", "faults, repairs, cuts"),
     "tune": ("Tune", "search the parameters"),
-    "judge": ("Judge", "on drives it never saw"),
+    "judge": ("Judge", "on drives that the tuning did not use"),
     "take": ("Take away", "C, ROS, Python, tracks"),
 }
 FAVICON = (

@@ -193,7 +193,7 @@ class LogPage:
                 text("p", note, "soft")
             if look.proposal:
                 with card("warning"):
-                    text("p", f"Not recognized by itself, but the names suggest: {look.proposal}")
+                    text("p", f"Not recognized automatically, but the names suggest: {look.proposal}")
                     text("p", look.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
 

@@ -1,4 +1,4 @@
-"""How the IMU sits in the vehicle: three angles, and a sketch that turns with them."""
+"""Mounting of the IMU in the vehicle: three angles, and a sketch that turns with them."""
 
 import math
 from functools import partial
@@ -42,7 +42,7 @@ class MountingPanel:
         rotation, wrong = attempt(parse_mount, self._mount) if self._mount else (np.eye(3), "")
         rotation = np.eye(3) if rotation is None else rotation
         with card():
-            text("h2", "How the IMU sits in the vehicle")
+            text("h2", "Mounting of the IMU in the vehicle")
             message(wrong, "bad")
             with ui.element("div").classes("grid"):
                 picture = ui.html(sketch(rotation), sanitize=False)
@@ -58,7 +58,7 @@ class MountingPanel:
                         button("Find it in the log", self.page.find_mounting, "explore")
                     text(
                         "p",
-                        "The arrows are the sensor's axes: x forward, y left and z up need no turning.",
+                        "The arrows are the sensor's axes: x forward, y left and z up need no rotation.",
                         "soft",
                     )
                     with ui.expansion("More settings").classes("soft"):

@@ -48,7 +48,7 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     if not np.array_equal(axes, np.eye(2)):
         forward, left = (f"{'-' if row.sum() < 0 else ''}{'ax' if row[0] else 'ay'}" for row in axes)
         opposite = np.array_equal(axes, -np.eye(2)) and az is not None and float(np.median(az)) < 0
-        what = f"forward acceleration stands in {forward}, that to the left in {left}"
+        what = f"forward acceleration is in {forward}, that to the left in {left}"
         if opposite:
             what = (
                 "the accelerometers report the opposite of specific force: ax, ay and az have the wrong sign"
@@ -115,7 +115,7 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
         what = f"gravity {what}; the IMU is tilted by about {tilt:.0f} deg"
     else:
         what = f"bias, or tilt of {tilt:.0f} deg, {what}"
-    remedy = "level the IMU, or take the constant off; --model planar8 estimates the rest"
+    remedy = "level the IMU, or subtract the constant; --model planar8 estimates the rest"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
 
@@ -141,7 +141,9 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
     elif mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
         return  # reported with the axes
     elif upside_down(evidence):
-        what = "the IMU is upside down: az, gx and gy agree on it; the fixes do not show which axis points forward"
+        what = (
+            "the IMU is upside down, as az, gx and gy show; the fixes do not show which axis points forward"
+        )
         remedy = "turn it about x: import with --mount x=x,y=-y, or turn all axes by the sensor's data sheet"
         repair = Repair("rotate", tuple(np.diag([1.0, -1.0, -1.0]).ravel().tolist()))
         where = "imu.csv, ay, az, gy, gz"

@@ -104,7 +104,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         roll, pitch = (f"{'-' if sign < 0 else ''}{('gx', 'gy')[column]}" for column, sign, _ in seen)
         yield Finding(
             "gyro-tilt", "warning",
-            f"the roll rate stands in {roll}, the pitch rate in {pitch}: so the direction of gravity turns",
+            f"the roll rate is in {roll}, the pitch rate in {pitch}, as the direction of gravity shows",
             "imu.csv, gx, gy", span, confidence_of(min(axis[2] for axis in seen) / 2),
             f"read gx as {roll} and gy as {pitch}", Repair("tilt-rates", (0.0, seen[0][1], seen[1][1], 0.0)),
         )  # fmt: skip

@@ -25,8 +25,8 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
     if isinstance(start, NoStart):
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
     if not evidence.drives:
-        what = "the fixes don't show the car drive: neither heading nor axes, units or clocks can be checked"
-        remedy = "use a longer drive, or one that gets up to speed"
+        what = "the fixes show no driving: neither heading nor axes, units or clocks can be checked"
+        remedy = "use a longer drive, or one that is faster"
         yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
         return
     if not evidence.yaw.known:
@@ -51,14 +51,14 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         f"where the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
-        return f"{shown}, and nowhere for long enough", MORE
+        return f"{shown}, and never long enough", MORE
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
         LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
     ):
         return (
             f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows it",
-            f"look up the gyro's unit, and the clocks, where offsets beyond {WIDEST:.0f} s are not searched",
+            f"check the gyro's unit and the clocks; offsets beyond {WIDEST:.0f} s are not searched",
         )
     return f"{shown}, and there it changes by {change:.1f} deg within 20 s; slower turns don't show", MORE
 

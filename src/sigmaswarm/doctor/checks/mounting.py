@@ -30,7 +30,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     mounting = evidence.mounting
     if change := moved(evidence.drive):
         time, angle = change
-        what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg elsewhere after it"
+        what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg off after it"
         remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has its own mounting"
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))

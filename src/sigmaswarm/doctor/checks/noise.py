@@ -57,10 +57,10 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         if stated > LASTS * max(scatter, LEAST_NOISE):
             what = (
                 f"the fixes scatter by {scatter:.2g} m per axis about a path of ten seconds, and the receiver states "
-                f"{stated:.2g} m: their errors last, so that many fixes are worth hardly more than one, and a filter "
-                "without truth can't know how far off it is"
+                f"{stated:.2g} m: their errors last, so that many fixes are hardly better than one, and a filter "
+                "without truth can't know its error"
             )
-            remedy = "take a filter's own position deviation for the scatter alone"
+            remedy = "read a filter's own position deviation as the scatter alone"
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )

@@ -59,7 +59,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         (
             "slip",
             0.9,
-            "the wheels' speed jumps where the accelerometer feels nothing, as of wheels that spin or lock",
+            "the wheels' speed jumps without acceleration: the wheels spin or lock",
             _slips,
         ),
     ):
@@ -157,7 +157,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
     unsure = 1.2533 * each / math.sqrt(len(ratio))
     size = abs(scale)
     if scale < 0 and unsure < 0.1 * size:
-        what, repair = "the wheels turn backwards while the car drives ahead", Repair("odometer", (-1.0,))
+        what, repair = "the wheels turn backwards while the car drives forward", Repair("odometer", (-1.0,))
         remedy = "change the sign of speed: forward is positive"
         yield Finding("odometer-sign", "serious", what, SPEED, span, 0.99, remedy, repair)
         scale = size

@@ -60,7 +60,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     elif evidence.drives:
         visible = evidence.clock.visible
         how = (
-            "of any size could hide here"
+            "of any size could be invisible here"
             if visible is None
             else f"below {visible:.2f} s would not have been seen"
         )
@@ -76,9 +76,9 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     imu, gps = evidence.drive.imu, evidence.drive.gps
     yield _rate("imu", "samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
-    remedy = "a filter drives on by the mean of the samples around it, and grows unsure of what the car did meanwhile"
+    remedy = "a filter uses the mean of the samples around it, and its covariance grows"
     yield from _gaps("imu", imu.time, IMU_GAP, remedy)
-    remedy = "a filter runs on the IMU alone there; nothing to do if it was so meant"
+    remedy = "a filter uses the IMU alone there; nothing to do if this is intended"
     yield from _gaps("gps", gps.time, GPS_GAP, remedy)
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
@@ -93,7 +93,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     stale = gps.time[evidence.stale]
     if len(stale) >= FEWEST_STALE:
         what = f"{len(stale)} fixes repeat the one before to the last digit while the car drives"
-        remedy = "filters leave them out, as other tools should: they are old positions under a new time"
+        remedy = "filters ignore them, and other tools should: they are old positions with a new time"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
@@ -142,10 +142,14 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped: the car's speed around it does not show which"
+            what = "the logger paused, or its clock jumped: the car's speed does not distinguish the two"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = f"the logger's clock jumped: the car went as far between these fixes as in {passed:.1f} s"
-            code, severity, remedy = "clock-jump", "warning", "take the jump off all later times of all files"
+            code, severity, remedy = (
+                "clock-jump",
+                "warning",
+                "subtract the jump from all later times in all files",
+            )
             # Only a jump that both clocks miss alike, and all of it, can be closed: lost samples can't be restored.
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))

@@ -24,7 +24,7 @@ LATE = 0.2
 """s of delay worth a warning."""
 FEWEST = 30
 REMEDY = (
-    "a filter takes them as of one moment: leave speed and course out, or give them a time of their own (in a recipe a "
+    "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
     "second [[gps]] of the same table, its t moved), and see on another drive what they are worth"
 )
 

@@ -129,11 +129,11 @@ class Model:
         for t in self.parameters:
             if t.name in SCALING_NAMES:
                 raise self.wrong(
-                    f"parameters: {t.name!r} is the sigma points' and tuned anyway; choose another name"
+                    f"parameters: {t.name!r} is a parameter of the sigma points; choose another name"
                 )
             if not (np.isfinite([t.lowest, t.highest]).all() and t.lowest < t.highest):
                 raise self.wrong(
-                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g}; give a lower and a higher one"
+                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g}; give a lower and an upper bound"
                 )
             if t.logarithmic and t.lowest <= 0:
                 raise self.wrong(

@@ -120,7 +120,7 @@ def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
     if ended.returncode:
-        raise InputError(f"{shown_as}: is no Parquet file that can be decoded; mend or export it again")
+        raise InputError(f"{shown_as}: is no Parquet file that can be decoded; export it again")
 
 
 def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
@@ -234,4 +234,4 @@ def broken_table(path: Path, table: str, error: Exception) -> InputError:
     """Return the error of polars about a damaged table in one line."""
     where = path if path.name == table else path / table
     said = shown(" ".join(str(error).split("\n")[0].split()), 160)
-    return InputError(f"{where}: can't be read as a table ({said}); mend or export it again")
+    return InputError(f"{where}: can't be read as a table ({said}); export it again")

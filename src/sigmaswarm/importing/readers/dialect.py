@@ -81,7 +81,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
             raise InputError(
-                f"{shown_as}, row {first + 1}: has {width} cells and the header above it {len(found)}; give the header "
+                f"{shown_as}, row {first + 1}: has {width} cells and the header {len(found)}; give the header "
                 f"{width} names"
             )
         names = [""] * most

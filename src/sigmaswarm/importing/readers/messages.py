@@ -180,7 +180,7 @@ class _Collector:
             when = "before" if delay > 0 else "after"
             yield (
                 f"{self.topic}: header stamps are {abs(delay):.3f} s {when} the receive times (median); "
-                "were the stamps wrong, take --receive-times"
+                "if the stamps are wrong, use --receive-times"
             )
 
 
