@@ -298,7 +298,10 @@ def clash(kind: str, use: Collection[str]) -> str | None:
     if "robust" in use and "gate" in use:
         return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
-        return f"robust can't be combined with {kind}, which adapts to what robust rejects; take ukf or ekf, or leave it out"
+        return (
+            f"robust can't be combined with {kind}, which adapts to what robust rejects; take ukf or ekf, or "
+            "leave it out"
+        )
     if "accuracy" in use and kind == "adaptive-ukf":
         return "accuracy can't be combined with adaptive-ukf, which estimates R; take another kind, or leave it out"
     if "fix-error" in use and kind not in ("ukf", "ekf"):

@@ -205,7 +205,8 @@ class _Compiler:
                 uses, function = _FUNCTIONS[f]
                 if len(args) != len(uses):
                     raise InputError(
-                        f"{f} in {quoted(self.text)} takes {len(uses)} value(s), not {len(args)}; correct the expression"
+                        f"{f} in {quoted(self.text)} takes {len(uses)} value(s), not {len(args)}; correct the "
+                        "expression"
                     )
                 return function(*(_number(self._argument(a, n)) for a, n in zip(args, uses, strict=True)))
             case _:

@@ -100,7 +100,8 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
         lost, rate = len(time) - len(new), usual * SECOND / step
         raise InputError(
             f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and the number "
-            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; name a "
+            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too "
+            "coarse; name a "
             f"finer one with --map {role}.t=..., or count rows where the rate is known, as "
             f'--map "{role}.t=row/{rate:.6g}"'
         )

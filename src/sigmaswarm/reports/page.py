@@ -33,7 +33,8 @@ TERMS = {
     "NIS": "normalized innovation squared: a fix's deviation from its prediction, relative to the predicted covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
-    "whiteness p": "probability that white innovations are at least as correlated as these (Ljung-Box test over ten fixes)",
+    "whiteness p": "probability that white innovations are at least as correlated as these (Ljung-Box test over ten "
+    "fixes)",
     "correlation": "of neighboring innovations; 0 where the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
     "95% gate": "share of the fixes whose NIS is below 5.99; 95% where the filter is consistent",

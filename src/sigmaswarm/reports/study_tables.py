@@ -224,7 +224,8 @@ def objectives_compared(results: Results) -> str:
         return ""
     return (
         "Why there are two objectives: the paper's compares the estimate with the GPS fix that the filter has just "
-        "used, so a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from the fixes but {:.2f} m from the "
+        "used, so a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from the fixes but "
+        "{:.2f} m from the "
         "truth, where the fixes themselves are {:.2f} m from it; tuned against truth by the same swarm it has {:.2f} m."
     ).format(*means)
 

@@ -75,7 +75,8 @@ GPS_GRADES = {
             0.5,
             math.sqrt(2.1**2 - 0.5**2),
             velocity_std=0.05,
-            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is from memory, not verified",
+            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is from memory, not "
+            "verified",
         ),
         GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
         GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),

@@ -60,7 +60,8 @@ ODOMETER_GRADES = {
             *("can", 83.0, 0.05, 10_000),
             resolution=0.01 / 3.6,
             slowest=0.3,
-            source="comma2k19's CAN: 83 Hz, fine; the times between pulses are measured. Its cutoff is from memory, not verified",
+            source="comma2k19's CAN: 83 Hz, fine; the times between pulses are measured. Its cutoff is from memory, "
+            "not verified",
         ),
     )
 }

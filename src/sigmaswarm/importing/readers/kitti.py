@@ -34,7 +34,8 @@ GUESS = Guess(
     (
         "KITTI has no receiver of its own: fixes and truth are the same RTK/INS solution; for an honest test make "
         "noisy fixes with --gps-from-truth",
-        "the unit's angular rates are about 0.06 s late relative to its yaw; docs/importing.md shows how to advance them",
+        "the unit's angular rates are about 0.06 s late relative to its yaw; docs/importing.md shows how to advance "
+        "them",
     ),
     metadata={"licence": "CC BY-NC-SA 3.0", "dataset": "KITTI raw"},
 )
