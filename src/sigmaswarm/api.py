@@ -27,7 +27,7 @@ Filter = FilterParameters | Tuning[Any] | str | Path
 
 
 def filter_of(given: Filter) -> FilterParameters:
-    """Return the parameters of a filter that is given in any form."""
+    """Return the parameters of a filter, given in any of these forms."""
     if isinstance(given, str | Path):
         return FilterParameters.load(given)
     parameters = given.parameters if isinstance(given, Tuning) else given
@@ -37,7 +37,7 @@ def filter_of(given: Filter) -> FilterParameters:
 
 
 def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> Drive:
-    """Make a drive of a log of another format, as `sigmaswarm import` does.
+    """Make a drive from a log of another format, as `sigmaswarm import` does.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def export(
 
 
 def report(results: Any, out: str | Path | None = None) -> str:
-    """Make one HTML page of results.
+    """Write results as one HTML page.
 
     Parameters
     ----------

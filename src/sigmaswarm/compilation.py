@@ -1,8 +1,8 @@
 """Compile functions with Numba, and cache the machine code between processes where that is safe.
 
-Numba caches machine code in pickles, so a user who can write them can run code as the reader. The cache is therefore in
-a folder that only its owner can write. Without a writable folder, or with a damaged file, Numba itself would fail; here
-both cost only another compilation.
+Numba caches machine code in pickles, so a user who can write them can run code with the rights of the user who reads
+them. The cache is therefore in a folder that only its owner can write. Without a writable folder, or with a damaged
+file, Numba itself would fail; here both cost only another compilation.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def once(make: Callable[P, T]) -> Callable[P, T]:
-    """As `functools.cache`, but threads wait while another one makes the same thing."""
+    """As `functools.cache`, but threads wait while another one computes the same value."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)
@@ -49,7 +49,7 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A function that is made only if its machine code is not cached: to write a kernel out takes half a second.
+    """A function that is generated only if its machine code is not cached: generating a kernel takes half a second.
 
     ``like`` has its name and parameters; ``key`` identifies it among those of this name, as its source text would.
     """
@@ -110,7 +110,7 @@ def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
 
 
 def _write(recipe: Recipe, compiled: Any) -> None:
-    """Make the function of a recipe, and have it compiled in place of its stand-in."""
+    """Generate the function of a recipe, and compile it in place of its placeholder."""
     compiled.py_func = compiled._compiler.py_func = recipe.make()
 
 
@@ -162,7 +162,7 @@ class _Checked(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """A cache whose faults cost a compilation, never the run; damaged files are written again."""
+    """A cache whose faults cost a compilation but never end the run; damaged files are written again."""
 
     _impl_class = _Checked
     recipe: Recipe | None = None

@@ -195,7 +195,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 class _Part(io.FileIO):
-    """A file that remembers a failed write, which some writers bury under other errors."""
+    """A file that remembers a failed write, which some writers replace by other errors."""
 
     failure: OSError | None = None
 

@@ -516,7 +516,7 @@ def test_tables_without_a_time_in_common(tmp_path: Path):
     sensor_logger(tmp_path / "export", "android")
     late = pl.read_csv(tmp_path / "export" / "Gyroscope.csv").with_columns(pl.col("time") + 10**12)
     late.write_csv(tmp_path / "export" / "Gyroscope.csv")
-    refused("no time in common", lambda: imported(tmp_path / "export"))
+    refused("do not overlap in time", lambda: imported(tmp_path / "export"))
 
 
 @pytest.mark.parametrize("row", [150, 299])

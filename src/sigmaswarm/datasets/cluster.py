@@ -1,4 +1,4 @@
-"""A Dask cluster: its address, its workers and their versions, and its errors, each in one line."""
+"""A Dask cluster: its address, its workers and their versions, and its errors as messages of one line."""
 
 import asyncio
 import json
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 ANSWER_TIMEOUT = 30.0
-"""s that a scheduler may take to answer."""
+"""s: timeout of a request to the scheduler."""
 CONNECT_TIMEOUT = 10.0
-"""s that it may take to be reached."""
+"""s: timeout of the connection to it."""
 
 
 class ClusterError(SigmaswarmError):
@@ -149,7 +149,7 @@ def connected(address: str) -> Generator["Client"]:
 
 
 def _scheduler(address: str) -> str:
-    """The address of a scheduler, also of one that a scheduler file names."""
+    """The address of a scheduler, also if a scheduler file is given."""
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(

@@ -1,4 +1,4 @@
-"""A dataset: drives in this process, or on a cluster's workers, to which functions are applied where the drives are."""
+"""A dataset: drives in this process or on a cluster's workers. Functions are applied where the drives are."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence

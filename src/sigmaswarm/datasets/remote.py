@@ -31,7 +31,7 @@ Progress = Callable[[int, int], None]
 POLL_INTERVAL = 2.0
 """s between two requests to the scheduler for its workers."""
 MOST_RETRIES = 3
-"""Rounds without any answer, each ended by the loss of workers: then the drives are taken for the cause."""
+"""Number of rounds without any answer, each ended by the loss of workers, after which the drives are blamed."""
 DRIVES_SHOWN = 10
 """Drives in one message."""
 
@@ -162,7 +162,7 @@ class RemoteDataset:
         return RemoteDataset(self.assignment, tuple(self.indices[i] for i in indices))
 
     def call(self, function: Callable[..., T], *arguments: Any) -> list[tuple[list[int], T]]:
-        """Call a function once on each worker; return the indices of the drives of each call, and its result.
+        """Call a function once on each worker; return the indices of its drives, and the result, of each call.
 
         Parameters
         ----------

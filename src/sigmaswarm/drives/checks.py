@@ -14,9 +14,9 @@ from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
 
 FEWEST_SAMPLES = 100
-"""IMU samples that a drive has at least."""
+"""Least number of IMU samples of a drive."""
 FEWEST_FIXES = 10
-"""Fixes that fall within the IMU's time at least."""
+"""Least number of fixes within the IMU's time."""
 
 IMU_GAP = (10.0, 0.1)
 """An interval is a gap where it exceeds both this many usual intervals and this many s."""
@@ -31,7 +31,7 @@ IMPOSSIBLE_RATE = 3.0
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 """Per s."""
 _SLOWEST = (2.0, 60.0)
-"""s between samples and between fixes; longer intervals are in another unit."""
+"""s between samples and between fixes; longer intervals suggest another unit."""
 _USUAL = (0.5, 20.0)
 """The same, in the right unit."""
 
@@ -68,7 +68,7 @@ class Gaps:
 def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]) -> list[SigmaswarmWarning]:
     """Raise `DriveError` for a shortage, and return warnings of what looks wrong.
 
-    ``placed`` adds to a sentence, which names imu.csv and gps.csv, where they are.
+    ``placed`` adds the folder to a sentence that names imu.csv and gps.csv.
     """
     if shortage := shortage_of(imu, gps):
         raise DriveError(placed(shortage))
@@ -76,7 +76,10 @@ def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """The lack that makes a drive useless, as a sentence: of time that IMU and GPS share, or of samples of either."""
+    """The shortage that makes a drive unusable, as a sentence.
+
+    No common time of IMU and GPS, or too few samples of either.
+    """
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -96,7 +99,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 
 @np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
-    """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
+    """All that looks wrong: times in another unit, gaps, rates in deg/s, accelerations in g, gravity on another axis.
 
     Nothing here stops work, so a check that is uncertain reports nothing.
     """
@@ -108,7 +111,7 @@ def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
 
 
 def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
-    """Faults of the times that leave no other figure of the log a meaning: another unit, or a clock that jumps."""
+    """Faults of the times that make all other figures of the log meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
     remedy = "delete the rows whose times are wrong; of a log with a true pause, make a drive of each part"
@@ -221,9 +224,9 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Motion over consecutive windows from the fixes, and the integral of an IMU column.
 
-    The mean velocity (k,), m/s east + i north; then, from each window's middle to the next one's (k - 1,), the
-    integral of ``body_rate`` and the change of course, rad. Windows without fixes are left out: there are never more of
-    them than fixes, however far the times go.
+    The mean velocity (k,), m/s east + i north; then, from each window's middle to the next one's (k - 1,), the integral
+    of ``body_rate`` and the change of course, rad. Windows without fixes are left out: there are never more of them
+    than fixes, whatever the times.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

@@ -1,4 +1,4 @@
-"""Reading drive.toml: the name of a drive, its frame and origin, and what else filters use."""
+"""Reading drive.toml: the name of a drive, its frame and origin, and other keys that filters use."""
 
 import tomllib
 from collections.abc import Sequence

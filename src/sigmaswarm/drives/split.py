@@ -20,7 +20,7 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 def split_drives(
     drives: Sequence[T], train_fraction: float = 0.7, *, rng: np.random.Generator
 ) -> tuple[list[T], list[T]]:
-    """Draw whole drives for training and leave the rest for testing, each part in the given order.
+    """Draw whole drives for training; the rest is for testing. Each part is in the given order.
 
     Parameters
     ----------

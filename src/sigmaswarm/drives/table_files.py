@@ -18,7 +18,8 @@ from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
-"""No sensor of a car reports as much in m, m/s, m/s2, rad or rad/s, nor in mm, mg or mdeg/s, which can be repaired."""
+"""Larger than any sensor of a car reports in m, m/s, m/s2, rad or rad/s, or in mm, mg or mdeg/s, which can be
+repaired."""
 _NO_STD = "leave the column out where no deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -108,7 +109,7 @@ class TableFile:
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """The known columns as numbers, each (n,), ``t`` renamed ``time``; others only get a remark."""
+        """The known columns as numbers, each (n,), with ``t`` renamed ``time``; others cause a remark."""
         told: list[str] = []
         try:
             found = self._known_columns(required, optional, told)
@@ -233,7 +234,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """The cells of a file that holds nothing but finite numbers under plain names; None of any other."""
+    """The cells of a file that contains only finite numbers under plain names; None for other files."""
     if _has_lone_quote(path):
         return None
     try:

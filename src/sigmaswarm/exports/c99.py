@@ -39,7 +39,7 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""s: no IMU is faster than that, and a second of its samples would take megabytes."""
+"""s: shortest interval of an IMU; a second of faster samples would take megabytes."""
 _FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
 
 

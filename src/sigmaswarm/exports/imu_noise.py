@@ -21,7 +21,7 @@ from sigmaswarm.noise.records import (
 )
 
 NoiseTarget = Literal["sigmaswarm", "kf-gins", "kalibr", "robot_localization", "matlab"]
-"""Packages whose form the noise can have."""
+"""Packages in whose format the noise can be written."""
 
 
 def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:

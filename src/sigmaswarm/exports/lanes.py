@@ -17,7 +17,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 class Lanes:
     """Number of filters of a bank, and the seed of their random parameters.
 
-    The first of them are those of a `LiveFilterBank` of that seed without searches.
+    The filters are the first ones of a `LiveFilterBank` with that seed, without searches.
 
     Raises
     ------
@@ -33,7 +33,7 @@ class Lanes:
             raise InputError(f"lanes = {self.n}: a filter bank has 2 to {LANES}; 1 is the filter alone")
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
-        """Of each lane; the first one is the tuning."""
+        """Parameters of each lane; the first one is the tuning."""
         spread = Spread(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 

@@ -1,4 +1,4 @@
-"""The targets that a tuned filter can be handed over to: one function each, from parameters to texts of files."""
+"""The targets of an export: one function each, from parameters to texts of files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +16,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
 Alias = Literal["robot-localization"]
-"""Another name of a target: the model is called so."""
+"""Another name of a target, which is that of its model."""
 
 TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
     "filterpy": filterpy,

@@ -1,4 +1,4 @@
-"""Estimates as files, one writer a format; the file's ending names it."""
+"""Estimates as files: one writer per format, which the file's ending names."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -79,7 +79,7 @@ def write_pieces(
     """Write an estimate that comes in pieces over ``span`` (s); the bytes do not depend on the pieces.
 
     .csv, .tum, .kitti and .ros2 hold one piece at a time, maps all times and places, .mat everything. If a piece can't
-    be had, nothing is written. Otherwise as `write_estimate`.
+    be computed, nothing is written. Otherwise as `write_estimate`.
     """
     path = Path(path)
     check_target(path, origin, merge)
@@ -107,7 +107,7 @@ def write_fixes(
     origin: Origin | None = None,
     time_origin: float = 0.0,
 ) -> int:
-    """Write the fixes before ``until`` (s): all that is known before a filter starts. How many they are.
+    """Write the fixes before ``until`` (s), all that is known before a filter starts; return their number.
 
     ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a track of its own, named as fixes of the drive.
 
@@ -210,9 +210,9 @@ def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 _LATEST_ORIGIN = 1e12
-"""s: no log's clock begins later."""
+"""s: largest time origin of a log."""
 BAG = ".ros2"
-"""A folder; written by `ros2`, which takes more than an estimate."""
+"""A folder, written by `ros2`, which needs more than an estimate."""
 _WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {
     ".csv": _csv,
     ".mat": _mat,

@@ -15,12 +15,15 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""rad: a rotation about z from the first on is a warning, from the second on serious."""
+"""rad: a rotation about z of at least the first is a warning, of at least the second serious."""
 TILT = (0.5, 1.2)
-"""m/s2: the same for what is left over in ax, ay. Roads and cheap sensors' biases stay below the second."""
+"""m/s2: the same for the unexplained mean of ax, ay. Roads and cheap sensors' biases stay below the second."""
 SIZE = (0.3, 1.0)
-"""m/s2 by which the usual specific force differs from gravity: from the first on a note, from the second on a warning.
-Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050)."""
+"""m/s2 by which the usual specific force differs from gravity.
+
+At least the first is a note, at least the second a warning. Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias
+(MPU-6050).
+"""
 CLEAR = 3.5
 """Deviations."""
 WRONG_SCALE = 0.4
@@ -95,7 +98,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """The mean of ax, ay less the car's own motion."""
+    """The mean of ax, ay minus the car's own motion."""
     assert evidence.course is not None
     assert evidence.acceleration is not None
     rows, time = evidence.acceleration.rows, evidence.course.time
@@ -121,7 +124,7 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """Turn six axes level where a tilt explains what is left over in ax and ay; else take the constants off."""
+    """Level six axes if a tilt explains the mean of ax and ay; else subtract the constants."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):

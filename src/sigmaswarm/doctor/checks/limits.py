@@ -13,13 +13,13 @@ from sigmaswarm.drives.sensors import stated_spread, suggest_filter
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
-"""Deviations of the course by which it changes, RMS within windows, where it turns for sure."""
+"""Change of the course within windows (RMS), in its standard deviations, from which it certainly turns."""
 LEAST_TURN = np.radians(5.0)
-"""rad: less is the course of a car that sways."""
+"""rad: a smaller change is the swaying of a car."""
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults that cannot be detected, by the motion that the fixes show."""
+    """Find faults that the motion of the fixes cannot show."""
     span = evidence.span
     start = find_start(evidence.drive)
     if isinstance(start, NoStart):
@@ -41,7 +41,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
-    """Why a gyro can't be checked: no turn shows, or one shows that no column of the gyro follows; and the remedy."""
+    """The reason why a gyro can't be checked (no turn, or none that a column of the gyro follows), and the remedy."""
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving

@@ -1,4 +1,4 @@
-"""Times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and values that only repeat."""
+"""Times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and repeated values."""
 
 from collections.abc import Iterator
 
@@ -13,18 +13,18 @@ from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 GRAVE = 0.3
-"""s between the clocks: more is worth meters."""
+"""s between the clocks: a larger offset costs meters."""
 SLOW_IMU = 8.0
-"""Hz: slower, turns are lost between samples."""
+"""Hz: at lower rates turns are lost between samples."""
 UNEVEN = 0.5
-"""Share of the usual interval that the middle 90% of the intervals spread over."""
+"""Spread of the middle 90% of the intervals, as a share of the usual one."""
 HELD = 0.2
 """Share of IMU samples that repeat the one before: a slower sensor, logged too often."""
 LONG_GAP = 0.5
-"""s without IMU samples, after which a step is no longer harmless."""
+"""s without IMU samples from which a step loses accuracy."""
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
-"""Usual intervals of fixes by which one is longer if fixes are missing where IMU samples are."""
+"""Usual intervals by which an interval of fixes is longer if fixes are missing in a gap of the IMU."""
 AROUND = 2.0
 """s on each side of a gap in which the speed is measured."""
 SIGMAS = 3.0
@@ -123,7 +123,7 @@ def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> 
 
 
 def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
-    """Moments that both sensors miss alike: the logger paused, or its clock jumped while the car did not."""
+    """Times that both sensors lack: the logger paused, or its clock jumped."""
     interval, fix_interval = np.diff(imu), np.diff(gps.time)
     usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
     for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
@@ -161,10 +161,10 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 
 
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
-    """Time that the car needs from fix j to the next at the speed around them, s; and its standard deviation.
+    """Time, s, that the car needs from fix j to the next at the speed around them, and its standard deviation.
 
-    By a line through the fixes of `AROUND` seconds on each side: single fixes are too noisy. Where both speeds
-    differ, the car may have gone at either of them.
+    The speed is that of a line through the fixes of `AROUND` seconds on each side, since single fixes are too noisy. If
+    the two speeds differ, the car may have had either.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

@@ -1,8 +1,8 @@
 """LiveFilterBank: sixteen filters behind the interface of one; their mixture is the estimate.
 
-All of it depends on the stream alone. Lanes are replaced by what can't change any more: the state so far back that no
-late fix reaches it; from there the samples are taken again with the new lanes. So the same samples and fixes give the
-same bits, in time or late, live or from a file.
+Everything depends on the stream alone. Lanes are replaced in a past state that no late fix can change any more; from
+there the samples are processed again with the new lanes. So the same samples and fixes give the same bits, in time or
+late, live or from a file.
 """
 
 import os
@@ -38,7 +38,7 @@ from sigmaswarm.geodesy import wrap_angle
 SEARCH_EVERY = 10.0
 """s from one search to the next."""
 SEARCH_TAKES = 1.0
-"""s of the stream until its result is used; a search takes some 15 ms on another thread."""
+"""s of the stream until its result is used; a search takes about 15 ms on another thread."""
 REPLAYED = 60.0
 """s that a search replays."""
 FASTER = 2.0
@@ -46,7 +46,7 @@ FASTER = 2.0
 REPLACED = 7
 """Lanes replaced after a search: one by the result, the others by copies of good ones, jittered."""
 JITTER = 0.6
-"""Of an offset's standard deviation: how far a copy lies off its parent."""
+"""Distance of a copy from its parent, in standard deviations of an offset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +108,9 @@ class _Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A search under way, which replays the logged steps up to number ``taped``, from the ancestor of lane ``led``.
+    """A running search, which replays the logged steps up to number ``taped``, from the ancestor of lane ``led``.
 
-    A copy of it, in a forked process or by pickle, has no thread that searches, and so searches itself.
+    A copy of it, in a forked process or by pickle, has no searching thread and searches in the calling one.
     """
 
     taped: int
@@ -136,11 +136,11 @@ class LiveFilterBank(LiveFilter):
     """A bank of sixteen filters with different parameters on one stream of samples; their mixture is the estimate.
 
     Each filter (lane) predicts the fixes. Its weight comes from their likelihood, its evidence, which fades within a
-    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other receivers. Every
-    10 s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
-    lanes with their states. So the bank follows a change of sensors or of the reception. On the car that a filter was
-    tuned for it is no better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with
-    the gyro corrected by the known bias, which most of them keep.
+    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other receivers. Every 10
+    s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
+    lanes with their states. So the bank follows a change of sensors or of the reception. On the car of the tuning it is
+    not better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with the gyro
+    corrected by the known bias, which most of them keep.
 
     It is used like a `LiveFilter`, but has no smoothed state. A `pickle` copy continues with the same bits. A fix from
     before a reset of lanes comes too late for all of them.
@@ -544,7 +544,7 @@ class LiveFilterBank(LiveFilter):
 
 
 def _is_definite(covariance: Array) -> bool:
-    """Return True if a covariance (n, n) is finite and positive semidefinite, but for rounding."""
+    """Return True if a covariance (n, n) is finite and positive semidefinite, up to rounding."""
     variance = covariance.diagonal()
     if not (np.isfinite(covariance).all() and variance.min() >= 0.0):
         return False
