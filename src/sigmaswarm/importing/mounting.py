@@ -1,4 +1,4 @@
-"""How an IMU sits in the vehicle: from the sensor's axes to x forward, y left, z up."""
+"""The mounting of an IMU: from the sensor's axes to x forward, y left, z up."""
 
 import math
 import re
@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 
 AUTO = "auto"
-"""As a mounting: the one that the log itself shows."""
+"""The mounting that is found in the log."""
 _AXES = "xyz"
 
 
@@ -82,7 +82,10 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """The matrix of the given rows: one that is left out is the others' cross product; of two, z or x stays put."""
+    """The matrix of the given rows.
+
+    A missing one is the others' cross product; if two are missing, z or x is unchanged.
+    """
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:

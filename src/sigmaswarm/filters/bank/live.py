@@ -406,7 +406,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """State estimate (n,), (n, n) with the biases from before it was lost: at a fix, lanes forget them."""
+        """State estimate (n,), (n, n) with the biases from before the divergence: a reset to a fix forgets them."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -417,12 +417,12 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Known bias of the gyro, rad/s, for alignments: with a bad gyro they would find a wrong heading."""
+        """Known bias of the gyro, rad/s, for alignments, whose heading would be wrong with a bad gyro."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Keep the known biases of a state estimate (n,), (n, n), except in lanes that stand for other biases.
+        """Keep the known biases of a state estimate (n,), (n, n), except in lanes with other biases.
 
         The alignment's own bias is used where it is more precise or contradicts the known one.
         """

@@ -143,7 +143,7 @@ class Model:
 
     @cached_property
     def record(self) -> Any:
-        """The class of p: a named tuple, which NumPy code and Numba both take."""
+        """The class of p: a named tuple, which NumPy code and Numba both accept."""
         return namedtuple("p", [t.name for t in self.parameters])  # pyright: ignore[reportUntypedNamedTuple]
 
     def values(self, parameters: Mapping[str, Any]) -> Any:
@@ -173,7 +173,7 @@ class Model:
         return [self.states.index(name) for name in names]
 
     def identity(self) -> dict[str, Any]:
-        """Identity of this model in plain types: names, bounds, and a hash of all of it."""
+        """Identity of this model in plain types: names, bounds, and a hash of the functions."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,

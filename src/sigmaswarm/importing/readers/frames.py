@@ -12,9 +12,9 @@ from sigmaswarm.importing.source import Placement, Table
 BASES = ("base_link", "base_footprint")
 """Names of the vehicle's frame, x forward, y left, z up (REP-105)."""
 Pose = tuple[Array, Array]
-"""Of a frame in another one: rotation (3, 3) and translation (3,), m."""
+"""Pose of a frame in another one: rotation (3, 3) and translation (3,), m."""
 Tree = Mapping[str, tuple[str, Pose]]
-"""By frame, its parent and its pose in it."""
+"""The parent of each frame, and its pose in it."""
 
 
 def static_topic(tables: Mapping[str, Table]) -> str | None:

@@ -1,6 +1,6 @@
 """KITTI raw: the OXTS RT3003's texts, synchronized (10 Hz) or not (100 Hz).
 
-One text of 30 numbers a sample and a file of times; meaning, units and signs from ``dataformat.txt`` of the data set
+One text of 30 numbers per sample, and a file of times; meaning, units and signs from ``dataformat.txt`` of the data set
 (A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward, y left, z up, yaw from east.
 """
 
@@ -51,7 +51,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all texts of a drive: an hour of 100 Hz is 360 000 files, and 90 MB."""
+    """Read all texts of a drive: an hour at 100 Hz is 360 000 files of 90 MB in total."""
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(
