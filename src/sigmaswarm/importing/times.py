@@ -229,7 +229,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
         if likely and begin < low and high < end:
             return Found(f"({text} - {epoch})*86400", f"{column} taken as days since {whose}")
     if likely and low > 1e-3 and high < 1:
-        return Found(f"{text}*86400", f"{column} read as fractions of a day")
+        return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
     said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes'
     fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}"
     return Found("", fault=fault)
