@@ -49,7 +49,7 @@ class Column:
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """A table; a notebook shows it as it is.
+    """A table, which a notebook shows as HTML.
 
     The rows whose indices are in ``strong`` are emphasized; ``note`` explains the figures.
     """

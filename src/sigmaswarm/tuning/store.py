@@ -99,7 +99,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def saved_history(path: Path) -> dict[int, list[float]]:
-    """Return the lowest costs after each generation, by trial, also of a tuning that is not finished."""
+    """Return the lowest costs after each generation, by trial, also of an unfinished tuning."""
     history: dict[int, list[float]] = {}
     for place in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
         number = int(place.stem[-3:])

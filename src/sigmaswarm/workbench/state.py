@@ -79,7 +79,7 @@ class Workbench:
         return [name for name in names if name + CHECKED not in names]
 
     def read(self, name: str) -> Drive:
-        """Read a drive, or take it from the cache."""
+        """Read a drive, or return it from the cache."""
         path = self.path("drives", name)
         return self.drive(path, path.stat().st_mtime_ns)
 
