@@ -167,7 +167,7 @@ def numbers_of(cell: Cell) -> list[float] | None:
 
 
 def _short(digits: int, value: float) -> str:
-    """Format with so many significant digits; whole numbers in full."""
+    """Format with a number of significant digits; integers in full."""
     whole = value == int(value) or abs(value) >= 10**digits
     return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
 

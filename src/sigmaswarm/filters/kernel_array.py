@@ -208,7 +208,7 @@ class KernelArray:
         return _starts_of(initial, self.kernel, std)
 
     def sums(self, rows: Array) -> Sums:
-        """Sums of the sets from the final rows of m replays, which began as `start` gives them."""
+        """Sums of the sets from the final rows of m replays, which began with the rows of `start`."""
         found, sums = sound_lanes(rows, self.kernel), rows[:, SHOWN].swapaxes(0, 1)
         if self.blocks > 1:  # all of a replay's side by side
             found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
@@ -262,7 +262,7 @@ def _constants(table: ParameterTable) -> Array:
 
 
 def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
-    """The value of each constant, by its row, of a function that gives a field's values."""
+    """The value of each constant, by its row, from a function that returns a field's values."""
     kind, forgetting = of("kind"), of("forgetting")
     q = np.transpose(of("process_noise"))
     alpha2, n_kappa = np.square(of("alpha")), len(FILTERS[model].states) + np.asarray(of("kappa"))

@@ -241,13 +241,13 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if it was left out: the filter takes none, it came too late, lies more than 10 s ahead, or was there
+            False if it was left out: the filter takes none, it came too late, is more than 10 s ahead, or was there
             already.
         """
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
         except _NO_NUMBERS as error:
-            raise InputError(f"a reading of the odometer that is no number: {error}") from None
+            raise InputError(f"a reading of the odometer that is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
         """Reset the filter after a sample if it has diverged; ``due``: it is time for a check."""

@@ -181,7 +181,7 @@ class State:
     bias_of : str or None
         The sensor in `SENSORS` whose bias it is: it starts at 0.
     start_std : float
-        Standard deviation at the start, of a state that is no bias and that alignments do not determine.
+        Standard deviation at the start, of a state that is not a bias and that alignments do not determine.
     """
 
     name: str

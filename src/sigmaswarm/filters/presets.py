@@ -1,6 +1,6 @@
-"""Filters without tuning. The paper names "default parameters" and gives none.
+"""Filters without tuning. The paper names "default parameters" but does not state them.
 
-Three presets, planar5 UKFs, stand for settings by hand:
+Three presets, planar5 UKFs, represent settings by hand:
 
 ``defaults``
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.

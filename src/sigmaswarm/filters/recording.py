@@ -23,7 +23,7 @@ from sigmaswarm.geodesy import wrap_angle
 ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
 """Filter types whose R changes with each fix."""
 SAMPLES = 10_000
-"""IMU samples in a piece; planar8 takes 9 MB for so many."""
+"""IMU samples in a piece; planar8 takes 9 MB for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ class Recording:
         return self
 
     def _run(self) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
-        """Run piece by piece; gives the arguments of `_piece`."""
+        """Run piece by piece; yield the arguments of `_piece`."""
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))

@@ -87,7 +87,7 @@ def assemble(
     if shortage := shortage_of(drive.imu, drive.gps):
         if "overlap" in shortage:
             offset = drive.imu.time[0] - drive.gps.time[0]
-            shortage += f", with --gps-offset (were both begun together: {offset:.3f})"
+            shortage += f", with --gps-offset (if both began together: {offset:.3f})"
         raise InputError(f"{name}: {shortage}")
     return drive
 

@@ -1,7 +1,7 @@
 """Expressions over a table's columns, as polars expressions. Text is parsed and checked, never executed.
 
 ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``,
-```Acceleration x (m/s^2)` ``: names are columns; a column whose name is no plain name goes between backticks.
+```Acceleration x (m/s^2)` ``: names are columns; a column whose name is not a plain name goes between backticks.
 
 Everything is a number. An empty cell is null, and so is every result of it. A comparison is 1 or 0 in arithmetic, and a
 number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0. A time can also be made whole

@@ -62,7 +62,8 @@ def parse_mount(text: str) -> Array:
         angles = []
     if len(angles) not in (1, 3) or not all(map(math.isfinite, angles)):
         raise InputError(
-            f"mount {text!r} is no mounting; write degrees about z (90), roll,pitch,yaw (0,10,90), or axes (x=-y,y=x)"
+            f"mount {text!r} is not a mounting; write degrees about z (90), roll,pitch,yaw (0,10,90), or axes "
+            "(x=-y,y=x)"
         )
     roll, pitch, yaw = angles if len(angles) == 3 else (0.0, 0.0, angles[0])
     return _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
@@ -91,7 +92,7 @@ def _from_axes(text: str, parts: list[str]) -> Array:
     for part in parts:
         found = re.fullmatch(r"([xyz])=([+-]?)([xyz])", part)
         if not found or found[1] in rows:
-            raise InputError(f"mount {text!r}: {part!r} is no axis; write for example x=-y,y=x")
+            raise InputError(f"mount {text!r}: {part!r} is not an axis; write for example x=-y,y=x")
         rows[found[1]] = -unit[found[3]] if found[2] == "-" else unit[found[3]]
     if len(rows) == 1:
         stays = "z" if "z" not in rows else "x"

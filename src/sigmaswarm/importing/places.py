@@ -100,7 +100,7 @@ def level(values: Values, altitude: Array | float, origin: tuple[float, float, f
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):
             raise InputError(
-                f"the {role}: {name} = {wrong[0]:g} is no degrees; map it, for example --map {name}={name}*1e-7"
+                f"the {role}: {name} = {wrong[0]:g} is not in degrees; map it, for example --map {name}={name}*1e-7"
             )
     enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
     return {**values, "x": enu[:, 0], "y": enu[:, 1]}

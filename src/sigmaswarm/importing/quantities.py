@@ -181,7 +181,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         return Found("{}*1e-7", "latitude and longitude taken as 1e-7 degrees")
     said = f"{_maps(columns, role, both, '{}*1e-7')} (or another factor)"
-    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are no degrees; write {said}"
+    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {said}"
     return Found("", fault=fault)
 
 

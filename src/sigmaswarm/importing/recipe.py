@@ -178,7 +178,7 @@ def _entry(text: str) -> tuple[Role, str, str]:
     target, equals, expression = text.partition("=")
     prefix, dot, column = target.strip().rpartition(".")
     if not equals:
-        raise InputError(f'--map {text!r} is no mapping; write for example --map "ax=-acc_y*9.80665"')
+        raise InputError(f'--map {text!r} is not a mapping; write for example --map "ax=-acc_y*9.80665"')
     if dot and prefix not in ROLES:
         raise InputError(
             f"--map {text!r}: {prefix!r} is none of {', '.join(ROLES)}; write for example gps.t=stamp"

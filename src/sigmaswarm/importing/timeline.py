@@ -150,7 +150,9 @@ def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None
     units = {
         unit: factor for unit, factor in UNITS.items() if SHORTEST_STEP < step * factor < LONGEST_STEP[role]
     }
-    more = next((f'; were they in {u}, write --map "{role}.t=({text})*{f:g}"' for u, f in units.items()), "")
+    more = next(
+        (f'; if they are in {u}, write --map "{role}.t=({text})*{f:g}"' for u, f in units.items()), ""
+    )
     raise InputError(
-        f"{where}: {text} as seconds puts {step:.4g} s between two rows of the {role}{more or '; map its time'}"
+        f"{where}: with {text} in seconds, two rows of the {role} are {step:.4g} s apart{more or '; map its time'}"
     )

@@ -257,6 +257,6 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     times = "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")
     option = '--time "' if role == "imu" else f'--map {role}.t="'
     return (
-        f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is "
+        f"with {text} in s, two rows of the {role} are {step * scale:.4g} s apart; in {unit} "
         f'{step * factor:.4g} s: write {option}{plain[1]}{times}"'
     )

@@ -95,7 +95,7 @@ class Noise:
 
     @property
     def longest(self) -> float:
-        """Length of the longest stretch, s; an hour, where there is none."""
+        """Length of the longest stretch, s; an hour if there is none."""
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:

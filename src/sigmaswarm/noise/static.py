@@ -56,10 +56,12 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     """
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):
-        raise InputError(f"{len(imu)} samples with increasing times are no log; give {SHORTEST:g} s at least")
+        raise InputError(
+            f"{len(imu)} samples with increasing times are not a log; give {SHORTEST:g} s at least"
+        )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
-        raise InputError(f"{wrong[0]} has values that are no numbers; leave these samples out")
+        raise InputError(f"{wrong[0]} has values that are not numbers; leave these samples out")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), SMALLEST)
     gap = max(gaps.MANY * interval, gaps.SHORTEST)

@@ -104,7 +104,7 @@ def reference(
     accuracy : float
         m: truth that is not known to this standard deviation on each axis is left out; 0.1 by default.
     fix_std : float, optional
-        m per axis: the least standard deviation of a fix, whatever it states; that of fixes that state none.
+        m per axis: lower limit of a fix's standard deviation, which fixes without a stated one get.
     seed : int
         Decides the tuning, and which fixes are hidden; 0 by default.
 

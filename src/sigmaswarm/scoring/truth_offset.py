@@ -41,7 +41,7 @@ def truth_offset(drive: Drive) -> str:
     )
     length = arm + body
     lever = (
-        "the antenna is away from the point of the truth: write "
+        "the antenna is not at the position of the truth: write "
         f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] into drive.toml"
     )
     causes = [

@@ -78,8 +78,8 @@ def run_batch(
     Raises
     ------
     InputError
-        If the objective is unknown, or needs truth that a drive does not have; if something is no drive, no parameters
-        or no executor.
+        If the objective is unknown, or needs truth that a drive does not have; if something is not a drive, not
+        parameters or not an executor.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """

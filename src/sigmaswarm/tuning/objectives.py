@@ -220,7 +220,9 @@ def _term(part: str, whole: str) -> tuple[float, Objective]:
     try:
         weight = float(match["weight"] or 1.0)
     except ValueError:
-        raise InputError(f"{whole!r}: {match['weight']!r} is no weight; write a number, as in 0.2") from None
+        raise InputError(
+            f"{whole!r}: {match['weight']!r} is not a weight; write a number, as in 0.2"
+        ) from None
     if not 0 < weight < np.inf:
         raise InputError(f"{whole!r}: the weight of {match['name']} must be positive (is {weight:g})")
     return weight, OBJECTIVES[match["name"]]

@@ -59,7 +59,7 @@ class Raced:
     Attributes
     ----------
     costs : ndarray, shape (n,)
-        Full costs of those that went all the way; behind them, the others'.
+        Full costs of those that reached all drives, then those of the others.
     steps : int
         Filter steps spent.
     failures : int

@@ -187,7 +187,7 @@ class ResultFolder:
             return
         if not resume:
             raise InputError(
-                f"{path}: already holds a tuning; add --resume to go on with it, or choose another --out"
+                f"{path}: already holds a tuning; add --resume to continue it, or choose another --out"
             )
         remedy = "not written by a tuning; choose another --out"
         record = load_record(ConfigRecord, file, remedy, infinite=True)
@@ -195,7 +195,7 @@ class ResultFolder:
         if not same_results(record.versions, wanted.pop("versions", {})):
             made = names_shown(" ".join(one) for one in record.versions.items())
             raise InputError(
-                f"{file}: was started with other versions, {made}; go on with those, or choose another --out"
+                f"{file}: was started with other versions, {made}; continue with those, or choose another --out"
             )
         if saved != wanted:
             old, new = _difference("", saved, wanted)

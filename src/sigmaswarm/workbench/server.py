@@ -1,4 +1,4 @@
-"""The workbench's web server: on this machine only, every address behind a secret token."""
+"""The workbench's web server: on this machine only, with every address protected by a secret token."""
 
 import hmac
 import secrets

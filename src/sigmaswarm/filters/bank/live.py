@@ -136,7 +136,7 @@ class LiveFilterBank(LiveFilter):
     """A bank of sixteen filters with different parameters on one stream of samples; their mixture is the estimate.
 
     Each filter (lane) predicts the fixes. Its weight comes from their likelihood, its evidence, which fades within a
-    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other receivers. Every 10
+    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes represent other receivers. Every 10
     s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
     lanes with their states. So the bank follows a change of sensors or of the reception. On the car of the tuning it is
     not better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with the gyro
@@ -248,7 +248,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight to the first lanes only, as an export with so many does; without searches only."""
+        """Give weight to the first lanes only, as an export with that number does; only without searches."""
         self._counted = lanes
         self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)

@@ -110,7 +110,7 @@ DUE = 2
 
 
 _plain = njit(**OPTIONS)
-"""Bookkeeping has no lanes; its slots of time are compared with those of a run, so nothing in it is rearranged."""
+"""Functions without lanes; their time slots must equal those of a run, so no operations are rearranged."""
 
 
 @_plain

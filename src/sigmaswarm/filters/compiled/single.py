@@ -59,7 +59,7 @@ class SingleStep:
     Attributes
     ----------
     address : what `take_step` takes; a function where nothing is compiled
-    made_by : the function that gives it, and its arguments
+    made_by : the function that returns it, and its arguments
     """
 
     address: Any
@@ -111,12 +111,7 @@ def _called(step, v, u, happens, z, wheels, lever, since):
 take_step = _called if config.DISABLE_JIT else _call
 """``(step, v, u, happens, z, wheels, lever, since)``, for compiled code: one step of one filter.
 
-step : the address of what `single_step` gives
-v : (N_KEPT or more,) the filter before and after
-u : (9,) a step's numbers, DT ... GY of `drives.timeline`
-happens : its bits of `schedule`
-z : (6,) a row of `Timeline.fixes`
-wheels : (3,) a row of `odometer.Wheels.rows`
-lever : (3,) that of the time line
-since : Q's scale since the last fix
+step : the address of the result of `single_step` v : (N_KEPT or more,) the filter before and after u : (9,) a step's
+numbers, DT ... GY of `drives.timeline` happens : its bits of `schedule` z : (6,) a row of `Timeline.fixes` wheels :
+(3,) a row of `odometer.Wheels.rows` lever : (3,) that of the time line since : Q's scale since the last fix
 """

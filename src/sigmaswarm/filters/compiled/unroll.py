@@ -43,7 +43,7 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     definition = tree.body[0]
     if not isinstance(definition, ast.FunctionDef):
-        raise TypeError(f"{function} is no plain function")
+        raise TypeError(f"{function} is not a plain function")
     definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
@@ -226,7 +226,7 @@ class _Writer(ast.NodeTransformer):
         names = [n for n in ast.walk(definition) if isinstance(n, ast.Name)]
         stored = {n.id for n in names if isinstance(n.ctx, ast.Store)}
         if any(isinstance(node, ast.Return) for node in ast.walk(definition)):
-            raise TypeError(f"{definition.name} is a kernel: it gives nothing, and does not end early")
+            raise TypeError(f"{definition.name} is a kernel: it must return nothing, and not end early")
         renamed = {name: f"_{self.calls}_{name}" for name in stored.union(parameters)}
         body: list[ast.stmt] = []
         for parameter, argument in zip(parameters, arguments, strict=True):

@@ -90,7 +90,7 @@ class Log:
         try:
             column = np.array(values, dtype=np.float64)
         except (TypeError, ValueError):
-            raise self.wrong(f"{name} is no array of numbers") from None
+            raise self.wrong(f"{name} is not an array of numbers") from None
         bad = np.argwhere(~np.isfinite(column))
         if len(bad):
             place = ", ".join(str(i) for i in bad[0])

@@ -86,7 +86,7 @@ class FuzzyNoise:
         return self.times_r * self.tuned_measurement_noise
 
     def weigh(self, innovation: Innovation) -> Innovation:
-        """Adapt to a fix; gives its innovation with the new R."""
+        """Adapt to a fix; return its innovation with the new R."""
         ratio = min(innovation.nis / len(innovation.nu), LARGEST_RATIO)
         self.quick = self.memory * self.quick + (1 - self.memory) * ratio
         self.slow += (1 - self.memory) / SLOWER * (ratio - self.slow)
@@ -133,7 +133,7 @@ class StrongTracking:
     recent: float | None = None
 
     def stretch(self, filter: GaussianFilter, innovation: Innovation) -> Innovation:
-        """Inflate the covariance; gives the innovation after that."""
+        """Inflate the covariance; return the new innovation."""
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
         self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
@@ -189,7 +189,7 @@ class StudentT:
 
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """Inflate the part of P that a fix observes until it explains ``size`` (m2), nu^T nu; gives the innovation."""
+    """Inflate the part of P that a fix observes until it explains ``size`` (m2), nu^T nu; return the innovation."""
     cross, covariance = innovation.cross, filter.covariance
     seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))

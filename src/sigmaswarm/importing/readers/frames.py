@@ -62,7 +62,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """A transform as rotation and translation; None where its numbers are no rotation."""
+    """A transform as rotation and translation; None if its numbers are not a rotation."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))
