@@ -81,11 +81,15 @@ class Check:
 
     Attributes
     ----------
-    time : s mean, covariance : (n,), (n, n) fix_time, fix : s; (2,) m: the last fix fix_variance : (2,) m2 lever : (2,)
-    m forward and left from the IMU to the antenna latency : s since : function that returns the steps from the fix to
-    the moment, (k, 4) s, m/s2, m/s2, rad/s, with ax, ay, gz heading : function that returns a rough heading at the
-    moment from the log alone, rad, or NaN align : function that returns the alignment that ends at the fix, or None;
-    costly
+    time : s
+    mean, covariance : (n,), (n, n)
+    fix_time, fix : s; (2,) m: the last fix
+    fix_variance : (2,) m2
+    lever : (2,) m forward and left from the IMU to the antenna
+    latency : s
+    since : function that returns the steps from the fix to the moment, (k, 4) s, m/s2, m/s2, rad/s, with ax, ay, gz
+    heading : function that returns a rough heading at the moment from the log alone, rad, or NaN
+    align : function that returns the alignment that ends at the fix, or None; costly
     """
 
     time: float
