@@ -272,7 +272,7 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     ----------
     what : Drive, Evaluation, Tuning or Comparison
     drive : str, optional
-        Of an evaluation: the drive whose track to draw; by default the scores of all methods are compared.
+        For an evaluation: the drive whose track is drawn; by default the scores of all methods are compared.
 
     Returns
     -------

@@ -392,7 +392,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     assert (
         f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 20 m of" in said
     )
-    assert f"wrote the {len(pl.read_csv('f.csv'))} fixes before to f.csv" in said
+    assert f"wrote the {len(pl.read_csv('f.csv'))} earlier fixes to f.csv" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
 
 

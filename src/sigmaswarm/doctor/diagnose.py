@@ -61,7 +61,7 @@ def diagnose(drive: Drive) -> Diagnosis:
 
 
 def findings_of(drive: Drive) -> tuple[str, ...]:
-    """The serious findings and warnings about a drive, as sentences; none of a drive too short to be diagnosed."""
+    """The serious findings and warnings about a drive, as sentences; none if a drive is too short for a diagnosis."""
     try:
         found = diagnose(drive).findings
     except DriveError:

@@ -24,7 +24,7 @@ def split_drives(
 
     Parameters
     ----------
-    drives : sequence of Drive, or of what stands for drives, as their paths
+    drives : sequence of Drive, or of objects that represent drives, such as paths
         At least two, so that each part gets one.
     train_fraction : float
         Of the number of drives, in (0, 1).

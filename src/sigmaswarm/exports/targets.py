@@ -41,7 +41,7 @@ def export_texts(
     Parameters
     ----------
     parameters : FilterParameters
-        With ``nominal_interval``, as every tuning has it.
+        Parameters with ``nominal_interval``, which every tuning has.
     target : {"filterpy", "c99", "robot_localization"}
         robot-localization is another name of the last.
     replay : Drive, optional

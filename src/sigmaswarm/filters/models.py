@@ -88,7 +88,7 @@ def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
 
 
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: a car on its wheels has none at its rear axle."""
+    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: 0 at the rear axle of a car on its wheels."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0

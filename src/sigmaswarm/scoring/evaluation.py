@@ -324,7 +324,8 @@ def evaluate(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Preferably none of the tuning's. Without truth only the outage drift is computed, against the hidden fixes.
+        Preferably drives that the tuning did not use. Without truth only the outage drift is computed, against the
+        hidden fixes.
     parameters : FilterParameters
         The tuned ones.
     seen : sequence of Landmarks, optional
