@@ -172,7 +172,7 @@ def evaluate(
     Raises
     ------
     InputError
-        There are no drives, or ``parameters`` is no filter.
+        There are no drives, or ``parameters`` is not a filter.
     AlignmentError
         A drive never moves far enough to start a filter.
     """

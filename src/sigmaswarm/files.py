@@ -99,7 +99,7 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if path.exists() and not path.is_file():  # as root, /dev/null could be replaced
-        raise InputError(f"{path}: is no regular file; name another")
+        raise InputError(f"{path}: is not a regular file; name another")
     with _staging(path) as new:
         part = _Part(str(new), "xb")
         try:
@@ -162,7 +162,7 @@ def _exchange(hidden: Path, folder: Path) -> None:
     files = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
     for name in files:
         if (place := folder / name).exists() and not place.is_file():
-            raise InputError(f"{place}: is no regular file; move it, or choose another --out")
+            raise InputError(f"{place}: is not a regular file; move it, or choose another --out")
     try:
         for name in files:
             make_folder((folder / name).parent)

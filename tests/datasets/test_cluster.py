@@ -266,7 +266,7 @@ def test_a_scheduler_file_that_is_none_is_one_line(tmp_path: Path):
     file = tmp_path / "scheduler.json"
     for content in ("{}", "no json", "[1]"):
         file.write_text(content)
-        with pytest.raises(InputError, match="is no scheduler file"), connected(str(file)):
+        with pytest.raises(InputError, match="is not a scheduler file"), connected(str(file)):
             pass
 
 

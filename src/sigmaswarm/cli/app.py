@@ -123,7 +123,7 @@ def _run() -> int:
         return _told(2, f"{said}{hint}")
     except KeyboardInterrupt:
         saved = (
-            "; repeat the command with --resume to go on"
+            "; repeat the command with --resume to continue"
             if {"tune", "compare", "simulate", "study"} & set(sys.argv[1:2])
             else ""
         )

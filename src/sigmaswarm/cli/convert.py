@@ -45,7 +45,7 @@ def convert(
         raise InputError(f"{last}: drives are written to folders; name one")
     out, written = Path(last), list[str]()
     if any((out / table).exists() for table in TABLES):
-        raise InputError(f"{last}: is a drive; name, last, the folder in which the converted drives are made")
+        raise InputError(f"{last}: is a drive; give, as last argument, a folder for the converted drives")
     for place in all_drive_locations(given):
         drive = read_known(place)
         if drive.name in written:

@@ -163,7 +163,7 @@ def import_(
 
     request, heading = _request(source, options), options.heading_from_north
     if heading is not None and not abs(heading) <= 360:
-        raise InputError(f"--heading-from-north {heading:g} is no angle; give degrees, 0 to 360")
+        raise InputError(f"--heading-from-north {heading:g} is not an angle; give degrees, 0 to 360")
     if options.show:
         _show(request, options)
     elif options.out is None:
@@ -245,7 +245,7 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
     if diagnosis.serious:
         command, mended = mending(diagnosis, out)
         go_on = (
-            f"go on with {mended}, not with {out}" if mended else "correct in the log what it can't repair"
+            f"continue with {mended}, not with {out}" if mended else "correct in the log what it can't repair"
         )
         following, ready = f"{command}    (then {go_on})", mended or out
     yield f"next: {following}"

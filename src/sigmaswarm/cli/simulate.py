@@ -178,7 +178,7 @@ def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
             "odometer": about.get("odometer", {}).get("grade"),
         }
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None
+        raise InputError(f"{file.parent}: is not a drive that simulate wrote; name another folder") from None
     urban = URBAN_DURATION if options["duration"] is None else options["duration"]
     wanted = {**options, "duration": None if made["duration"] is None else urban}  # of urban drives alone
     for key, value in made.items():

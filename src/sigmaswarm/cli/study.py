@@ -80,7 +80,7 @@ class StudyOptions:
 
 
 OF_THE_RUN = ("out", "config", "quick", "workers", "cluster", "resume", "json")
-"""Options that are no part of a study's configuration."""
+"""Options that are not part of a study's configuration."""
 
 
 def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:

@@ -166,7 +166,7 @@ def _scheduler(address: str) -> str:
         return str(json.loads(read_bounded(Path(address), MOST_TOML))["address"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(
-            f"--cluster {address}: is no scheduler file; `dask scheduler --scheduler-file` writes one"
+            f"--cluster {address}: is not a scheduler file; `dask scheduler --scheduler-file` writes one"
         ) from None
 
 

@@ -74,7 +74,7 @@ def datasets_of(
     Raises
     ------
     InputError
-        If an item is no drive, or both an executor and a cluster are given.
+        If an item is not a drive, or both an executor and a cluster are given.
     """
     if cluster is not None and executor is not None:
         raise InputError(

@@ -16,7 +16,7 @@ NEIGHBORS = 3
 HARDEST = 8.0
 """m/s2: largest acceleration of a car, whose effect between fixes is not a jump."""
 SPAN = (3.0, 6.0)
-"""s: the shortest and longest stretch of fixes that one velocity is taken from."""
+"""s: the shortest and longest stretch of fixes for one velocity."""
 SPEED_STD = 0.5
 """m/s: the stretch is chosen so that white noise of the fixes gives the velocity about this deviation."""
 SLOWEST = 3.0

@@ -297,7 +297,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
         (seen.spread > WANDERS, "the direction of gravity wanders"),
         (seen.mirrored > CLEARLY, "the accelerometers' axes are a mirror image"),
-        (seen.margin < OTHER_WAY, "the car hardly speeds up or brakes, which would show what is forward"),
+        (seen.margin < OTHER_WAY, "the car hardly changes its speed, which would show the forward direction"),
         (lateral <= 0.4 or lateral >= 1.6, f"the lateral force is {lateral:.1f} times speed x yaw rate"),
         (total > LIKELY, uncertain),
     ):

@@ -31,7 +31,7 @@ def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
 
 
 def moving_mean(rows: Array, count: int) -> Array:
-    """The mean of so many samples around each, of rows (r, n), mirrored at their ends.
+    """The moving mean over ``count`` samples, of rows (r, n), mirrored at their ends.
 
     It is `scipy.ndimage.uniform_filter1d`, whose import takes longer than all checks.
     """

@@ -173,7 +173,7 @@ class Alignments:
         It takes some milliseconds.
         """
         if k not in self._found:
-            with np.errstate(all="ignore"):  # what overflows is no alignment
+            with np.errstate(all="ignore"):  # what overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
                 self._found[k] = fitted(k) if self._worth[k] else None
         return self._found[k]

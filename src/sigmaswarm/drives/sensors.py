@@ -23,10 +23,9 @@ M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresd
 UNSTATED_GPS_STD = 2.1
 """m per axis, for receivers that state none: u-blox M8, 2.5 m CEP."""
 SHOWN = 0.25 * UNSTATED_GPS_STD
-"""m per axis.
+"""m per axis: a receiver that states nothing and errs by this much from fix to fix does not smooth.
 
-A receiver that states nothing and errs by this much from fix to fix does not smooth, so the fixes show its error; the
-error of one that errs by less is unknown.
+Its fixes show its error. The error of a receiver whose fixes differ by less is unknown.
 """
 
 

@@ -29,9 +29,9 @@ MOST_OF_IT = 16.0
 QUARTER = 5
 """Complete blocks, next to the current one, that show a departure."""
 CALM = 2.5
-"""Largest ratio of the deviations of a calm second to the usual ones of calm."""
+"""Largest ratio of the deviations of a calm second to the usual ones at rest."""
 SETTLES = 0.5
-"""s: time constant with which the level of calm falls."""
+"""s: time constant with which the estimated noise at rest falls."""
 RISES = 0.1
 """per s: rate at which it rises while the car is nearly calm, so that no single second fixes it."""
 DEPARTS = 0.12

@@ -50,7 +50,7 @@ BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Return arguments for polars' readers that read a file by its name: run[1] is no pattern, ~ no home."""
+    """Return arguments for polars' readers that read a file by its name: run[1] is not a pattern, ~ not home."""
     return {"source": path.absolute(), "glob": False}
 
 

@@ -22,7 +22,7 @@ class Lanes:
     Raises
     ------
     InputError
-        If there can't be so many.
+        If the number is out of range.
     """
 
     n: int = 1
@@ -57,7 +57,8 @@ class Lanes:
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
             "LANES": str(self.n),
-            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes, differently tuned, and their mixture",
+            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes with different parameters, and their "
+            "mixture",
             "LANE_ROWS": ",\n".join(map(_row, filters, penalties)),
         }
 

@@ -73,8 +73,8 @@ def ros2(
     Raises
     ------
     InputError
-        If rosbags is not installed, a time is before 0, or ``merge`` is no bag of these times, is damaged, or has the
-        topic already. Nothing is left behind then.
+        If rosbags is not installed, a time is before 0, or ``merge`` is not a bag of these times, is damaged, or has
+        the topic already. Nothing is left behind then.
 
     Warns
     -----

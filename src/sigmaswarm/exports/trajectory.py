@@ -131,7 +131,7 @@ def write_fixes(
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
     """Raise `InputError` where `write_fixes` could not write, before any work is done."""
     if path.suffix not in (endings := (".csv", *MAPS)):
-        raise InputError(f"{path}: fixes are no poses; end the name in {', '.join(endings)}")
+        raise InputError(f"{path}: fixes are not poses; end the name in {', '.join(endings)}")
     check_target(path, origin)
 
 

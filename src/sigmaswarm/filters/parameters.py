@@ -93,7 +93,7 @@ class FilterParameters:
     odometer_latency : float
         s: age of an odometer reading at its time stamp.
     gate : float or None
-        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of sound fixes
+        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of good fixes
         (chi-square, two degrees of freedom). None: every fix is used.
     latency : float
         s: age of a fix at its time stamp.

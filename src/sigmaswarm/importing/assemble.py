@@ -1,4 +1,4 @@
-"""A drive of joined columns: one clock, one frame, the IMU rotated, missing truth columns computed."""
+"""Assemble a drive from joined columns: one clock, one frame, the IMU rotated, missing truth columns computed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -19,15 +19,15 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
 
 SEED = 0
-"""Seed of the noise of fixes that are made from the truth."""
+"""Seed of the noise of fixes made from the truth."""
 MOST_FIXES = 10_000_000
-"""That are made of the truth."""
+"""Largest number of fixes made from the truth."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 """Required columns of each role."""
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m) of the local frame."""
 LONGEST_OFFSET = 4e9
-"""s: 126 years, beyond which times in ns leave 64 bits."""
+"""s: 126 years, beyond which times in ns exceed 64 bits."""
 
 
 @np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
@@ -87,7 +87,7 @@ def assemble(
     if shortage := shortage_of(drive.imu, drive.gps):
         if "overlap" in shortage:
             offset = drive.imu.time[0] - drive.gps.time[0]
-            shortage += f", with --gps-offset (were both begun together: {offset:.3f})"
+            shortage += f", with --gps-offset (if both began together: {offset:.3f})"
         raise InputError(f"{name}: {shortage}")
     return drive
 
@@ -105,7 +105,7 @@ def _imu(time: Array, values: Values, recipe: Recipe) -> Imu:
 
 
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
-    """The keys of drive.toml; ``zero`` is the second at which the times begin."""
+    """The keys of drive.toml; ``zero`` is the time origin, s."""
     metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
     if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
@@ -132,7 +132,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
 
 
 def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Values, Origin | None]:
-    """The fixes' columns as a drive has them, and the origin of the local frame."""
+    """The fixes' columns of a drive, and the origin of the local frame."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
@@ -163,10 +163,10 @@ def _first_place(values: Values) -> Origin:
 
 
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
-    """The truth with x and y, m; about its own first place where no fixes have set an origin.
+    """The truth with x and y, m; relative to its own first position if no fixes have set an origin.
 
-    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand meters
-    between the two would stretch one of them by 16 cm a kilometre.
+    Fixes without altitude are assumed to be level with the origin, and the truth then, too: a thousand meters between
+    the two would stretch one of them by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -182,7 +182,10 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    """Return the sentence on truth in meters with fixes in degrees: its origin, and how far the fixes are from it."""
+    """Return the sentence on truth in meters with fixes in degrees.
+
+    Its origin, and the distance of the fixes from it.
+    """
     said = "truth is in meters: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
@@ -200,7 +203,7 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Fixes at a rate, Hz, that lie where the truth is, with white noise, m per axis."""
+    """Fixes at a rate, Hz, at the position of the truth, with white noise, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(f"{given} can't be; give a rate in Hz and a deviation in m, as 5,1")
@@ -241,7 +244,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Course (n,), rad, of a velocity; while it is slow, the last one known, or else the first."""
+    """Course (n,), rad, of a velocity; at low speed the last known course, or else the first."""
     moving = np.hypot(vx, vy) > MOVING
     if not moving.any():
         return np.zeros(len(vx))

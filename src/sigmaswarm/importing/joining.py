@@ -16,7 +16,7 @@ from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
-"""m: a stated standard deviation not above it means that the receiver states none."""
+"""m: a stated standard deviation up to this means that the receiver states none."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """Columns of angles, with a full turn: rad, rad, deg."""
 SPARSE = 0.1
@@ -58,8 +58,8 @@ def join(
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
     """Values (n,) at times (n,), s, straight between those (m,) at times (m,), s; of an angle the short way round.
 
-    An angle that its neighbors have within half a turn stays there; others, unwrapped or no angle at all, stay near
-    their neighbors, so that a wrong unit is still seen.
+    An angle within half a turn of its neighbors is not changed. Others (unwrapped, or not an angle) stay near their
+    neighbors, so that a wrong unit can still be detected.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -120,7 +120,7 @@ def _finite(values: Values, count: int) -> NDArray[np.bool_]:
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
-    """Rows without gaps: columns mostly empty are left out, then rows with an empty cell."""
+    """Rows without gaps: columns that are mostly empty are left out, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(

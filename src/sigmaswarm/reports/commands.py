@@ -16,7 +16,7 @@ STATED = ("objective", "particles", "generations", "trials", "seed", "model", "u
 """Options that the command names even at their defaults."""
 DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
 GUARDS = ("prior", "inflation")
-"""Those whose default in `tune` depends on the objective."""
+"""Options whose default in `tune` depends on the objective."""
 
 
 def tune_command(

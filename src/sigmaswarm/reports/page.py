@@ -1,7 +1,7 @@
 """A report as one HTML file: it needs no network and no other file.
 
-Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are explored with plotly.js, of which the page
-holds the basic bundle (MIT license, see assets/); the bundle and the tracks are compressed.
+Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are interactive by plotly.js, whose basic bundle is
+in the page (MIT license, see assets/); the bundle and the tracks are compressed.
 """
 
 import base64
@@ -107,8 +107,8 @@ class Report:
 def page(report: Report) -> str:
     """Render the page.
 
-    Every text of the report is escaped, and the page's policy forbids any request, so that neither a drive's name nor
-    anything else can reach out of it.
+    Every text of the report is escaped, and the page's policy forbids any request, so that no text, such as a drive's
+    name, can run code or load anything.
     """
     tracks = next((section.tracks for section in report.sections if section.tracks), None)
     return (

@@ -167,7 +167,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw the middle 80% of the trials, their median, and where it settles."""
+    """Draw the middle 80% of the trials, their median, and the generation at which it settles."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_LOOKS[key].color if key in STUDY_LOOKS else GREEN
     whole, settles = course.group == ALL, course.stable
@@ -227,7 +227,7 @@ def trajectory_chart(picture: Picture) -> Chart:
 
 
 def error_charts(picture: Picture) -> tuple[Chart, ...]:
-    """Draw position and heading error over time with the filter's 3 sigma: two charts a filter."""
+    """Draw position and heading error over time with the filter's 3 sigma: two charts per filter."""
 
     def chart(title: str, columns: Columns, look: Look, what: str, *, last: bool) -> Chart:
         def draw(ax: Axes) -> None:

@@ -24,7 +24,7 @@ _Row = tuple[str, str, Mapping[str, float | None]]
 """Drive, method, and scores by measure."""
 
 LATE = 5.0
-"""s into a drive: a start of the scores after it is reported."""
+"""s after the start of a drive: a later start of the scores is reported."""
 MOST_REMARKS = 3
 """Remarks that `print` shows of an evaluation."""
 NO_TRUTH = (
@@ -36,7 +36,7 @@ NO_TRUTH = (
 
 @dataclass(frozen=True, eq=False)
 class EvaluationView:
-    """An evaluation as people read it, from memory or from its files.
+    """An evaluation as tables and sentences, from memory or from its files.
 
     Attributes
     ----------

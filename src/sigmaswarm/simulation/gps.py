@@ -25,7 +25,7 @@ METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
 
 @dataclass(frozen=True)
 class GpsGrade:
-    """A named quality of receiver.
+    """A named grade of receiver.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Measure the antenna's motion, given at the fixes' time stamps (n,), s, less the grade's latency.
+    """Measure the antenna's motion, at the fixes' time stamps (n,), s, minus the grade's latency.
 
     There are no fixes in the outages, (start, end) in s. The number of draws does not depend on the grade.
     """

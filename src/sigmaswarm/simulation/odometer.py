@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OdometerGrade:
-    """A named quality of odometer.
+    """A named grade of odometer.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ ODOMETER_GRADES = {
         ),
     )
 }
-"""By name. A scale of 1%: tires' wear and pressure, recalled; comma2k19's car is 0.8% low."""
+"""Grades by name. The scale of 1% for wear and pressure of tires is from memory; comma2k19's car is 0.8% low."""
 
 
 def measure_odometer(

@@ -33,7 +33,7 @@ SYNONYMS = {
     **dict.fromkeys(("filter", "filter_type"), "kind"),
     **dict.fromkeys(("output", "output_dir", "folder"), "out"),
 }
-"""Names that other libraries give to our options."""
+"""Names of our options in other libraries."""
 C = TypeVar("C", bound="SearchConfig")
 
 

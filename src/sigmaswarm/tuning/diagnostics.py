@@ -1,9 +1,8 @@
-"""Faults of a tuned filter that its objective hardly sees.
+"""Faults of a tuned filter that its objective hardly shows.
 
-Divergence and drift: during a tuning a filter is not reset where it diverges, so its cost there is that of a wrong
-track, but a likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix hardly show
-the next minute: a search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts
-a kilometer.
+Divergence and drift: during a tuning a diverged filter is not reset, so its cost is that of a wrong track, but a
+likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix hardly show the next minute: a
+search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts a kilometer.
 
 Scale of the covariance: all noises and the initial covariance times one factor leave a Kalman filter's gains, and so
 its estimates, unchanged; its covariances are multiplied, and its NIS divided. So mean NIS / 2 is the factor that makes
@@ -37,7 +36,7 @@ from sigmaswarm.wording import to_do
 NAMED = 3
 """Drives named in one message, and checked for drift."""
 WATCHED = 3600.0
-"""Seconds of a drive in which divergence is looked for; more would need more memory than everything else."""
+"""Seconds of a drive that are checked for divergence; more would need more memory than everything else."""
 FAR = 1.5
 """Drift relative to the baseline above which a warning is given."""
 FEW = 2

@@ -22,7 +22,7 @@ NO_PART = 0.05
 LOOK = 600.0
 """Seconds of a drive whose fixes are checked for scatter; minutes suffice, and hours take long."""
 PRIOR_DECIDED = 0.02
-"""Cost of the prior, nats per fix, above which a warning reports that it decided R."""
+"""Cost of the prior, nats per fix, above which a warning reports that it determined R."""
 SMOOTH = 0.5
 """Scatter in m below which the receiver either filters its fixes or uses RTK."""
 UNKNOWN = "no log without truth shows their common error"

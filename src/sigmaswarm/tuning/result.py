@@ -48,7 +48,7 @@ LARGE_GAP = 0.2
 
 @dataclass(frozen=True)
 class Validation:
-    """Result on drives that the search did not see.
+    """Result on drives that the search did not use.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class Tuning(Generic[P]):
 
     @property
     def unidentified(self) -> list[str]:
-        """Parameters that may have any value within their bounds at 1% of the cost."""
+        """Parameters that can have any value within their bounds while the cost rises by less than 1%."""
         return [s.name for s in self.sensitivities if not s.identified]
 
     @property

@@ -1,4 +1,4 @@
-"""Mounting of the IMU in the vehicle: three angles, and a sketch that turns with them."""
+"""Mounting of the IMU in the vehicle: three angles, and a sketch that rotates with them."""
 
 import math
 from functools import partial
@@ -23,7 +23,7 @@ SETTLED = 0.6
 
 
 class MountingPanel:
-    """The choice of the mounting. The sketch follows at once, the plots when the angles rest."""
+    """The choice of the mounting. The sketch follows at once, the plots after a pause."""
 
     def __init__(self, page: "LogPage") -> None:
         self.page = page
@@ -91,7 +91,7 @@ class MountingPanel:
                 sliders.append(slider)
 
     def _settings(self) -> None:
-        """Settings that few logs need."""
+        """Settings for few logs."""
         choices = self.page.bench.log_choices
         offset = ui.number("Added to the times of the fixes, s", value=choices.get("gps_offset_s"), step=0.01)
         offset.on("change", lambda: self.page.choose(gps_offset_s=offset.value or 0.0))

@@ -39,7 +39,7 @@ APART = 2.5
 JUMP = 2.5
 """m/s: change of the wheel speed within `WITHIN` without acceleration, by wheels that spin or lock.
 
-A slope of 10% looks like 1 m/s, a delay of 0.3 s like 2 m/s in a full braking.
+A slope of 10% looks like 1 m/s, a delay of 0.3 s like 2 m/s during full braking.
 """
 WITHIN, LASTS_AT_MOST = 1.0, 10.0
 """s: duration of a jump, and time in which the wheels return from it."""

@@ -88,7 +88,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
             f"{share:.0f}% of the samples repeat the one before: the sensor gives about {fresh:.0f} a second"
         )
         repair = Repair("drop-samples", tuple(imu.time[same].tolist()))
-        where, remedy = "imu.csv, ax, ay, gz", "log only fresh samples"
+        where, remedy = "imu.csv, ax, ay, gz", "log only new samples"
         yield Finding("imu-repeats", "warning", what, where, _ends(imu.time), 0.99, remedy, repair)
     stale = gps.time[evidence.stale]
     if len(stale) >= FEWEST_STALE:

@@ -181,9 +181,7 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
         write_whole(file, config.to_toml())
         return
     if not resume:
-        raise InputError(
-            f"{out}: already holds a study; add --resume to go on with it, or name another folder"
-        )
+        raise InputError(f"{out}: already holds a study; add --resume to continue it, or name another folder")
     saved = read_config(file)
     for name in StudyConfig.model_fields:
         if getattr(saved, name) != getattr(config, name):

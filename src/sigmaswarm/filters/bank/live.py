@@ -136,7 +136,7 @@ class LiveFilterBank(LiveFilter):
     """A bank of sixteen filters with different parameters on one stream of samples; their mixture is the estimate.
 
     Each filter (lane) predicts the fixes. Its weight comes from their likelihood, its evidence, which fades within a
-    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other receivers. Every 10
+    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes represent other receivers. Every 10
     s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
     lanes with their states. So the bank follows a change of sensors or of the reception. On the car of the tuning it is
     not better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with the gyro
@@ -248,7 +248,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight to the first lanes only, as an export with so many does; without searches only."""
+        """Give weight to the first lanes only, as an export with that number does; only without searches."""
         self._counted = lanes
         self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)
@@ -406,7 +406,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """State estimate (n,), (n, n) with the biases from before it was lost: at a fix, lanes forget them."""
+        """State estimate (n,), (n, n) with the biases from before the divergence: a reset to a fix forgets them."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -417,12 +417,12 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Known bias of the gyro, rad/s, for alignments: with a bad gyro they would find a wrong heading."""
+        """Known bias of the gyro, rad/s, for alignments, whose heading would be wrong with a bad gyro."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Keep the known biases of a state estimate (n,), (n, n), except in lanes that stand for other biases.
+        """Keep the known biases of a state estimate (n,), (n, n), except in lanes with other biases.
 
         The alignment's own bias is used where it is more precise or contradicts the known one.
         """

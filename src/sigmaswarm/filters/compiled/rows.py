@@ -1,7 +1,7 @@
 """The array that a run works on, on the stack and at the start of a cache line.
 
-Numba's `np.empty` starts at any multiple of 32 bytes, so that with AVX-512 every load and store may lie across two
-cache lines: the whole run then takes a seventh longer, or not, by chance.
+Numba's `np.empty` starts at any multiple of 32 bytes, so that with AVX-512 every load and store may cross two cache
+lines: by chance, the whole run then takes a seventh longer.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false

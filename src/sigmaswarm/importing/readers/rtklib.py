@@ -32,7 +32,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the header, and rows when they are wanted."""
+    """Read the header, and the rows on use."""
     system, columns = _header(path)
     targets = {target: name for target, name in _TARGETS.items() if name in columns}
     notes = {

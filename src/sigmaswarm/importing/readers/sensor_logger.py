@@ -47,7 +47,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
-    """Specific force: with gravity as logged, or without it and gravity added (iOS has both with its own sign)."""
+    """Specific force: as logged with gravity, or the sum of acceleration and gravity (with opposite signs on iOS)."""
     if _TOTAL in log.tables:
         return {_TOTAL: {"ax": "y", "ay": "-x", "az": "z"}}
     if not {_MOVED, _GRAVITY} <= log.tables.keys():
