@@ -231,7 +231,7 @@ def test_a_folder_is_held_by_one_run(tmp_path: Path):
     out = tmp_path / "out"
     with (
         files.held_folder(out),
-        pytest.raises(InputError, match=r"out: another run is filling it"),
+        pytest.raises(InputError, match=r"out: another run is writing to it"),
         files.held_folder(out),
     ):
         pass
