@@ -174,7 +174,7 @@ def test_a_record_can_not_be_changed():
             {"robust_dof": 4.0, "kind": "strong-tracking-ukf"},
             "robust can't be combined with strong-tracking-ukf",
         ),
-        ({"accuracy_scale": 1.0, "kind": "adaptive-ukf"}, "accuracy does not go with adaptive-ukf"),
+        ({"accuracy_scale": 1.0, "kind": "adaptive-ukf"}, "accuracy can't be combined with adaptive-ukf"),
     ],
     ids=str,
 )

@@ -12,11 +12,11 @@ import re
 import textwrap
 import tokenize
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
+from functools import cache
 from typing import Any
 
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
-from sigmaswarm.filters.compiled.unroll import Kernel
+from sigmaswarm.filters.compiled.unroll import Kernel, copied
 
 STATES = (
     *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
@@ -103,13 +103,11 @@ class _Function(ast.NodeTransformer):
     def __init__(
         self, emitter: Emitter, function: Callable[..., Any], name: str, known: dict[str, Any]
     ) -> None:
-        source = textwrap.dedent(inspect.getsource(function))
-        definition = ast.parse(source).body[0]
-        assert isinstance(definition, ast.FunctionDef)
+        parsed, self.comments = _parsed(function)
+        definition: ast.FunctionDef = copied(parsed)
         self.emitter, self.name, self.definition = emitter, name, definition
         self.known, self.names = known, {**function.__globals__, **known}
         emitter.constants |= {n: v for n, v in self.names.items() if n.isupper() and isinstance(v, float)}
-        self.comments = _comments(source)
         self.is_kernel = any(each.arg == "w" for each in definition.args.args)
         self.body = self.chosen(definition.body[ast.get_docstring(definition) is not None :])
         nodes = [node for statement in self.body for node in ast.walk(statement)]
@@ -347,7 +345,7 @@ class _Function(ast.NodeTransformer):
 
     def fold(self, node: ast.expr) -> ast.expr:
         """The expression with C's names, without terms that this filter's numbers make 0."""
-        return self.visit(deepcopy(node))
+        return self.visit(copied(node))
 
     def c(self, node: ast.expr) -> str:
         return self.print(self.fold(node))
@@ -449,6 +447,15 @@ class _Function(ast.NodeTransformer):
         return f"({text})" if binds < outer else text
 
 
+@cache
+def _parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
+    """Parse a function; also return its comments by line."""
+    source = textwrap.dedent(inspect.getsource(function))
+    definition = ast.parse(source).body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    return definition, _comments(source)
+
+
 def _numeral(value: float) -> ast.Name:
     return ast.Name("INFINITY" if math.isinf(value) else f"R({value!r})")
 
@@ -480,6 +487,9 @@ def _wrapped(lines: list[str]) -> list[str]:
             joined.append(line)
     wrapped: list[str] = []
     for line in joined[1:]:
+        if len(line) <= 120:
+            wrapped.append(line)
+            continue
         indent = " " * (len(line) - len(line.lstrip()))
         further = indent + "    "
         wrapped += textwrap.wrap(

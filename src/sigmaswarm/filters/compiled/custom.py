@@ -18,7 +18,10 @@ from numba import njit
 
 _TWO_PI = 2 * math.pi
 
-_kernel = njit(error_model="numpy")
+_kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""For functions that kernels alone call: entries for Python and C would cost compile time."""
+_inlined = njit(error_model="numpy", inline="always")
+"""For functions with one call each: LLVM would optimize them once alone, and again where they are called."""
 
 _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 
@@ -31,11 +34,11 @@ def build_kernel(
     ``diagonal``: process_noise gives the diagonal of Q. Bounds are checked in the user's functions: an index out of
     bounds raises an error there, too.
     """
-    user = njit(error_model="numpy", boundscheck=True)
+    user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
     put = _put_diagonal if diagonal else _put_matrix
 
-    @_kernel
+    @_inlined
     def predict(mean, covariance, root, drawn, moved, state, weights, dt, u, p, angles):
         """Push the sigma points through f, and add Q; False where P has no root."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
@@ -48,7 +51,7 @@ def build_kernel(
         _add_products(moved, moved, weights, covariance)
         return True
 
-    @_kernel
+    @_inlined
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
@@ -104,7 +107,7 @@ def build_kernel(
                     _put_matrix(covariance, covariances[at])
         return -1
 
-    return njit(nogil=True, error_model="numpy")(run)
+    return njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(run)
 
 
 @_kernel
