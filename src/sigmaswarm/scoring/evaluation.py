@@ -12,7 +12,7 @@ import polars as pl
 from sigmaswarm import notebook
 from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.doctor.diagnose import findings_of
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -30,6 +30,7 @@ from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import FIXES, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure, measures, method_names
+from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
     ASKED_FILE,
@@ -115,7 +116,7 @@ class Evaluated:
     Scores, times of resets (s), and drifts with the number of outages are by method or measure. Consistency and
     innovations are those of the tuned filter. ``tracks`` are those of tracks.npz, ``picture`` has more points, for
     print. ``frozen`` counts stale fixes, which no filter used. ``findings`` are the doctor's, ``truth_offset`` is a
-    sentence on a constant offset between fixes and truth.
+    sentence on a constant offset between fixes and truth. ``radius`` is that of `ScoresRecord`.
     """
 
     scores: Mapping[str, Score]
@@ -129,6 +130,7 @@ class Evaluated:
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
     findings: tuple[str, ...] = ()
     truth_offset: str = ""
+    radius: Mapping[str, RadiusRecord] = field(default_factory=dict[str, RadiusRecord])
 
     def called(self, name: str) -> "Evaluated":
         """The same under another name, where two drives have one."""
@@ -243,6 +245,7 @@ class Evaluation:
             improvement_percent={m: {k: self.improvement(m, k) for k in MEASURES} for m in rivals},
             drifts={name: dict(found.drifts) for name, found in drives.items() if found.drifts},
             failed={name: methods for name, methods in failed.items() if methods},
+            radius={name: dict(found.radius) for name, found in drives.items() if found.radius},
             stale_fixes={name: found.frozen for name, found in drives.items() if found.frozen},
         )
 
@@ -419,8 +422,23 @@ def _evaluated(
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
         findings=findings_of(drive),
         truth_offset=truth_offset(drive),
+        radius=_radii(
+            drive, parameters, {TRACKING: tracker.stated, **{m: o.stated for m, o in outages.items()}}
+        ),
     )
     return drive.name, found, marks
+
+
+def _radii(
+    drive: Drive, parameters: FilterParameters, stated: Mapping[str, tuple[Array, Array, Array | None]]
+) -> dict[str, RadiusRecord]:
+    """Radii of the tuned filter, by where they were stated: times, variances and errors."""
+    known = drive.truth is not None
+    found = {
+        where: radius_record(variance, lasting_variance(drive, parameters, time), error if known else None)
+        for where, (time, variance, error) in stated.items()
+    }
+    return {where: record for where, record in found.items() if record}
 
 
 @dataclass(frozen=True, eq=False)
