@@ -24,7 +24,7 @@ from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.replay import Replay, joined
-from sigmaswarm.filters.run import Estimate, Innovations
+from sigmaswarm.filters.run import Estimate, Innovations, estimate_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
@@ -46,6 +46,7 @@ from sigmaswarm.scoring.targets import (
     LONG_OUTAGE_LENGTH,
     OUTAGE_LENGTH,
     SHORT_OUTAGE_LENGTH,
+    outage_replay,
     outage_windows,
     tracking_replay,
 )
@@ -483,3 +484,12 @@ def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed
     windows = outage_windows(ready.drive, estimate.initial, length=length, seed=seed)
     drift = rms_drift(ready, estimate, windows[:, 1])
     return replace(score_estimate(ready.drive, estimate), outage_drift=drift, failed=False)
+
+
+def score_fixes_alone(ready: PreparedDrive, noise: MotionNoise, length: float, seed: int) -> Score:
+    """Score the filter of the fixes alone: errors against truth, and the drift at the ends of the outages."""
+    whole = estimate_of(FixesAlone(tracking_replay(ready), noise), recover=False)
+    windows = outage_windows(ready.drive, whole.initial, length=length, seed=seed)
+    hidden = estimate_of(FixesAlone(outage_replay(ready, length=length, seed=seed), noise), recover=False)
+    drift = rms_drift(ready, hidden, windows[:, 1])
+    return replace(score_estimate(ready.drive, whole), outage_drift=drift, failed=False)
