@@ -1,6 +1,6 @@
 """Tracks and errors over time of every method on a drive, thinned while the methods run, and their file.
 
-`tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array per column, called
+`tracks.npz` contains, for drive number ``i`` in ``names`` and each of its series, one array per column, called
 ``i/series/column``. The same result gives the same bytes; the file has no date.
 """
 
