@@ -1,8 +1,8 @@
 """The antenna's lever arm as the maximum-likelihood estimate from the innovations of a filter.
 
-An innovation nu depends on the lever arm and on other unknowns, such as the scale factors of the IMU, almost linearly.
-So weighted least squares on L^-1 nu, with L L^T = S, is a Gauss-Newton step on the likelihood of the fixes (N. K. Gupta
-and R. K. Mehra, IEEE Trans. Automatic Control 19, 1974). The derivatives are differences of runs of the compiled filter.
+An innovation nu depends almost linearly on the lever arm and on other unknowns, such as scale factors of the IMU. So
+weighted least squares on L^-1 nu, with L L^T = S, is a Gauss-Newton step on the likelihood of the fixes (N. K. Gupta,
+R. K. Mehra, IEEE Trans. Automatic Control 19, 1974). The derivatives are differences of runs of the compiled filter.
 """
 
 import math
@@ -48,6 +48,8 @@ ROUNDS, CONVERGED = 8, 0.005
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
 """Tuning of the noises by likelihood: with noises by hand the standard deviation is two to six times as large."""
 Values = dict[str, float]
+Whitened = tuple[Array, Array, Array, Array]
+"""Of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
 
 
 @dataclass(frozen=True)
@@ -79,21 +81,22 @@ class LeverArmEstimate:
 
     def __str__(self) -> str:
         """One line for people."""
-        error = max(self.std)
-        if self.observable:
+        found = f"antenna {_placed(self.forward, self.left)} of the IMU, +-{max(self.std):.2f} m"
+        if not self.observable:
+            times = (1.96 * max(self.std) / self.within) ** 2
             return (
-                f"antenna {abs(self.forward):.2f} m {'ahead' if self.forward >= 0 else 'behind'} and "
-                f"{abs(self.left):.2f} m {'left' if self.left >= 0 else 'right'} of the IMU, +-{error:.2f} m"
+                f"the turns of this log do not show the lever arm within {self.within:g} m, that takes {times:.1f} "
+                f"times as many ({found}); drive.toml stays as it is"
             )
-        return (
-            f"the turns of this log do not show it within {self.within:g} m: it is known to +-{error:.2f} m, and needs "
-            f"{(1.96 * error / self.within) ** 2:.1f} times as many turns; {self.stated[0]:g} m forward and "
-            f"{self.stated[1]:g} m left, as stated, stay"
-        )
+        return f"{found}; drive.toml states {_placed(*self.stated)}" if any(self.stated) else found
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return vars(self) | {"std": list(self.std), "stated": list(self.stated), "observable": self.observable}
+        return vars(self) | {
+            "std": list(self.std),
+            "stated": list(self.stated),
+            "observable": self.observable,
+        }
 
     def applied(self, drive: Drive) -> Drive:
         """Return a drive with the estimate as ``gps_lever_arm_m``; an unobservable one changes nothing."""
@@ -155,6 +158,11 @@ def estimate_lever_arm(
     )
 
 
+def _placed(forward: float, left: float) -> str:
+    ahead, aside = "ahead" if forward >= 0 else "behind", "left" if left >= 0 else "right"
+    return f"{abs(forward):.2f} m {ahead} and {abs(left):.2f} m {aside}"
+
+
 def _stated_std(drive: Drive) -> tuple[float, float]:
     """Prior standard deviation of the lever arm, m forward and left."""
     known = STATED_STD if "gps_lever_arm_m" in drive.metadata and drive.lever_arm.any() else UNKNOWN_STD
@@ -170,7 +178,7 @@ def _with_arm(drive: Drive, arm: tuple[float, float], **more: Any) -> Drive:
 
 def _by_hand(drive: Drive, model: Any, use: Sequence[str]) -> FilterParameters:
     """Return the filter that suits the logs, with the noises of the baseline."""
-    used = {name: v for name, v in BY_HAND.items() if name.split("_")[0] in use}
+    used: dict[str, Any] = {name: v for name, v in BY_HAND.items() if name.split("_")[0] in use}
     like = FilterParameters(
         0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0, 1.0), model=model, kind="ekf", **used
     )
@@ -202,32 +210,49 @@ def _maximum(
     values = {name: values[name] for name in prior}
     if "rear_axle" in values:
         values |= {"rear_axle": parameters.rear_axle, "tire_slip": parameters.tire_slip}
-    weight = np.diag([1 / std**2 for _, std in prior.values()])
-    for _ in range(ROUNDS):
-        whitened = [_whitened(PreparedDrive(_at(drive, values)), parameters, values) for drive in drives]
-        off = np.array([mean - values[name] for name, (mean, _) in prior.items()])
-        information, pull = weight.copy(), weight @ off
-        for _, nu, columns, w in whitened:
-            information += np.einsum("f,fik,fil->kl", w, columns, columns)
-            pull += np.einsum("f,fik,fi->k", w, columns, nu)
-        step = np.linalg.solve(information, pull)
-        values = {name: v + d for (name, v), d in zip(values.items(), step.tolist(), strict=True)}
-        if np.abs(step[: len(ARM)]).max() < CONVERGED:
+    found = _step(drives, parameters, values, prior)
+    for _ in range(ROUNDS - 1):
+        if np.abs(found[0][: len(ARM)]).max() < CONVERGED:
             break
-    return values, _deviations(whitened, step, np.linalg.inv(information), weight)
+        values = _moved(values, found[0])
+        found = _step(drives, parameters, values, prior)
+    return _moved(values, found[0]), _deviations(*found)
+
+
+def _moved(values: Values, step: Array) -> Values:
+    return {name: value + d for (name, value), d in zip(values.items(), step.tolist(), strict=True)}
+
+
+def _step(
+    drives: Sequence[Drive],
+    parameters: FilterParameters,
+    values: Values,
+    prior: Mapping[str, tuple[float, float]],
+) -> tuple[Array, list[Whitened], Array, Array]:
+    """Take a Gauss-Newton step; return it, the regressions, and the information with them and of the prior alone."""
+    whitened = [_whitened(PreparedDrive(_at(drive, values)), parameters, values) for drive in drives]
+    before = np.diag([1 / std**2 for _, std in prior.values()])
+    pull = before @ [mean - values[name] for name, (mean, _) in prior.items()]
+    information = before.copy()
+    for _, nu, columns, weight in whitened:
+        information += np.einsum("f,fik,fil->kl", weight, columns, columns)
+        pull += np.einsum("f,fik,fi->k", weight, columns, nu)
+    return np.asarray(np.linalg.solve(information, pull), np.float64), whitened, information, before
 
 
 def _deviations(
-    whitened: Sequence[tuple[Array, Array, Array, Array]], step: Array, inverse: Array, weight: Array
+    step: Array, whitened: Sequence[Whitened], information: Array, before: Array
 ) -> tuple[float, float]:
     """Standard deviations of the arm: of the model, and at least as blocks of the drives disagree (White, 1980)."""
-    spread = weight.copy()
-    for time, nu, columns, w in whitened:
-        scores = np.einsum("f,fik,fi->fk", w, columns, nu - columns @ step)
-        blocks = np.zeros((int((time[-1] - time[0]) / BLOCK) + 1, len(step)))
-        np.add.at(blocks, ((time - time[0]) / BLOCK).astype(np.intp), scores)
-        spread += blocks.T @ blocks
-    forward, left, *_ = np.sqrt(np.maximum(np.diag(inverse), np.diag(inverse @ spread @ inverse))).tolist()
+    spread, inverse = before.copy(), np.linalg.inv(information)
+    for time, nu, columns, weight in whitened:
+        scores = np.einsum("f,fik,fi->fk", weight, columns, nu - columns @ step)
+        block = ((time - time[0]) / BLOCK).astype(np.intp)
+        sums = np.zeros((block[-1] + 1, len(step)))
+        np.add.at(sums, block, scores)
+        spread += sums.T @ sums
+    both = np.diag(inverse), np.diag(inverse @ spread @ inverse)
+    forward, left, *_ = np.sqrt(np.maximum(*both)).tolist()
     return forward, left
 
 
@@ -244,16 +269,14 @@ def _at(drive: Drive, values: Mapping[str, float]) -> Drive:
     return _with_arm(drive, (values["forward"], values["left"]))
 
 
-def _whitened(
-    ready: PreparedDrive, parameters: FilterParameters, values: Values
-) -> tuple[Array, Array, Array, Array]:
-    """Times (f,), whitened innovations (f, 2), minus their derivatives (f, 2, k), and robust weights (f,)."""
+def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:
+    """Run the filter at the unknowns and next to them."""
     run = partial(_run, ready, parameters, values)
     found = run(values)
     moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
     slopes = [(nu - found.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]
     columns = -np.linalg.solve(np.linalg.cholesky(found.covariance), np.stack(slopes, axis=-1))
-    return found.time, found.normalized, columns, (DOF + 2.0) / (DOF + found.nis)
+    return found.time, found.normalized, np.asarray(columns, np.float64), (DOF + 2.0) / (DOF + found.nis)
 
 
 def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) -> Innovations:
