@@ -75,7 +75,7 @@ class Mount:
 
 
 def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
-    """Entries (n, 4) of M for an interpretation of the columns at each angle, and the variances (4, 4) of their tolerances."""
+    """Entries (n, 4) of M for an interpretation of the columns, one per angle; variances (4, 4) of their tolerances."""
     c, s = np.cos(angles), np.sin(angles)
     slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
     rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
