@@ -36,20 +36,20 @@ SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of the accelerometers' scales in a planar filter: the body rolls and pitches with them."""
 PRIOR_STD = {"rear_axle": 1.0, "tire_slip": 0.01, "scale_ax": 0.03, "scale_ay": 0.03, "scale_gz": 0.03}
-"""Of the other unknowns: m, s2/m, 1."""
+"""Standard deviations of the priors of the other unknowns: m, s2/m, 1."""
 STEP = {"forward": 0.1, "left": 0.1, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(SCALES, 0.005)
-"""For derivatives, in the units of the unknowns."""
+"""Steps of finite differences, in the units of the unknowns."""
 DOF = 8.0
 """Degrees of freedom of Student's t, which downweights outliers."""
 BLOCK = 20.0
 """s: the scores of different blocks count as independent. The errors of fixes may last within a block."""
 ROUNDS, CONVERGED = 8, 0.005
-"""Gauss-Newton steps at most, and the step, m, after which they end."""
+"""Largest number of Gauss-Newton steps, and the size of a step, m, at which they end."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
 """Tuning of the noises by likelihood: with noises by hand the standard deviation is two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
-"""Of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
+"""Values of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def _deviations(
 
 
 def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of the prior of the unknowns besides the arm."""
+    """Mean and standard deviation of the prior of the unknowns other than the arm."""
     model = MODELS[p.model]
     rolling = {} if model.tilts else {"scale_ax": ROLLING, "scale_ay": ROLLING}
     names = SCALES if p.lateral_noise is None or model.measures_imu else tuple(PRIOR_STD)
