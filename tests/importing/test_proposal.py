@@ -199,7 +199,7 @@ def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time
     )
     wrong = replace(asked, time=None, maps=(*MAPS, "gps.t=stamp_us*1e-3"))
     with pytest.raises(
-        InputError, match=r"between two rows of the gps; in us it is 0\.2 s: write --map gps\.t="
+        InputError, match=r"two rows of the gps are .* s apart; in us 0\.2 s: write --map gps\.t="
     ):
         import_drive(wrong, "monday")
 

@@ -29,7 +29,7 @@ class SimulateOptions:
     maneuver
         cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
     environment
-        clear, night, rain, fog, slippery; all by default. Clear, night and fog share one physics.
+        clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs
         Drives of each maneuver in each environment.
     imu

@@ -48,7 +48,7 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
     drive : Drive
         Stays as it is.
     train_fraction : float
-        Of the drive's duration, in (0, 1).
+        Share of the drive's duration, in (0, 1).
     at : float, optional
         s on the drive's clock: split there instead, as where a logger paused.
 

@@ -99,7 +99,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     ----------
     request : Request
     name : str
-        Of the drive.
+        Name of the drive.
     progress : callable
         Called with the share that is done, 0 to 1.
 

@@ -50,7 +50,7 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        2 where the filter is consistent; above, it is optimistic.
+        2 where the filter is consistent; above, the filter is overconfident.
     nis_band : (float, float)
         95% band of the mean of this many independent values.
     inside_gate : float
