@@ -42,7 +42,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     Parameters
     ----------
     log : str or Path
-        A file or folder; it holds the IMU.
+        A file or folder; it contains the IMU.
     name : str, optional
         Of the drive; by default that of the log.
     **settings

@@ -18,7 +18,7 @@ class RecordCarlaOptions:
     Attributes
     ----------
     out
-        Folder in which the drive folders are made. It must not hold drives yet.
+        Folder in which the drive folders are made. It must not contain drives yet.
     host
         Host of the server.
     port

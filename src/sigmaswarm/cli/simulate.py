@@ -25,7 +25,7 @@ class SimulateOptions:
     Attributes
     ----------
     out
-        Folder for the drive folders; it must not hold drives yet.
+        Folder for the drive folders; it must not contain drives yet.
     maneuver
         cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
     environment
@@ -149,7 +149,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
     drives = sorted(found | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
-            f"{out}: holds {drives[0]} already; name another folder, or keep what is there with --resume"
+            f"{out}: contains {drives[0]} already; name another folder, or keep what is there with --resume"
         )
     for name in sorted(found):
         _require_made_with(out / name / "drive.toml", made_with)

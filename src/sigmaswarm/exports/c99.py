@@ -93,7 +93,7 @@ def replay_events(
     ----------
     drive : Drive
     model : {"planar5", "planar8", "tilted12"}
-        Whose axes of the IMU and of the lever arm the events hold.
+        The model, for the axes of the IMU and of the lever arm.
     as_recorded : bool
         See `PreparedDrive`.
 

@@ -124,7 +124,9 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         raise InputError(f"{path}: no such bag; name the one that the drive was imported from")
     paths = bag_paths(path)
     if not paths:
-        raise InputError(f"{path}: holds no bag; name the folder with metadata.yaml, or a .db3 or .mcap file")
+        raise InputError(
+            f"{path}: contains no bag; name the folder with metadata.yaml, or a .db3 or .mcap file"
+        )
     if paths[0].suffix == ".bag":
         raise InputError(
             f"{path}: is a ROS 1 bag, which ROS 2 cannot read; convert it first: "

@@ -245,7 +245,7 @@ class FilterParameters:
                 )
             path = path / "tuning.toml"
         table = read_content(
-            path, "give a readable TOML file", missing="give a tuning.toml or the folder that holds it"
+            path, "give a readable TOML file", missing="give a tuning.toml or the folder that contains it"
         )
         if not isinstance(table.get("filter"), dict):
             raise InputError(f"{path}: has no [filter] table; give a file written by `sigmaswarm tune`")

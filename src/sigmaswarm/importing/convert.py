@@ -26,7 +26,7 @@ class Request:
 
     Attributes
     ----------
-    source : the log; it must hold the IMU
+    source : the log; it must contain the IMU
     gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
     form : the source's format, if given
     recipe : settings, and parts that take the place of the guess
@@ -246,8 +246,8 @@ def _require_sensors(
 ) -> None:
     """Refuse logs in which no IMU or no fixes were found, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (
-        ("imu", "IMU samples", "name the log that holds them as SOURCE"),
-        ("gps", "position fixes", "name a log that holds them with --gps"),
+        ("imu", "IMU samples", "name the log that contains them as SOURCE"),
+        ("gps", "position fixes", "name a log that contains them with --gps"),
     )
     for role, what, remedy in wanted:
         if role not in roles or recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):

@@ -93,7 +93,7 @@ class Gathered:
                 raise InputError(
                     f"{log.path}, {shown(self.part.table)}, row {self.seen + i + 1} of the data, column {shown(name)}: "
                     f"{quoted(said[i])} is not a number; correct or delete the row, or use utc(...) where the column "
-                    "holds dates"
+                    "contains dates"
                 )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:

@@ -88,7 +88,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         why = "no usable row; --show shows its contents"
         if part.timeless:
             why = "no time within 292 years of 1970; give its column and unit with --time"
-        raise InputError(f"the {role}: {table} holds {why}")
+        raise InputError(f"the {role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
     filled = _finite(values, len(time)).any(axis=0)

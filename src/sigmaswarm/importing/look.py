@@ -33,7 +33,7 @@ LOOKED_AT = 25_000
 
 @dataclass(frozen=True)
 class Range:
-    """A column's values over the rows looked at: smallest, median, largest; None where it holds no numbers."""
+    """A column's values over the rows looked at: smallest, median, largest; None where it contains no numbers."""
 
     column: str
     low: float | None

@@ -124,9 +124,7 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
         seen = f"they reach {max(columns.largest(a) for a in axes):.5g}"
     named = ", ".join(quoted(columns.names[a].column) for a in axes)
     maps = _maps(columns, role, axes, form)
-    return (
-        f"columns {named} hold raw counts, or an unknown unit: {seen}; give their scale, as {maps} ({about})"
-    )
+    return f"columns {named} contain raw counts, or have an unknown unit: {seen}; give their scale, as {maps} ({about})"
 
 
 def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:

@@ -116,7 +116,7 @@ class Choice:
     ----------
     tables : by role, the table that was named
     receive_times : times of receipt are taken, not the stamps of headers
-    mapped : roles whose columns the user maps, so that their table may hold anything
+    mapped : roles whose columns the user maps, so that their table may contain anything
     """
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])

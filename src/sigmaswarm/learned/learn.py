@@ -146,7 +146,7 @@ def learn(
     Raises
     ------
     InputError
-        If JAX is missing, a filter or a drive is unsuitable, or the folder holds another training.
+        If JAX is missing, a filter or a drive is unsuitable, or the folder contains another training.
     """
     if config.kind not in LEARNERS:
         raise InputError(f"{config.kind!r}: no such network; choose one of {', '.join(LEARNERS)}")

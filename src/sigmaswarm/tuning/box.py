@@ -24,7 +24,7 @@ NOISES = (
 class TouchedBound:
     """A parameter that ended at a bound: the optimum may lie beyond it.
 
-    Files hold its text: ``q_x at its lower bound (1e-05)``.
+    Files contain its text: ``q_x at its lower bound (1e-05)``.
     """
 
     parameter: str

@@ -1,6 +1,6 @@
 """The files of a study: results.json, scores.csv, timings.json and tracks.npz.
 
-results.json holds (null where a figure is unknown):
+results.json contains (null where a figure is unknown):
 
     schema         1
     config         study.toml
@@ -127,7 +127,7 @@ class PairedComparison(PairedStatistics, _Compared):
 
 
 class TrialTuning(_Part):
-    """A tuning in a trial; ``folder``, relative to the study's, holds result.json and history.npz."""
+    """A tuning in a trial; ``folder``, relative to the study's, contains result.json and history.npz."""
 
     protocol: str
     method: str

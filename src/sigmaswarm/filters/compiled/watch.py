@@ -51,7 +51,7 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
     Parameters
     ----------
-    samples, newest, n : the ring, the row of its last sample, how many samples it holds
+    samples, newest, n : the ring, the row of its last sample, its number of samples
     fixes, end : fixes, and how many
     gyro_bias : what is known of it, rad/s
     """

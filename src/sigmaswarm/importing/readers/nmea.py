@@ -102,7 +102,7 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
             complete += 1
             yield message, read / size
     if not complete:
-        raise InputError(f"{path}: holds no whole NMEA sentence; name the format with --format")
+        raise InputError(f"{path}: contains no whole NMEA sentence; name the format with --format")
     if broken:
         remarks.append(f"{path.name}: {broken} damaged lines passed over")
 

@@ -61,7 +61,7 @@ class Topics:
         Raises
         ------
         InputError
-            A topic that the user chose is not there, or holds something else.
+            A topic that the user chose is not there, or contains something else.
         """
         roles: dict[Role, tuple[Part, ...]] = {}
         metadata: dict[str, Any] = {}

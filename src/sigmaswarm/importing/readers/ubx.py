@@ -69,7 +69,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open a stream; it is decoded when its rows are read."""
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
-        raise InputError(f"{path}: holds no UBX messages; name the format with --format")
+        raise InputError(f"{path}: contains no UBX messages; name the format with --format")
     remarks: list[str] = []
     kinds = {raw[2:4] for raw, _ in _messages(path) if raw is not None}
     if NAV_PVT in kinds:
@@ -82,7 +82,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     raw = any(kind[:1] == b"\x02" for kind in kinds)
     what = RAW if raw else "have the receiver send NAV-PVT, or NAV-POSLLH and NAV-SOL"
     raise InputError(
-        f"{path}: holds {names_shown(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
+        f"{path}: contains {names_shown(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
     )
 
 
