@@ -23,7 +23,7 @@ STATES = (
     *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
     *("FIX_ERROR_X", "FIX_ERROR_Y"),
 )
-"""Names of a state's places in C, in the order of the largest model."""
+"""Names of the elements of a state in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
 """Of these, the states that are appended to any model."""
 PARAMETERS = {
@@ -42,7 +42,7 @@ INPUTS = {
     **{"FIX_VAR_X": "fix->variance[0]", "FIX_VAR_Y": "fix->variance[1]"},
     **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
 }
-"""What stands for an element of a step, a fix and a reading."""
+"""C text for an element of a step, a fix and a reading."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
 RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
@@ -79,7 +79,7 @@ class Emitter:
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def text(self) -> str:
-        """All of it: constants, the struct of what one kernel leaves for another, the functions."""
+        """All text: constants, the struct of values that kernels exchange, the functions."""
         code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
         used = [
             name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants
@@ -300,7 +300,7 @@ class _Function(ast.NodeTransformer):
         return RENAMED.get(name, name)
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
-        """What stands for a local or an element of ``w``, and for its mirror image in the covariance."""
+        """C text for a local or an element of ``w``, and for its mirror element in the covariance."""
         if isinstance(node, ast.Name):
             return self.local(node.id), ""
         assert isinstance(node, ast.Subscript)
@@ -434,7 +434,7 @@ class _Function(ast.NodeTransformer):
         return f"{printed}({', '.join([*arguments, *(outs or [])])})"
 
     def print(self, node: ast.expr, outer: int = 0) -> str:
-        """C's text of a rewritten expression, in parentheses where it binds less tightly than ``outer``."""
+        """C text of a rewritten expression, in parentheses where its precedence is lower than that of ``outer``."""
         match node:
             case ast.Name(text):
                 if text.startswith(_MISSING):

@@ -19,6 +19,7 @@ from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
+from sigmaswarm.filters.robot_yaml import IMU_NOISE, YAML, read_configuration
 from sigmaswarm.records import read_content
 from sigmaswarm.wording import first_mistake, shown
 
@@ -92,7 +93,7 @@ class FilterParameters:
     odometer_latency : float
         s: age of an odometer reading at its time stamp.
     gate : float or None
-        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of sound fixes
+        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of good fixes
         (chi-square, two degrees of freedom). None: every fix is used.
     latency : float
         s: age of a fix at its time stamp.
@@ -127,7 +128,7 @@ class FilterParameters:
     fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
-    imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option((1e-4, 1e-2))
+    imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option(IMU_NOISE)
     imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
@@ -233,15 +234,14 @@ class FilterParameters:
         """
         path = Path(path)
         if path.suffix in YAML:
-            from sigmaswarm.filters.robot_yaml import read_configuration  # which makes such parameters
-
-            return read_configuration(path)
+            usual: dict[str, Any] = {"model": "robot-localization", "kind": "ekf", "nominal_interval": 1.0}
+            return cls(1.0, 0.0, 0.0, measurement_noise=(1.0, 1.0), **usual, **read_configuration(path))
         if path.is_dir():
             from sigmaswarm.drives.reader import has_table  # slow to import
 
             if has_table(path, "imu") and not (path / "tuning.toml").exists():
                 raise InputError(
-                    f"{path}: is a drive; the tuning comes first, as in sigmaswarm evaluate TUNING DRIVE"
+                    f"{path}: is a drive; give the tuning first, as in sigmaswarm evaluate TUNING DRIVE"
                 )
             path = path / "tuning.toml"
         table = read_content(
@@ -288,9 +288,7 @@ _SCALED = (
     "accuracy_scale",
     "fix_error",
 )
-"""Variances, or factors of them, besides Q and R."""
-YAML = (".yaml", ".yml")
-"""Endings of configurations of robot_localization."""
+"""Variances, or factors of them, in addition to Q and R."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
@@ -300,11 +298,14 @@ def clash(kind: str, use: Collection[str]) -> str | None:
     if "robust" in use and "gate" in use:
         return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
-        return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
+        return (
+            f"robust can't be combined with {kind}, which adapts to what robust rejects; take ukf or ekf, or "
+            "leave it out"
+        )
     if "accuracy" in use and kind == "adaptive-ukf":
-        return "accuracy does not go with adaptive-ukf, which finds R by itself; take another kind, or leave it out"
+        return "accuracy can't be combined with adaptive-ukf, which estimates R; take another kind, or leave it out"
     if "fix-error" in use and kind not in ("ukf", "ekf"):
-        return f"fix-error does not go with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
+        return f"fix-error can't be combined with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
     return None
 
 
@@ -362,8 +363,8 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, took gaps in the IMU "
-            "as ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
+            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, treated gaps in the "
+            "IMU as ordinary steps, and detected standstills by another rule: results differ; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )
