@@ -93,9 +93,8 @@ class Messages:
         i, j = np.array([(i, j) for j in range(8) for i in range(j + 1)]).T
         rows[state_rows(NAME)] = np.concatenate([self.mean, self.covariance[i, j]])[:, np.newaxis]
         both = (USES_AY if self.uses_ay else 0) | (USES_VY if self.uses_vy else 0)
-        flags = np.where(self.is_imu, IMU | both, FIX).astype(np.uint8)
-        fixes = np.insert(self.numbers[~self.is_imu], 2, 0.0, axis=1)
-        fixes = np.insert(fixes, 3, 0.0, axis=1)
+        flags = np.where(self.is_imu, IMU | both, FIX).astype(np.uint16)
+        fixes = np.insert(self.numbers[~self.is_imu], [2, 2, 4, 4], [0.0, 0.0, 0.0, np.inf], axis=1)
         record = np.empty((k, 8 + 36 + 1, 1))
         run.run_lanes(
             NAME, np.column_stack([self.dt, self.dt, 0 * self.dt]), np.arange(k, dtype=np.int32),
@@ -253,7 +252,7 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
         if happens & FIX:
             before, fix, turn = filter.mean, next(fixes), np.exp(1j * filter.mean[YAW])
             arm = turn * complex(*line.lever[:2])
-            filter.fix(fix[:2] - [arm.real, arm.imag], fix[4:])
+            filter.fix(fix[:2] - [arm.real, arm.imag], fix[4:6])
             used += before is not filter.mean
         if happens & IMU:
             moves = (filter.mean[2] + 1j * filter.mean[3]) * np.exp(1j * filter.mean[YAW])

@@ -53,8 +53,8 @@ class Sensors:
         The axes of the IMU.
     attitude : bool
         See `has_attitude`.
-    odometer, accuracy, velocity : bool
-        True if the log has wheel speed, the receiver's deviations, and its speed and course.
+    odometer, accuracy, velocity, heading : bool
+        True if the log has wheel speed, the receiver's deviations, its speed and course, and its heading.
     spread : (float, float) or None
         See `stated_spread`.
     white : bool
@@ -77,6 +77,7 @@ class Sensors:
     white: bool
     driven: float
     receiver_std: tuple[float, float]
+    heading: bool = False
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
@@ -98,6 +99,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         white=has_white_errors(drive),
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
         receiver_std=receiver_std(drive),
+        heading=gps.heading is not None,
     )
 
 

@@ -62,6 +62,7 @@ def augmented(model: CarModel) -> CarModel:
         velocity=Appended(model.velocity),
         lateral=_appended(model.lateral),
         odometer=_appended(model.odometer),
+        heading=lambda near: Appended(model.heading(near)),
         rates_at_rest=Appended(model.rates_at_rest),
         tilts=_tilts(model.tilts) if model.tilts else None,
         kinds=("ekf",) if model.tilts else ("ukf", "ekf"),

@@ -44,11 +44,12 @@ BY_HAND = {
     "lateral_noise": 0.2**2,
     "standstill_noise": 0.05**2,
     "odometer_noise": 0.1**2,
+    "heading_noise": np.radians(0.5) ** 2,
     "gate": 9.2,
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Usual values of parameters without a data sheet: m2/s2; the 99% gate; the receiver's statement taken as right."""
+"""Usual values of parameters without a data sheet: m2/s2, rad2; the 99% gate; the receiver's statement taken as right."""
 ROBOT_LOCALIZATION_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 HALF_A_WHEELBASE = 1.3
@@ -117,6 +118,7 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
         imu_noise=_stated_imu(drive, plain),
         lateral_noise=like.lateral_noise and 0.1**2,
         odometer_noise=like.odometer_noise and 0.1**2,
+        heading_noise=like.heading_noise and BY_HAND["heading_noise"],
     )
 
 
