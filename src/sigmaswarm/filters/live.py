@@ -234,7 +234,9 @@ class LiveFilter:
             seen = fix[0], fix[1], 0.0, 0.0, 0.0
             if velocity is not None and self._takes_velocity:
                 seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
-            return self._calls.fix(self._memory.handle, t, *seen, var_x, var_y, theta, var_theta) == live.TAKEN
+            return (
+                self._calls.fix(self._memory.handle, t, *seen, var_x, var_y, theta, var_theta) == live.TAKEN
+            )
         except _NO_NUMBERS as error:
             raise InputError(f"a fix that is not two numbers: {error}") from None
 

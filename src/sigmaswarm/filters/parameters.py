@@ -92,8 +92,8 @@ class FilterParameters:
     odometer_latency : float
         s: age of an odometer reading at its time stamp.
     heading_noise : float or None
-        rad2: variance of a fix's heading, where the log has one (two antennas, a compass), in addition to the stated one.
-        None: not used.
+        rad2: variance of a fix's heading, where the log has one (two antennas, a compass), in addition to the stated
+        one. None: not used.
     gate : float or None
         The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of sound fixes
         (chi-square, two degrees of freedom). None: every fix is used.

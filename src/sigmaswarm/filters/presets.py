@@ -49,7 +49,7 @@ BY_HAND = {
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Usual values of parameters without a data sheet: m2/s2, rad2; the 99% gate; the receiver's statement taken as right."""
+"""Usual values of parameters without a data sheet: m2/s2, rad2; the 99% gate; the receiver's statement as it is."""
 ROBOT_LOCALIZATION_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 HALF_A_WHEELBASE = 1.3

@@ -7,9 +7,8 @@ state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
     vx += d ax                          vy += d ay                          P = J P J' + d Q
 
 The velocity does not turn with the body, so an ay that is fused becomes sideways speed in a turn. Measurements are
-states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, yaw of two antennas (its innovation
-wrapped). A fix, gz or ax with
-nu' S^-1 nu >= threshold^2 is left out.
+states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, yaw of two antennas, whose
+innovation is wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out.
 z, roll, pitch and their rates stay at 0 in ``two_d_mode`` and decouple. Read from
 https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
 """
