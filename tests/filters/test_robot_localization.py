@@ -321,7 +321,8 @@ def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):
     with pytest.raises(ValueError, match=said):
         replace(P, **change)
     with pytest.raises(
-        InputError, match="robot-localization can't use 'velocity'; choose from lateral, odometer, gate"
+        InputError,
+        match="robot-localization can't use 'velocity'; choose from lateral, odometer, heading, gate",
     ):
         search_space(NAME, "log10", kind="ekf", use=("velocity",))
 

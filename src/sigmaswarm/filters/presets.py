@@ -131,7 +131,12 @@ def as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     if drive.gps.std_x is not None and drive.gps.std_y is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None
-    return replace(p, imu_noise=imu, odometer_noise=wheels, **variances)
+    heading = p.heading_noise
+    if drive.gps.heading is None:
+        heading = None
+    elif heading is not None and drive.gps.std_heading is not None:
+        heading = SMALLEST
+    return replace(p, imu_noise=imu, odometer_noise=wheels, heading_noise=heading, **variances)
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:

@@ -75,6 +75,7 @@ def read_configuration(path: Path) -> FilterParameters:
         ),
         lateral_noise=BY_HAND["odometer_noise"] if no_slip else None,
         odometer_noise=BY_HAND["odometer_noise"] if wheels else None,
+        heading_noise=BY_HAND["heading_noise"] if any(e[_YAW] for e in inputs.values()) else None,
     )
 
 
@@ -165,6 +166,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: differential and relative left out"
         if entries[_YAW]:
-            yield f"{name}: yaw left out"
+            yield f"{name}: yaw is that of the fixes, left out where a drive has no heading"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: yaw rate left out"
