@@ -15,8 +15,9 @@ from sigmaswarm.drives.drive import Odometer
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.exports.robot_localization import robot_localization
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.robot_localization import NAME
-from sigmaswarm.filters.robot_yaml import NOT_FUSED, filter_for
+from sigmaswarm.filters.robot_yaml import NOT_FUSED
 from sigmaswarm.tuning.space import search_space
 from support import make_drive
 
@@ -80,7 +81,9 @@ def test_inputs_are_those_that_it_fuses(tmp_path: Path):
         + "1e-3, " * 14
         + "1e-3]"
     )
-    with pytest.warns(SigmaswarmWarning, match="in two_d_mode, which it does not set; imu0: yaw left out"):
+    with pytest.warns(
+        SigmaswarmWarning, match="in two_d_mode, which it does not set; imu0: yaw is that of the fixes"
+    ):
         assert load(tmp_path, None, text).process_noise == (1e-3,) * 8  # which YAML 1.1 takes for text
 
 
