@@ -105,10 +105,16 @@ class Replay:
         return int(self.timeline.hides.sum())
 
     def arrays(
-        self, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False, *more: bool
+        self,
+        velocity: bool,
+        lateral: bool,
+        standstill: bool,
+        odometer: bool = False,
+        ay: bool = False,
+        heading: bool = False,
     ) -> "DriveArrays":
-        """The drive as the kernel reads it; the flags depend on the measurements that a filter uses: `Switches`."""
-        taken = velocity, lateral, standstill, odometer, *more
+        """The drive as the kernel reads it; the flags depend on the measurements that a filter uses."""
+        taken = velocity, lateral, standstill, odometer, ay, heading
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, *taken)

@@ -8,6 +8,7 @@ import numpy as np
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import headings_of
@@ -87,7 +88,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
         yield Finding("heading-offset", severity, what, WHERE, span, 0.95, remedy, repair)
 
 
-def _delay(evidence: Evidence, theta: Array, known: Array, best: int) -> float:
+def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
     """The delay of the heading against the positions, s, by the gyro; 0 if none is seen."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
