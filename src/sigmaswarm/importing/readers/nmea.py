@@ -153,7 +153,7 @@ def _values(message: Any) -> dict[str, float]:
         return {"heading": number("headingT")}
     if kind == "THS" and getattr(message, "mi", "") == "A":
         return {"heading": number("headt")}
-    if kind == "PASHR" and number("gnssQual") > 0:
+    if kind == "ASHR" and number("gnssQual") > 0:
         return {"heading": number("trueHdg"), "std_heading": number("hdgAcc")}
     return {}
 
