@@ -173,7 +173,7 @@ def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
         "--json",
     )
     assert ended.code == 0
-    assert "warning: gps-rmse scores the filter against the GPS" in ended.err
+    assert "warning: gps-rmse compares the filter with the fix of the last update" in ended.err
     json.loads(ended.out)
     assert "Warning" not in ended.err  # one sentence, without a place in the source
     assert "warning" not in sigmaswarm("tune", drives, "--out", "u", "--particles", 2, "--generations", 1).err
@@ -488,7 +488,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
 
 
 def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
-    """Also where a folder was named that holds the drive, and where names have blanks."""
+    """Also where a folder was named that contains the drive, and where names have blanks."""
     drive = replace(read_drive(min(drives.iterdir())), name="it's monday")
     write_drive(drive, Path("my logs/monday"))
     told = sigmaswarm("tune", "my logs", "--out", "my filter", *QUICK).out

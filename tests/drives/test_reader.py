@@ -117,8 +117,8 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     ),
     "std-zero": (text("drive.toml", "gps_std_m = 0"), ["drive.toml", "gps_std_m = 0", "positive"]),
     "name-with-slash": (text("drive.toml", 'name = "../up"'), ["drive.toml", "'../up'", "slashes"]),
-    "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "holds no rows", "one row per sample"]),
-    "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "holds no rows"]),
+    "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "contains no rows", "one row per sample"]),
+    "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "contains no rows"]),
     "not-utf8": (
         lambda f: (f / "imu.csv").write_bytes(b"t,ax\n1,\xff\xfe\n"),
         ["imu.csv", "UTF-8", "export"],

@@ -72,7 +72,7 @@ def export(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it.
+        A tuning.toml, or the folder that contains it.
     options
         The options of the command line.
     """

@@ -39,7 +39,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     Parameters
     ----------
     drive : Drive
-        Stays as it is.
+        It is not changed.
 
     Returns
     -------

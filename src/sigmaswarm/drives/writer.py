@@ -35,7 +35,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     overwrite : bool
         Replace a drive that is there already.
     form : {"csv", "parquet"}
-        Of the tables: Parquet is smaller and far quicker to read, and holds the same bits.
+        Of the tables: Parquet is smaller and far quicker to read, and has the same bits.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def require_replaceable(
         raise DriveError(f"{folder} exists and is not empty; {remedy}")
     if foreign := entries - FILES:
         raise DriveError(
-            f"{folder} holds {min(foreign)!r}, which is not part of a drive; name another folder"
+            f"{folder} contains {min(foreign)!r}, which is not part of a drive; name another folder"
         )
 
 

@@ -40,7 +40,7 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""s: no IMU is faster than that, and a second of its samples would take megabytes."""
+"""s: shortest interval of an IMU; a second of faster samples would take megabytes."""
 _FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
 
 
@@ -96,7 +96,7 @@ def replay_events(
     ----------
     drive : Drive
     model : {"planar5", "planar8", "tilted12"}
-        Whose axes of the IMU and of the lever arm the events hold.
+        The model, for the axes of the IMU and of the lever arm.
     as_recorded : bool
         See `PreparedDrive`.
     heading : bool
@@ -221,26 +221,23 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         gamma_squared, spread = _sigma_points(p)
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
-    gyro_note = ", and all that the gyro shows is its bias" if model.gyro_bias is not None else ""
-    return (
-        plain(derived)
-        | _texts_of_heading(p.heading_noise is not None)
-        | {
-            "PROCESS_NOISE": listed(p.process_noise, "R({})"),
-            "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
-            "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
-            "STATES": repr(names),
-            "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-            "CALM_NOTE": ": it learns what calm is" if stands else "",
-            "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-            "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
-            "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
-            "BELIEF_NOTE": " /* and the error of fixes that lasts, m east and north */" if lasting else "",
-            "GYRO_NOTE": gyro_note,
-            "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
-            "LEVER_AXES": ", left and up" if tilted else " and left",
-            "LEVER_COLUMNS": ",left,up" if tilted else ",left",
-            "SAMPLE": f"m/s2 forward{', left and up, rad/s about the same' if tilted else ' and left, rad/s'}",
-            "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
-        }
-    )
+    gyro_note = ", and the gyro shows its bias alone" if model.gyro_bias is not None else ""
+    return _texts_of_heading(p.heading_noise is not None) | {
+        **plain(derived),
+        "PROCESS_NOISE": listed(p.process_noise, "R({})"),
+        "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
+        "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
+        "STATES": repr(names),
+        "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
+        "CALM_NOTE": ": it learns the noise at rest" if stands else "",
+        "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
+        "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
+        "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
+        "BELIEF_NOTE": " /* and the error of fixes that lasts, m east and north */" if lasting else "",
+        "GYRO_NOTE": gyro_note,
+        "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
+        "LEVER_AXES": ", left and up" if tilted else " and left",
+        "LEVER_COLUMNS": ",left,up" if tilted else ",left",
+        "SAMPLE": f"m/s2 forward{', left and up, rad/s about the same' if tilted else ' and left, rad/s'}",
+        "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
+    }

@@ -76,7 +76,7 @@ LEARNERS: Mapping[str, type[OutageLearner] | type[NoiseLearner]] = {
 
 @dataclass(frozen=True, eq=False)
 class LearnConfig:
-    """What is trained on what: saved as config.json.
+    """The network, its settings and its data: saved as config.json.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def learn(
     Raises
     ------
     InputError
-        If JAX is missing, a filter or a drive is unsuitable, or the folder holds another training.
+        If JAX is missing, a filter or a drive is unsuitable, or the folder contains another training.
     """
     if config.kind not in LEARNERS:
         raise InputError(f"{config.kind!r}: no such network; choose one of {', '.join(LEARNERS)}")

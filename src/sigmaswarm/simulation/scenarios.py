@@ -114,7 +114,7 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     Returns
     -------
     Drive
-        With truth at the IMU's nominal times; its metadata hold the models, and target and achieved figures.
+        With truth at the IMU's nominal times; its metadata has the models, and target and achieved figures.
 
     Raises
     ------
