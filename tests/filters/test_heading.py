@@ -11,7 +11,7 @@ import pytest
 from exported import needs_gcc
 from filter_cases import OPTIONS, equipped, parameters, straying
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
@@ -20,6 +20,7 @@ from sigmaswarm.filters import tilted
 from sigmaswarm.filters.bank.run import run_bank
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter, run_textbook
 from sigmaswarm.filters.schedule import FIX, HEADING, flags_of
 from sigmaswarm.filters.smoothing import smooth, smooth_textbook
@@ -27,6 +28,7 @@ from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.tuning.tune import tune
 
 MORE: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -197,3 +199,46 @@ def test_headings_count_where_they_were_found():
 def test_filterpy_refuses_it_in_one_line():
     with pytest.raises(InputError, match="filterpy has no heading; tune without it"):
         export_texts(filter_of(nominal_interval=0.01, kind="ukf"), "filterpy")
+
+
+def test_tuning_searches_its_noise_and_refuses_a_drive_without_one():
+    use = ("lateral", "heading")
+    options: dict[str, Any] = {"model": "planar8", "kind": "ekf", "particles": 4, "generations": 2}
+    found = tune([driven()], use=use, objective="truth-pose", **options)
+    assert found.parameters.heading_noise is not None
+    assert baseline(driven(), found.parameters).heading_noise == pytest.approx(np.radians(0.5) ** 2)
+    with pytest.raises(
+        InputError, match="its gps.csv has no heading, which --use heading needs; leave heading out"
+    ):
+        tune([equipped()], use=use, **options)
+
+
+def standing(speed: float, seed: int) -> Drive:
+    """A vehicle that stands for 5 s, then drives at one speed along a curve; headings err by 1 degree."""
+    rng, t = np.random.default_rng(seed), np.arange(6001) / 100
+    v = speed * np.clip((t - 5) / 4, 0, 1)
+    rate = np.where(t > 5, 0.1 * np.sin(t / 5), 0.0)
+    theta = 2.0 + np.append(0.0, np.cumsum(rate[:-1])) / 100
+    velocity = v * np.exp(1j * theta)
+    place = np.append(0.0, np.cumsum(velocity[:-1])) / 100
+    noise = rng.standard_normal((3, len(t)))
+    imu = Imu(
+        t, np.gradient(v, t) + 0.05 * noise[0], v * rate + 0.05 * noise[1], rate + 0.002 * noise[2] + 0.005
+    )
+    fix = slice(7, None, 20)
+    off = rng.standard_normal((3, len(t[fix])))
+    heading, std = theta[fix] + np.radians(1.0) * off[2], np.full(len(t[fix]), np.radians(1.0))
+    gps = Gps(t[fix], place.real[fix] + off[0], place.imag[fix] + off[1], heading=heading, std_heading=std)
+    truth = Truth(t, place.real, place.imag, velocity.real, velocity.imag, theta)
+    return Drive("standing", imu, gps, truth)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_at_standstill_and_half_a_meter_per_second(seed: int):
+    drive = standing(0.5, seed)
+    p = baseline(drive, filter_of("planar8", lateral_noise=0.04, standstill_noise=0.0025, noise=1e-4))
+    found = run_filter(drive, p)
+    truth = drive.truth
+    assert truth is not None and found.initial.time == drive.gps.time[0]
+    off = wrap_angle(found.mean[:, THETA] - np.interp(found.time, truth.time, truth.theta))
+    assert np.degrees(np.sqrt(np.mean(off**2))) < 1.0 and found.failure is None and not found.restarts
