@@ -123,8 +123,8 @@ def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarr
         np.tile([1.0, 1.0, 0.0], (n, 1)),  # dt, Q's scale, gap
         np.arange(n, dtype=np.int32),
         np.array(driving),
-        np.full(n, schedule.IMU, dtype=np.uint8),
-        np.empty((0, 4)),
+        np.full(n, schedule.IMU, dtype=np.uint16),
+        np.empty((0, 8)),
         np.empty((0, 3)),
         np.zeros(3),
         run.NO_TARGETS,

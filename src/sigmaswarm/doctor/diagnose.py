@@ -2,6 +2,7 @@
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
+from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.checks.limits import check_observability, check_use
 from sigmaswarm.doctor.checks.mounting import check_mounting, check_reverse
 from sigmaswarm.doctor.checks.noise import check_noise
@@ -23,6 +24,7 @@ CHECKS = (
     check_tilt,
     check_clock,
     check_velocity,
+    check_heading,
     check_odometer,
     check_noise,
     check_sampling,

@@ -31,6 +31,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "std_x": (1e-6, LARGEST, _NO_STD),
     "std_y": (1e-6, LARGEST, _NO_STD),
     "std_theta": (1e-9, LARGEST, _NO_STD),
+    "std_heading": (1e-6, LARGEST, _NO_STD),
     **dict.fromkeys(
         ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
         (-LARGEST, LARGEST, _DAMAGED),

@@ -40,10 +40,11 @@ INPUTS = {
     **{"AZ": "sample->az", "GX": "sample->gx", "GY": "sample->gy"},
     **{"FIX_X": "(fix->x - b->origin[0])", "FIX_Y": "(fix->y - b->origin[1])"},
     **{"FIX_VAR_X": "fix->variance[0]", "FIX_VAR_Y": "fix->variance[1]"},
+    **{"FIX_THETA": "fix->heading", "FIX_VAR_THETA": "fix->heading_variance"},
     **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
 }
 """C text for an element of a step, a fix and a reading."""
-CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
+CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
 RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
 _SIGNS: dict[type, str] = {
@@ -423,7 +424,7 @@ class _Function(ast.NodeTransformer):
     def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
         name = ast.unparse(node.func)
         if name in CALLS:
-            return f"{CALLS[name]}({self.c(node.args[0])})"
+            return f"{CALLS[name]}({', '.join(map(self.c, node.args))})"
         printed, signature = self.emitter.signatures[getattr(self.names[name], "__name__", name)]
         arguments: list[str] = []
         for each, theirs in zip(node.args, signature, strict=True):

@@ -76,7 +76,9 @@ def export_texts(
         return TARGETS[target](parameters, interval, as_recorded)
     texts = c99(parameters, interval, as_recorded, side_by_side)
     if replay is not None:
-        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
+        texts["replay.csv"] = replay_rows(
+            replay, parameters.model, as_recorded=as_recorded, heading=parameters.heading_noise is not None
+        )
     return texts
 
 
@@ -91,6 +93,10 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     if parameters.fix_error is not None and target != "c99":
         raise InputError(
             f"{target} has no fix-error; tune without it for this target, or run it with LiveFilter"
+        )
+    if parameters.heading_noise is not None and target == "filterpy":
+        raise InputError(
+            "filterpy has no heading; tune without it for this target, or run it with LiveFilter"
         )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)

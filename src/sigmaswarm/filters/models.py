@@ -112,6 +112,12 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
     return h
 
 
+def heading(near: float) -> Callable[[Array], Array]:
+    """Heading (rad) of two antennas or a compass; planar models need not know the angle that it is ``near``."""
+    del near
+    return lambda state: state[THETA : THETA + 1].copy()
+
+
 def gyro_bias(state: Array) -> Array:
     """Reading of the gyro at standstill, rad/s."""
     return state[GYRO_BIAS : GYRO_BIAS + 1].copy()
@@ -214,10 +220,10 @@ class CarModel:
         ``f(state, dt, imu) -> state``, in the textbook's form.
     imu : tuple of str
         The axes that drive it, as a time line names them.
-    position, velocity, lateral, odometer, rates_at_rest : callable
+    position, velocity, lateral, odometer, heading, rates_at_rest : callable
         Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
-        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `gyro_bias`; those of a
-        tilted model have a ``jacobian``.
+        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `heading` of the angle that it is
+        near, `gyro_bias`; those of a tilted model have a ``jacobian``.
     tilts : Tilts or None
         Of a model whose attitude is more than a heading.
     kinds : tuple of str
@@ -244,6 +250,7 @@ class CarModel:
     velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
     odometer: Callable[[float, float], Any] = wheel_speed
+    heading: Callable[[float], Any] = heading
     rates_at_rest: Callable[[Array], Array] = gyro_bias
     tilts: Tilts | None = None
     measures_imu: bool = False
@@ -342,6 +349,7 @@ MODELS: dict[str, CarModel] = {
         velocity=tilted.States((2, 3)),
         lateral=tilted.RearAxle,
         odometer=tilted.Wheels,
+        heading=tilted.Heading,
         rates_at_rest=tilted.States((7, 10, 11)),
         tilts=Tilts(tilted.plus, tilted.minus, tilted.nearest, tilted.transition, tilted.as_angles),
         kinds=("ekf", "ukf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"),
@@ -351,7 +359,7 @@ MODELS: dict[str, CarModel] = {
         robot_localization,
         CITY_VARIANCE,
         measures_imu=True,
-        options=("lateral", "odometer", "gate", "imu-gate", "accuracy"),
+        options=("lateral", "odometer", "heading", "gate", "imu-gate", "accuracy"),
         kinds=("ekf",),
     ),
 }

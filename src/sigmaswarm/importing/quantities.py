@@ -16,7 +16,7 @@ PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
 DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
-    **dict.fromkeys(("lat", "lon", "course", "bearing", "theta"), "angle"),
+    **dict.fromkeys(("lat", "lon", "course", "bearing", "theta", "std_heading"), "angle"),
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
