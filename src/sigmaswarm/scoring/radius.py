@@ -1,19 +1,19 @@
 """Radius within which a position error lies with a stated probability, and its coverage.
 
 A filter averages the fixes. Where their errors last, they do not average out, and a log does not show them: the
-position keeps the variance of these errors, whatever the filter's covariance is. Per axis it is
+position keeps the variance of these errors, whatever the filter's covariance is. Per axis it is taken as
 
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
 
-with P the mean of the filter's variances of x and y, s the standard deviation of the fixes (`receiver_std`) and w the
-white noise that they show (`white_noise`). g s^2 is the variance of the filter's own states for errors that last, if it
-has them. So nothing is added for a receiver with white errors. A short training drive determines a covariance from few
-independent errors. So the error over sigma has Student's t distribution with `DOF` degrees of freedom, and for a
+with P the mean of the filter's variances of x and y, s the standard deviation of the fixes (`receiver_std`), and w the
+white noise that they show (`white_noise`). A filter that has states for errors that last has their variance g s^2 in P;
+otherwise g = 0. Nothing is added for a receiver with white errors. A short training drive determines a covariance from
+few independent errors. So the error over sigma has Student's t distribution with `DOF` degrees of freedom, and for a
 probability q
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 
-which is the quantile of 2 F(2, DOF). The estimates of the filter and its covariance are not changed.
+which is the quantile of 2 F(2, DOF). The estimates of the filter and its covariance remain as they are.
 """
 
 import math
@@ -78,7 +78,7 @@ def position_radius(
     Raises
     ------
     InputError
-        If ``level`` is not a probability, or the estimate has no covariance.
+        If ``level`` is no probability, or the estimate has no covariance.
     """
     if not 0.0 < level < 1.0:
         raise InputError(f"level = {level:g}: must lie above 0 and below 1")
