@@ -27,17 +27,17 @@ Filter = FilterParameters | Tuning[Any] | str | Path
 
 
 def filter_of(given: Filter) -> FilterParameters:
-    """Return the parameters of a filter that is given in any form."""
+    """Return the parameters of a filter, given in any of these forms."""
     if isinstance(given, str | Path):
         return FilterParameters.load(given)
     parameters = given.parameters if isinstance(given, Tuning) else given
     if not isinstance(parameters, FilterParameters):
-        raise InputError(f"got a {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
+        raise InputError(f"got {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
     return parameters
 
 
 def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> Drive:
-    """Make a drive of a log of another format, as `sigmaswarm import` does.
+    """Make a drive from a log of another format, as `sigmaswarm import` does.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def evaluate(
     Raises
     ------
     InputError
-        There are no drives, or ``parameters`` is no filter.
+        There are no drives, or ``parameters`` is not a filter.
     AlignmentError
         A drive never moves far enough to start a filter.
     """
@@ -219,7 +219,7 @@ def export(
 
 
 def report(results: Any, out: str | Path | None = None) -> str:
-    """Make one HTML page of results.
+    """Write results as one HTML page.
 
     Parameters
     ----------

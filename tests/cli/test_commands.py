@@ -173,7 +173,7 @@ def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
         "--json",
     )
     assert ended.code == 0
-    assert "warning: gps-rmse scores the filter against the GPS" in ended.err
+    assert "warning: gps-rmse compares the filter with the fix of the last update" in ended.err
     json.loads(ended.out)
     assert "Warning" not in ended.err  # one sentence, without a place in the source
     assert "warning" not in sigmaswarm("tune", drives, "--out", "u", "--particles", 2, "--generations", 1).err

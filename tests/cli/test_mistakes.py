@@ -226,8 +226,12 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     ),
     "compare-out-is-a-file": (file("c"), "compare good --out c", ["c:", "folder", "--out"]),
     "no-tuning": (nothing, "evaluate nowhere good", ["nowhere", "no such file"]),
-    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "tuning comes first"]),
-    "run-swapped": (nothing, "run good tuning.toml --out x.csv", ["good: is a drive", "tuning comes first"]),
+    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "give the tuning first"]),
+    "run-swapped": (
+        nothing,
+        "run good tuning.toml --out x.csv",
+        ["good: is a drive", "give the tuning first"],
+    ),
     "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
     "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not readable"]),
     "evaluate-no-drive": (nothing, "evaluate tuning.toml", ["DRIVE"]),
@@ -289,7 +293,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "simulate-resume-something-else": (
         folder("s/cruise-clear-00"),
         "simulate --out s --resume",
-        ["s/cruise-clear-00", "no drive that simulate wrote"],
+        ["s/cruise-clear-00", "not a drive that simulate wrote"],
     ),
     "report-no-folder": (nothing, "report", ["FOLDER"]),
     "report-nowhere": (nothing, "report nowhere", ["nowhere", "no such folder", "evaluate"]),

@@ -98,5 +98,5 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.splitlines()[-1] == "sigmaswarm: interrupted; repeat the command with --resume to go on"
+    assert err.splitlines()[-1] == "sigmaswarm: interrupted; repeat the command with --resume to continue"
     assert "Traceback" not in err

@@ -199,7 +199,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, 
             continue
         (note,) = [f for f in clean.findings if f.code == "unseen-clock"]
         if size is None:
-            assert "of any size could hide here" in note.what
+            assert "of any size could be invisible here" in note.what
             continue
         assert f"below {size:.2f} s" in note.what
         for sign in (1, -1):
@@ -401,7 +401,7 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
             for t in (drive.imu, drive.gps)
         )
         for found in clock_jumps(imu.time, gps):
-            unsure = "does not show which" in found.what
+            unsure = "does not distinguish the two" in found.what
             named += not unsure
             wrong += not unsure and (found.code == "clock-jump") != jumped
     assert wrong == 0

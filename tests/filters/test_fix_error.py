@@ -177,7 +177,7 @@ def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alon
 
 @pytest.mark.parametrize("kind", ["adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"])
 def test_filters_that_adapt_their_noise_refuse_it(kind: str):
-    with pytest.raises(ValueError, match=f"fix-error does not go with {kind}"):
+    with pytest.raises(ValueError, match=f"fix-error can't be combined with {kind}"):
         filter_of(kind=kind)
 
 

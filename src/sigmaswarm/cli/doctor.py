@@ -69,10 +69,10 @@ def doctor(
             diagnosis = sigmaswarm.diagnose(copy)
             found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if mended and not json:
-                say(f"wrote {folder}, mended: {', '.join(mended)}. What is left:\n")
+                say(f"wrote {folder}, mended: {', '.join(mended)}. Remaining findings:\n")
                 print_diagnosis(diagnosis)
             elif not json:
-                say(f"wrote {folder}, a plain copy: there is nothing that the doctor can mend\n")
+                say(f"wrote {folder}, a plain copy: the doctor can repair nothing\n")
         result.append(found)
         serious |= diagnosis.serious
     if json:
@@ -101,7 +101,7 @@ def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "Leve
 
 
 def _check_names(drives: "list[Drive]", out: Path) -> None:
-    """Refuse, before anything is written, copies that would take each other's or another folder's place."""
+    """Refuse, before anything is written, copies that would replace each other or another folder."""
 
     names = [drive.name for drive in drives]
     for name in names:

@@ -113,6 +113,6 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
             continue  # the recorder has heard it too, and puts the server in order first
     if code < 0:
         raise SigmaswarmError(
-            f"the CARLA client died of signal {-code}; what was recorded is in {options.out}: go on with --resume"
+            f"the CARLA client died of signal {-code}; complete drives are in {options.out}: continue with --resume"
         )
     sys.exit(code)

@@ -135,12 +135,12 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         return
     say(f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else ""))
     if len({"clear", "night", "fog"} & set(environments)) > 1:
-        say("note: clear, night and fog share one physics; only their random numbers differ")
+        say("note: clear, night and fog have the same physics; only their random numbers differ")
     say(f"next: sigmaswarm plot {out / names[0]}")
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep; refuse anything else in the way before any work."""
+    """Return the names of existing drives to keep; refuse any other existing file before any work."""
 
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
@@ -178,7 +178,7 @@ def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
             "odometer": about.get("odometer", {}).get("grade"),
         }
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None
+        raise InputError(f"{file.parent}: is not a drive that simulate wrote; name another folder") from None
     urban = URBAN_DURATION if options["duration"] is None else options["duration"]
     wanted = {**options, "duration": None if made["duration"] is None else urban}  # of urban drives alone
     for key, value in made.items():

@@ -1,4 +1,4 @@
-"""A dataset: drives in this process, or on a cluster's workers, to which functions are applied where the drives are."""
+"""A dataset: drives in this process or on a cluster's workers. Functions are applied where the drives are."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -74,7 +74,7 @@ def datasets_of(
     Raises
     ------
     InputError
-        If an item is no drive, or both an executor and a cluster are given.
+        If an item is not a drive, or both an executor and a cluster are given.
     """
     if cluster is not None and executor is not None:
         raise InputError(

@@ -37,7 +37,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     Parameters
     ----------
     drive : Drive
-        Stays as it is.
+        It is not changed.
 
     Returns
     -------

@@ -43,12 +43,12 @@ class Evidence:
 
     @property
     def mounted(self) -> bool:
-        """True where the IMU is turned against the vehicle, and by how much is known."""
+        """True if the IMU is rotated against the vehicle by a known rotation."""
         return self.mounting is not None and self.mounting.needed
 
     @property
     def drives(self) -> bool:
-        """True where the fixes show a course anywhere."""
+        """True if the fixes show a course at any time."""
         return self.course is not None and bool(self.course.moving.any())
 
     @property
@@ -60,8 +60,8 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and read the fits.
 
-    Where the gyro does not follow the course, an offset of the clocks of up to 40 s is searched first, and the fixes'
-    times are moved by it before axes are read.
+    If the gyro does not follow the course, an offset of the clocks of up to 40 s is searched first, and the times of
+    the fixes are corrected by it before axes are checked.
     """
     evidence = _gather(drive)
     course, fit = evidence.course, evidence.yaw_fit
@@ -120,7 +120,7 @@ def _spread(v: Complex) -> float:
 
 
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
-    """Indices, among the used fixes, of those that lie far off the IMU's path in every window."""
+    """Indices, among the used fixes, of those that are far from the IMU's path in every window."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
     off = size > 0.2 + 4 * float(np.quantile(size, 0.9))  # m; of Gaussian noise that is 8.6 deviations
     times, far = (

@@ -1,4 +1,4 @@
-"""Reading drive.toml: the name of a drive, its frame and origin, and what else filters use."""
+"""Reading drive.toml: the name of a drive, its frame and origin, and other keys that filters use."""
 
 import tomllib
 from collections.abc import Sequence
@@ -76,7 +76,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     if not numbers or not plain or length not in lengths:
         what = f"can't be used; write for example {key} = {example}"
     elif key == "heading_deg" and abs(numbers[0]) > 360:
-        what = "is no angle; give degrees counter-clockwise from east, -360 to 360"
+        what = "is not an angle; give degrees counter-clockwise from east, -360 to 360"
     elif key not in ("heading_deg", "gps_lever_arm_m") and not min(numbers) > 0:
         what = "must be positive; leave it out where it is not known"
     if what:

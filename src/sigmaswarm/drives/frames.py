@@ -88,7 +88,7 @@ def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
     if plain := [key for key in tables if key not in dated]:
         raise DriveError(
             f"{plain[0]}: times are {tables[plain[0]]['t'].dtype if 't' in tables[plain[0]] else 'missing'}, but "
-            f"those of {min(dated)} are dates; give all tables dates, or all of them seconds of one clock"
+            f"those of {min(dated)} are dates; use dates in all tables, or seconds of one clock in all"
         )
     start = tables["imu"]["t"][0].astype("datetime64[ns]")
     for table in tables.values():

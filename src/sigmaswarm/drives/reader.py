@@ -118,7 +118,7 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     inside = [f.name for f in folder.iterdir() if has_table(f, "imu")]
     if inside and not has_table(folder, "imu"):
         raise DriveError(
-            f"{folder} is no drive but contains {len(inside)}; name one of them, for example {min(inside)}"
+            f"{folder} is not a drive but contains {len(inside)}; name one of them, for example {min(inside)}"
         )
     about = read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Drive
 VARIES = 1.5
 """Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
 STARTED = 20.0
-"""m from the first fix, from which on the car counts as moving."""
+"""m from the first fix, beyond which the car counts as moving."""
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of it."""
 
@@ -23,8 +23,10 @@ M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresd
 UNSTATED_GPS_STD = 2.1
 """m per axis, for receivers that state none: u-blox M8, 2.5 m CEP."""
 SHOWN = 0.25 * UNSTATED_GPS_STD
-"""m per axis: a receiver that states nothing and errs by that much from one fix to the next does not smooth, and its
-fixes show what it is; of one that errs by less nothing is known."""
+"""m per axis: a receiver that states nothing and errs by this much from fix to fix does not smooth.
+
+Its fixes show its error. The error of a receiver whose fixes differ by less is unknown.
+"""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
 
     - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and braking
       are not taken for motion. Otherwise **planar8**.
-    - **lateral** and **standstill** always: they hold the heading, which position fixes leave free.
+    - **lateral** and **standstill** always: they determine the heading, which position fixes do not.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states its deviation, and it varies.
     - **robust** always: it costs little without outliers, and is needed with some.
@@ -165,9 +167,9 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 
 
 def receiver_std(drive: Drive) -> tuple[float, float]:
-    """How far the fixes of a drive's receiver may be off, m east and north.
+    """Standard deviation of the fixes of a drive's receiver, m east and north.
 
-    As it states; else the white noise that its fixes show, if that is large; else as of a u-blox M8.
+    It is the stated one; else the white noise that its fixes show, if that is large; else that of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated

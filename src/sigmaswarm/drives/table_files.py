@@ -18,11 +18,12 @@ from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
-"""No sensor of a car reports as much in m, m/s, m/s2, rad or rad/s, nor in mm, mg or mdeg/s, which can be repaired."""
+"""Larger than any sensor of a car reports in m, m/s, m/s2, rad or rad/s, or in mm, mg or mdeg/s, which can be
+repaired."""
 _NO_STD = "leave the column out where no deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
-    "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
+    "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
     "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
     "x": (-LARGEST, LARGEST, "give meters from an origin near by"),
     "y": (-LARGEST, LARGEST, "give meters from an origin near by"),
@@ -49,7 +50,7 @@ BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Return arguments for polars' readers that read a file by its name: run[1] is no pattern, ~ no home."""
+    """Return arguments for polars' readers that read a file by its name: run[1] is not a pattern, ~ not home."""
     return {"source": path.absolute(), "glob": False}
 
 
@@ -108,7 +109,7 @@ class TableFile:
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """The known columns as numbers, each (n,), ``t`` renamed ``time``; others only get a remark."""
+        """The known columns as numbers, each (n,), with ``t`` renamed ``time``; others cause a remark."""
         told: list[str] = []
         try:
             found = self._known_columns(required, optional, told)
@@ -176,7 +177,7 @@ class TableFile:
     def _require_increasing(self, time: Array) -> None:
         """Refuse times that do not increase, and those behind an implausibly long interval."""
         late, i = np.flatnonzero(np.diff(time) <= 0), _leap(time)
-        what, remedy = "lies absurdly far after", "delete the row with the damaged time"
+        what, remedy = "lies too far after", "delete the row with the damaged time"
         if late.size:
             i, what, remedy = (
                 int(late[0]) + 1,
@@ -233,7 +234,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """The cells of a file that holds nothing but finite numbers under plain names; None of any other."""
+    """The cells of a file that contains only finite numbers under plain names; None for other files."""
     if _has_lone_quote(path):
         return None
     try:

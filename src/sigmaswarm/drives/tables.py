@@ -141,7 +141,7 @@ class Truth(Table):
             self.std_x is None and self.std_theta is not None
         ):
             raise DriveError(
-                "Truth states std_x and std_y both, and with them std_theta, or none; add what lacks"
+                "Truth states std_x and std_y both, and with them std_theta, or none; add the missing ones"
             )
 
 

@@ -28,7 +28,7 @@ DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
 """A step's numbers: its own three, and those of the IMU's axes, the last three where the IMU has them."""
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
-"""The IMU's axes as they stand in a step; every IMU has the first three."""
+"""The IMU's axes in the order of a step; every IMU has the first three."""
 FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y = range(6)
 """Columns of a fix."""
 
@@ -179,8 +179,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, treat IMU gaps as ordinary steps. ``kinds`` (g,): of the fixes, if they were found
-    on a drive with more fixes.
+    ``as_recorded``: use stale fixes, treat IMU gaps as ordinary steps. ``kinds`` (g,) are those of the fixes, if they
+    were classified on a drive with more fixes.
     """
     imu = drive.imu
     if kinds is None:
@@ -218,7 +218,7 @@ def build_timeline(
 
 
 def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
-    """Which of the drive's fixes a time line has."""
+    """The fixes of the drive that a time line uses."""
     time = drive.gps.time
     return (time > start) & (time <= drive.imu.time[-1]) & (kinds < FROZEN)
 
@@ -256,7 +256,7 @@ def _is_last(ends: Array) -> NDArray[np.bool_]:
 
 
 def _among(times: Array, known: Array) -> NDArray[np.bool_]:
-    """Which times are among the known ones, both increasing; `np.isin` would sort both again, in their copies."""
+    """A mask of the times that are among the known ones, both increasing; `np.isin` would sort copies of both."""
     if not len(known):
         return np.zeros(len(times), dtype=np.bool_)
     at = np.searchsorted(known, times, side="left")

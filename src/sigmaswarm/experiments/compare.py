@@ -48,7 +48,7 @@ OWN = (
     *("particles", "generations", "trials", "polish", "racing"),
     *("inertia", "cognitive", "social", "zero_velocity_at_bounds"),
 )
-"""Options in which contenders may differ, besides optimizer and scale."""
+"""Options in which contenders may differ, in addition to optimizer and scale."""
 REFUSED = {
     **{name: f"is compared; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
@@ -238,7 +238,8 @@ def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
         key, _, value = setting.partition("=")
         if key not in OWN or not value:
             raise InputError(
-                f"{name}: {setting!r} is no setting; write NAME=VALUE after the colon, with a name of {', '.join(OWN)}"
+                f"{name}: {setting!r} is not a setting; write NAME=VALUE after the colon, with a name of "
+                f"{', '.join(OWN)}"
             )
         own[key] = value
     config = validated_config(TuneConfig, {**shared, "optimizer": optimizer, "scale": scale, **own})

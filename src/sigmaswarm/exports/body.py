@@ -8,7 +8,7 @@ from sigmaswarm.filters.models import THETA
 
 
 def tilts_of(n: int) -> tuple[int, ...]:
-    """Where roll and pitch stand in a state of n numbers; nowhere in the plane."""
+    """The indices of roll and pitch in a state of n numbers; none for planar models."""
     return tilted.ATTITUDE[:2] if n == tilted.N else ()
 
 
@@ -33,7 +33,8 @@ def rotations(mean: Array) -> Array:
 def body_velocity(mean: Array) -> tuple[Array, Array]:
     """Velocity along the body's axes forward and left, m/s, of means (k, n), and its Jacobian.
 
-    R' (vx, vy, vz) with the vz that keeps the car on its road, which its x and y axes span; so there is none upwards.
+    It is R' (vx, vy, vz) with the vz that keeps the car on its road, the plane of its x and y axes, so the velocity
+    along z is 0.
 
     Returns
     -------

@@ -39,7 +39,7 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""s: no IMU is faster than that, and a second of its samples would take megabytes."""
+"""s: shortest interval of an IMU; a second of faster samples would take megabytes."""
 _FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
 
 
@@ -194,14 +194,14 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         gamma_squared, spread = _sigma_points(p)
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
-    gyro_note = ", and all that the gyro shows is its bias" if model.gyro_bias is not None else ""
+    gyro_note = ", and the gyro shows its bias alone" if model.gyro_bias is not None else ""
     return plain(derived) | {
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
         "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
         "STATES": repr(names),
         "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ": it learns what calm is" if stands else "",
+        "CALM_NOTE": ": it learns the noise at rest" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",

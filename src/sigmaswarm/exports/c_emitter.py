@@ -12,17 +12,17 @@ import re
 import textwrap
 import tokenize
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
+from functools import cache
 from typing import Any
 
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
-from sigmaswarm.filters.compiled.unroll import Kernel
+from sigmaswarm.filters.compiled.unroll import Kernel, copied
 
 STATES = (
     *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
     *("FIX_ERROR_X", "FIX_ERROR_Y"),
 )
-"""Names of a state's places in C, in the order of the largest model."""
+"""Names of the elements of a state in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
 """Of these, the states that are appended to any model."""
 PARAMETERS = {
@@ -41,7 +41,7 @@ INPUTS = {
     **{"FIX_VAR_X": "fix->variance[0]", "FIX_VAR_Y": "fix->variance[1]"},
     **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
 }
-"""What stands for an element of a step, a fix and a reading."""
+"""C text for an element of a step, a fix and a reading."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
 RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
@@ -78,7 +78,7 @@ class Emitter:
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def text(self) -> str:
-        """All of it: constants, the struct of what one kernel leaves for another, the functions."""
+        """All text: constants, the struct of values that kernels exchange, the functions."""
         code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
         used = [
             name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants
@@ -103,13 +103,11 @@ class _Function(ast.NodeTransformer):
     def __init__(
         self, emitter: Emitter, function: Callable[..., Any], name: str, known: dict[str, Any]
     ) -> None:
-        source = textwrap.dedent(inspect.getsource(function))
-        definition = ast.parse(source).body[0]
-        assert isinstance(definition, ast.FunctionDef)
+        parsed, self.comments = _parsed(function)
+        definition: ast.FunctionDef = copied(parsed)
         self.emitter, self.name, self.definition = emitter, name, definition
         self.known, self.names = known, {**function.__globals__, **known}
         emitter.constants |= {n: v for n, v in self.names.items() if n.isupper() and isinstance(v, float)}
-        self.comments = _comments(source)
         self.is_kernel = any(each.arg == "w" for each in definition.args.args)
         self.body = self.chosen(definition.body[ast.get_docstring(definition) is not None :])
         nodes = [node for statement in self.body for node in ast.walk(statement)]
@@ -300,7 +298,7 @@ class _Function(ast.NodeTransformer):
         return RENAMED.get(name, name)
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
-        """What stands for a local or an element of ``w``, and for its mirror image in the covariance."""
+        """C text for a local or an element of ``w``, and for its mirror element in the covariance."""
         if isinstance(node, ast.Name):
             return self.local(node.id), ""
         assert isinstance(node, ast.Subscript)
@@ -347,7 +345,7 @@ class _Function(ast.NodeTransformer):
 
     def fold(self, node: ast.expr) -> ast.expr:
         """The expression with C's names, without terms that this filter's numbers make 0."""
-        return self.visit(deepcopy(node))
+        return self.visit(copied(node))
 
     def c(self, node: ast.expr) -> str:
         return self.print(self.fold(node))
@@ -422,7 +420,7 @@ class _Function(ast.NodeTransformer):
         return f"{printed}({', '.join([*arguments, *(outs or [])])})"
 
     def print(self, node: ast.expr, outer: int = 0) -> str:
-        """C's text of a rewritten expression, in parentheses where it binds less tightly than ``outer``."""
+        """C text of a rewritten expression, in parentheses where its precedence is lower than that of ``outer``."""
         match node:
             case ast.Name(text):
                 if text.startswith(_MISSING):
@@ -447,6 +445,15 @@ class _Function(ast.NodeTransformer):
             case _:
                 raise self.refused(node)
         return f"({text})" if binds < outer else text
+
+
+@cache
+def _parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
+    """Parse a function; also return its comments by line."""
+    source = textwrap.dedent(inspect.getsource(function))
+    definition = ast.parse(source).body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    return definition, _comments(source)
 
 
 def _numeral(value: float) -> ast.Name:
@@ -480,6 +487,9 @@ def _wrapped(lines: list[str]) -> list[str]:
             joined.append(line)
     wrapped: list[str] = []
     for line in joined[1:]:
+        if len(line) <= 120:
+            wrapped.append(line)
+            continue
         indent = " " * (len(line) - len(line.lstrip()))
         further = indent + "    "
         wrapped += textwrap.wrap(

@@ -90,7 +90,7 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
-    """What stands in C for the rows that hold parameters and memory."""
+    """C text for the rows of parameters and memory."""
     spread, fuzzy = p.kind != "ekf", p.kind == "fuzzy-ukf"
     if p.kind == "adaptive-ukf":
         q, r = "b->process_noise[{}]", "b->measurement_noise[{}]"

@@ -1,4 +1,4 @@
-"""An exported C filter on this machine: built, called through its Python module, and compared with `run_filter`."""
+"""Build an exported C filter on this machine, call it through its Python module, and compare it with `run_filter`."""
 
 import importlib.util
 import os

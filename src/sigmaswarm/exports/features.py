@@ -68,7 +68,7 @@ PARAMETERS = (
     *("lateral_noise", "rear_axle", "tire_slip", "standstill_noise"),
     *("odometer_noise", "odometer_scale", "odometer_latency", "fix_error"),
 )
-"""Those of a filter that templates name as the filter does."""
+"""Features that have the same name in templates and in a filter."""
 CONSTANTS: tuple[tuple[ModuleType, str, str], ...] = (
     (alignment, "", "REFITS"),
     (divergence, "", "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD"),

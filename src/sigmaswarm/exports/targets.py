@@ -1,4 +1,4 @@
-"""The targets that a tuned filter can be handed over to: one function each, from parameters to texts of files."""
+"""The targets of an export: one function each, from parameters to texts of files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +16,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
 Alias = Literal["robot-localization"]
-"""Another name of a target: the model is called so."""
+"""Another name of a target, which is that of its model."""
 
 TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
     "filterpy": filterpy,
@@ -43,13 +43,13 @@ def export_texts(
     parameters : FilterParameters
         With ``nominal_interval``, as every tuning has it.
     target : {"filterpy", "c99", "robot_localization"}
-        robot-localization stands for the last.
+        robot-localization is another name of the last.
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the program that replays.
     as_recorded : bool
         filterpy, c99: use stale fixes, treat IMU gaps as ordinary steps.
     lanes : int
-        c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveFilterBank`
+        c99: number of filters with different parameters, whose mixture is the estimate: a `LiveFilterBank`
         without searches.
     seed : int
         Of the parameters in which the lanes differ.

@@ -93,7 +93,7 @@ class FilterParameters:
     odometer_latency : float
         s: age of an odometer reading at its time stamp.
     gate : float or None
-        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of sound fixes
+        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of good fixes
         (chi-square, two degrees of freedom). None: every fix is used.
     latency : float
         s: age of a fix at its time stamp.
@@ -241,7 +241,7 @@ class FilterParameters:
 
             if has_table(path, "imu") and not (path / "tuning.toml").exists():
                 raise InputError(
-                    f"{path}: is a drive; the tuning comes first, as in sigmaswarm evaluate TUNING DRIVE"
+                    f"{path}: is a drive; give the tuning first, as in sigmaswarm evaluate TUNING DRIVE"
                 )
             path = path / "tuning.toml"
         table = read_content(
@@ -288,7 +288,7 @@ _SCALED = (
     "accuracy_scale",
     "fix_error",
 )
-"""Variances, or factors of them, besides Q and R."""
+"""Variances, or factors of them, in addition to Q and R."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
@@ -298,11 +298,14 @@ def clash(kind: str, use: Collection[str]) -> str | None:
     if "robust" in use and "gate" in use:
         return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
-        return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
+        return (
+            f"robust can't be combined with {kind}, which adapts to what robust rejects; take ukf or ekf, or "
+            "leave it out"
+        )
     if "accuracy" in use and kind == "adaptive-ukf":
-        return "accuracy does not go with adaptive-ukf, which finds R by itself; take another kind, or leave it out"
+        return "accuracy can't be combined with adaptive-ukf, which estimates R; take another kind, or leave it out"
     if "fix-error" in use and kind not in ("ukf", "ekf"):
-        return f"fix-error does not go with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
+        return f"fix-error can't be combined with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
     return None
 
 
@@ -360,8 +363,8 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, took gaps in the IMU "
-            "as ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
+            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, treated gaps in the "
+            "IMU as ordinary steps, and detected standstills by another rule: results differ; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

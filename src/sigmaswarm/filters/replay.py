@@ -57,7 +57,7 @@ class Targets:
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
-        """Nothing to compare with."""
+        """Targets without moments."""
         weight, x, y, theta, counts, noise = run.NO_TARGETS
         return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), noise)
 
@@ -91,7 +91,7 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One pass over a drive, ready for any number of filters: where they start, step, and are compared."""
+    """One pass over a drive for any number of filters: their start, steps and comparison times."""
 
     timeline: Timeline
     initial: InitialState

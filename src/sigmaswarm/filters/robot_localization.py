@@ -1,4 +1,4 @@
-"""The extended Kalman filter of ROS's robot_localization in ``two_d_mode``: its eight states that matter.
+"""The extended Kalman filter of ROS's robot_localization in ``two_d_mode``: the eight states that matter in the plane.
 
 State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). Over d seconds, all from the old
 state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
@@ -53,7 +53,7 @@ class TextbookRobotLocalization:
         self.covariance = jacobian @ self.covariance @ jacobian.T + d * self._q
 
     def correct(self, states: list[int], z: Array, variances: Array, gate: float = np.inf) -> None:
-        """Update with measurements of some states, in Joseph's form; with a NIS from ``gate`` on not at all."""
+        """Update with measurements of some states, in Joseph's form; a NIS of ``gate`` or more is rejected."""
         p, r = self.covariance, np.diag(np.maximum(variances, SMALLEST))
         h = np.eye(8)[states]
         nu, s = z - self.mean[states], h @ p @ h.T + r
@@ -66,7 +66,10 @@ class TextbookRobotLocalization:
         self.covariance = kept @ p @ kept.T + gain @ r @ gain.T
 
     def imu(self, gz: float, ax: float, ay: float | None = None) -> None:
-        """Update with an IMU sample; ``ay`` where it is fused, as many configurations do and the tuned model never."""
+        """Update with an IMU sample.
+
+        ``ay`` only if it is fused, as in many configurations but never in the tuned model.
+        """
         (r_gyro, r_accel, *_), (gyro_gate, accel_gate) = self.parameters.imu_noise, self.parameters.imu_gate
         self.correct([VYAW], np.array([gz]), np.array([r_gyro]), gyro_gate)
         self.correct([AX], np.array([ax]), np.array([r_accel]), accel_gate)

@@ -18,7 +18,7 @@ from sigmaswarm.wording import shown
 YAML = (".yaml", ".yml")
 """Endings of such files."""
 PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
-"""Places of the eight states among robot_localization's 15."""
+"""Indices of the eight states among robot_localization's 15."""
 PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 IMU_NOISE = (1e-4, 1e-2)
@@ -137,7 +137,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """The squared Mahalanobis distance of the first threshold that is there; None if there is no limit."""
+    """The squared Mahalanobis distance of the first stated threshold; None if there is no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
@@ -151,7 +151,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
-    """Clauses on what the model does not have."""
+    """Clauses on settings that the model does not have."""
     if block.get("two_d_mode") is not True:
         yield "evaluated in two_d_mode, which it does not set"
     if block.get("dynamic_process_noise_covariance") is True:

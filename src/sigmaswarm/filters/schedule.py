@@ -38,15 +38,17 @@ SLIP_GATE = 9.0
 equal readings, so that a small weight for each would still add up. Unlike fixes, the last of a long run of them is
 rejected, too: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
 MOST_REJECTED = 5
-"""Fixes in a row that the gate may reject; the next one is used, or a filter that has diverged would never recover."""
+"""Number of consecutive fixes that the gate may reject; the next one is used, so that a diverged filter can recover."""
 
 GAP_TURN_STD = 0.1
-"""rad/s: standard deviation of the turn rate in a gap of the IMU, around the mean of the samples next to it. Values
-of 0.05 to 0.3 do as well on real drives."""
+"""rad/s: standard deviation of the turn rate in a gap of the IMU, around the mean of the samples next to it.
+
+Values of 0.05 to 0.3 are as good on real drives.
+"""
 GAP_ACCELERATION_STD = 1.0
-"""m/s2 per axis: standard deviation of the acceleration in a gap. Values of 0.5 to 2 do as well on real drives."""
+"""m/s2 per axis: standard deviation of the acceleration in a gap. Values of 0.5 to 2 are as good on real drives."""
 GAP_TILT_STD = 0.01
-"""rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 does as well on a real drive."""
+"""rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 is as good on a real drive."""
 
 
 Switches = tuple[bool, bool, bool, bool, bool]
@@ -135,8 +137,8 @@ def flags_of(
 ) -> NDArray[np.uint8]:
     """Events at the end of each step, as bits FIX ... ODOMETER, shape (k,).
 
-    With an odometer, the car does not stand while the wheels turn. ``ay``: robot-localization fuses it, which has no
-    standstills and takes their bit for it.
+    With an odometer, the car does not stand while the wheels turn. ``ay``: robot-localization fuses it; it has no
+    standstills, and their bit marks these samples.
     """
     wheels = line.wheels if odometer else None
     flags = np.zeros(len(line.absorbs), dtype=np.uint8)
@@ -158,7 +160,7 @@ def flags_of(
 
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
-    """The first wanted step of each interval of time."""
+    """The first selected step of each interval of time."""
     slots = slot_of(line.end[wanted], line.start, interval)
     first = np.ones(len(slots), dtype=np.bool_)
     np.not_equal(slots[1:], slots[:-1], out=first[1:])
@@ -208,7 +210,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """Gyro observations of starts, and of which: all at once where all have one, since each call takes 50 us."""
+    """Gyro observations of starts, and their starts: all at once if all have one, since each call takes 50 us."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]

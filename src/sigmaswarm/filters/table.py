@@ -18,7 +18,7 @@ _ABSENT: dict[str, float] = {
     ),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
-"""The number that stands for None in the fields that may be None."""
+"""The number for None in the fields that may be None."""
 
 
 @dataclass(frozen=True, eq=False)

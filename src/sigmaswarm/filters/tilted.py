@@ -3,11 +3,11 @@
 The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
 roll left side up. A filter on it keeps its mean as such angles and its covariance as that of a small rotation ``e``
 about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
-error-state Kalman filter, 2017, section 7: the global error). e takes the places of roll, pitch and theta. When it
-is injected into R, the covariance stays as it is: a reset would change it by second order in e.
+error-state Kalman filter, 2017, section 7: the global error). In the state vector e has the indices of roll, pitch and
+theta. When it is injected into R, the covariance is not changed: a reset would change it by second order in e.
 
-There is no vertical channel: the car stays on the road. So the Jacobians take the specific force
-along the third axis of the local frame to be gravity; the bumps of a road would make them noisy otherwise.
+There is no vertical channel: the car stays on the road. So the Jacobians assume that the specific force along the third
+axis of the local frame is gravity; otherwise bumps of the road would make them noisy.
 """
 
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81
 """m/s2."""
 ATTITUDE = (8, 9, 4)
-"""The places of the error about east, north and up, those of roll, pitch and theta."""
+"""Indices of the error about east, north and up, which are those of roll, pitch and theta."""
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
-"""The places of the biases: forward, left; and about forward, left, up."""
+"""Indices of the biases: forward, left; and about forward, left, up."""
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
 """The states whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Any
 square root is right. With these states fixed, process and measurements are linear in all others."""
@@ -108,7 +108,7 @@ def minus(state: Array, other: Array) -> Array:
 
 
 def nearest(error: Array, near: Array) -> Array:
-    """The error (12,) that turns by the same rotation, whole turns more or less, and is nearest to another."""
+    """The error (12,) with the same rotation, up to whole turns, that is nearest to another."""
     vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
     angle = np.linalg.norm(vector)
     if not angle > 0:
@@ -251,7 +251,7 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
 
 @dataclass(frozen=True)
 class States:
-    """Some of the states themselves: a velocity, or the gyro's biases at rest."""
+    """A measurement of states: a velocity, or the gyro's biases at rest."""
 
     places: tuple[int, ...]
 

@@ -1,6 +1,6 @@
-"""Reading the logs that people have, as drives.
+"""Import of logs of other formats as drives.
 
-A log is a `Log`: named tables of columns, whatever the file format. The way of a table:
+A log is a `Log`: named tables of columns, whatever the file format. The steps of a table:
 
 bytes -> table        `readers/` decode a format; of text, `readers/dialect.py` finds separator, header and units
 table -> columns      `names.py` reads names, `units.py` units, `quantities.py` makes expressions in SI units

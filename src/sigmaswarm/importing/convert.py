@@ -171,7 +171,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """The reader's guess; a log that is named for a role and has one table holds it, whatever its name."""
+    """The reader's guess; if a log is named for a role and has one table, this is the table, whatever its name."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -180,7 +180,7 @@ def _guess(log: Log, request: Request) -> Guess:
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
-    """The recipe with the parts that the user left to the guess, from the logs that were named for them."""
+    """The recipe with the guessed parts, from the logs that were named for them."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role in ROLES:
         guessed = guesses[request.home(role)].roles
@@ -266,7 +266,7 @@ def _require_sensors(
 def _gather_all(
     request: Request, logs: Mapping[Path, Log], recipe: Recipe, progress: Progress
 ) -> dict[Role, list[Gathered]]:
-    """Each log is read once, for all the roles that it gives."""
+    """Read each log once, for all its roles."""
     gathered: dict[Role, list[Gathered]] = {}
     sizes = {path: _size(path) for path in logs}
     total, before = sum(sizes.values()), 0

@@ -21,9 +21,9 @@ from sigmaswarm.wording import names_shown, quoted, shown
 ROW = "row"
 """The number of a row, from 0, as a column of every table that has none of this name."""
 FAR = 10
-"""Times the spread of a column: farther from the others than this, a placeholder is no value."""
+"""Distance of a placeholder from the other values, in spreads of the column, from which it is not a value."""
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
-"""Texts that mean a cell is empty."""
+"""Texts of empty cells."""
 
 
 @dataclass
@@ -66,7 +66,7 @@ class Gathered:
         except pl.exceptions.PolarsError as error:  # a list where a number is wanted, a text that is no date
             said = shown(" ".join(str(error).split("\n")[0].split()), 160)
             raise InputError(
-                f"{log.path}, {self.part.table}: its columns can't be made numbers ({said}); map others"
+                f"{log.path}, {self.part.table}: its columns can't be converted to numbers ({said}); map others"
             ) from None
         usable = rows.filter(pl.col("t").is_not_null())
         self.timeless += len(rows) - len(usable)
@@ -92,7 +92,7 @@ class Gathered:
                 i = int(wrong.fill_null(False).arg_max() or 0)
                 raise InputError(
                     f"{log.path}, {shown(self.part.table)}, row {self.seen + i + 1} of the data, column {shown(name)}: "
-                    f"{quoted(said[i])} is not a number; mend or delete the row, or use utc(...) where the column "
+                    f"{quoted(said[i])} is not a number; correct or delete the row, or use utc(...) where the column "
                     "holds dates"
                 )
 
@@ -117,7 +117,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Where values are far from those that are not marked, by the spread of these."""
+    """A mask of values that are far from the unmarked ones, in units of their spread."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
@@ -126,7 +126,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
 
 
 def complete_part(part: Part, log: Log, role: Role) -> Part:
-    """A part with its table and time: the only table where none is named, and the column that looks like a time.
+    """A part with its table and time: by default the only table, and the column that looks like a time.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def complete_part(part: Part, log: Log, role: Role) -> Part:
 
 
 def _with_table(part: Part, log: Log, role: Role) -> Part:
-    """The table of a part that names none, or that names a file, of another day's log: the only one."""
+    """The table of a part that names none, or a file of another log: the only table."""
     if part.table in log.tables:
         return part
     if len(log.tables) == 1:

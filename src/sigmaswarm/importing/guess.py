@@ -22,7 +22,7 @@ _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
     re.IGNORECASE,
 )
-"""Tables whose x, y, z are neither a place nor the IMU's."""
+"""Tables whose x, y, z are neither a position nor the IMU's."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": ("lat", "lon", "alt", "x", "y", "std_x", "std_y", "speed", "course", "bearing", "vx", "vy"),
@@ -60,7 +60,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
                 f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the columns of {best}, and only {best} "
-                f"is taken for the {role}; choose with --{role}-table, and import each log into a drive of its own"
+                f"is taken for the {role}; choose with --{role}-table, and import each log as a separate drive"
             )
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
@@ -94,7 +94,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
-    """The tables that could give each role; where one has latitude and longitude, x and y are no fixes."""
+    """The tables that could give each role; where one has latitude and longitude, x and y are not fixes."""
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}

@@ -16,7 +16,7 @@ from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
-"""m: a stated standard deviation not above it means that the receiver states none."""
+"""m: a stated standard deviation up to this means that the receiver states none."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """Columns of angles, with a full turn: rad, rad, deg."""
 SPARSE = 0.1
@@ -41,9 +41,9 @@ def join(
             continue
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
-            say(f"{role}: {left} rows left out, since not all its tables have begun or still go on there")
+            say(f"{role}: {left} rows left out, since not all tables of the sensor cover them")
         if not inside.any():
-            raise InputError(f"the {role}: its tables have no time in common; put them on one clock")
+            raise InputError(f"the {role}: its tables do not overlap in time; put them on one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
         for name, column in other.items():
@@ -58,8 +58,8 @@ def join(
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
     """Values (n,) at times (n,), s, straight between those (m,) at times (m,), s; of an angle the short way round.
 
-    An angle that its neighbors have within half a turn stays there; others, unwrapped or no angle at all, stay near
-    their neighbors, so that a wrong unit is still seen.
+    An angle within half a turn of its neighbors is not changed. Others (unwrapped, or not an angle) stay near their
+    neighbors, so that a wrong unit can still be detected.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -85,7 +85,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     if part.timeless:
         say(f"{role}: {part.timeless} rows of {table} without a time left out")
     if not len(time):
-        why = "no usable row; --show shows what it holds"
+        why = "no usable row; --show shows its contents"
         if part.timeless:
             why = "no time within 292 years of 1970; give its column and unit with --time"
         raise InputError(f"the {role}: {table} holds {why}")
@@ -120,7 +120,7 @@ def _finite(values: Values, count: int) -> NDArray[np.bool_]:
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
-    """Rows without gaps: columns mostly empty are left out, then rows with an empty cell."""
+    """Rows without gaps: columns that are mostly empty are left out, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(

@@ -38,7 +38,7 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """All names but empty ones, which count as well: fields without a number take their time, too."""
+        """All names but empty ones, which count towards the limit, too, since fields without a number take time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(

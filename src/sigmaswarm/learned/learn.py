@@ -76,7 +76,7 @@ LEARNERS: Mapping[str, type[OutageLearner] | type[NoiseLearner]] = {
 
 @dataclass(frozen=True, eq=False)
 class LearnConfig:
-    """What is trained on what: saved as config.json.
+    """The network, its settings and its data: saved as config.json.
 
     Attributes
     ----------

@@ -22,7 +22,8 @@ from sigmaswarm.noise.spectrum import Interval, fit, spectrum_of
 from sigmaswarm.noise.static import AXES, fault_of, find_stretches
 
 TUNED = (
-    "a tuned Q also holds the errors of the filter's model, such as slopes, tilt and wheel slip: expect larger values "
+    "a tuned Q also contains the errors of the filter's model, such as slopes, tilt and wheel slip: expect larger "
+    "values "
     "than the sensor's own"
 )
 

@@ -62,7 +62,7 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
 
 
 def logarithmic(axis: Axis) -> None:
-    """Use a logarithmic scale with plain numbers: few powers of ten lie within a small range."""
+    """Use a logarithmic scale with plain numbers: a small range has few powers of ten."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(_Between())
@@ -131,7 +131,7 @@ def _legend_below(figure: Figure, columns: int) -> None:
 
 
 def _plain(artist: Artist) -> None:
-    """Draw titles and legends literally, since names of drives are no formulas.
+    """Draw titles and legends literally, since names of drives are not formulas.
 
     Numbers of axes are left out: they may have powers, and their ticks are expensive to create.
     """

@@ -17,11 +17,11 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
 GATE_95 = -2 * math.log(0.05)
-"""NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
+"""NIS below which 95% of the fixes are if the filter is consistent: 5.99."""
 FAR_NEES = 4.0
 """Mean NEES above which errors are clearly too large: by a factor of 1.4; NEES has no band."""
 RIGHT_NEES = 1.5
-"""Mean NEES from which, up to `FAR_NEES`, a filter's position covariance is taken to be right."""
+"""Mean NEES from which, up to `FAR_NEES`, a filter's position covariance counts as right."""
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
@@ -34,7 +34,7 @@ _KEYS = {
     "expected": "expected_m",
     "own_sigma": "own_sigma_m",
 }
-"""Names in scores.json, where they differ."""
+"""Names in scores.json that differ."""
 _CONFIG = ConfigDict(
     frozen=True,
     alias_generator=lambda name: _KEYS.get(name, name),
@@ -134,14 +134,14 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Optimistic: innovations are larger than their covariances; pessimistic: smaller.
+"""Too confident: innovations are larger than their covariances; pessimistic: smaller.
 
-Alike: smaller, and neighbors are much alike, so that nothing is known without truth.
+Alike: smaller, and neighbors are nearly equal, so that nothing is known without truth.
 Lasting: smaller, and the errors against truth are as large as the covariances; predictions share the fixes' errors.
 Correlated: as large as the covariances, but neighbors are correlated; without truth.
 """
 ALIKE = 0.5
-"""Correlation of neighboring innovations from which they are much alike."""
+"""Correlation of neighboring innovations from which they are nearly equal."""
 CORRELATED = 0.2
 """The same, from which a consistent NIS is not sufficient."""
 FORECASTS = "this covers predictions of the fixes; position errors cannot be judged without truth"

@@ -180,7 +180,7 @@ class Evaluation:
 
     @property
     def consistency(self) -> Mapping[str, Consistency | None]:
-        """Of the tuned filter, by drive; None where it failed or saw too few fixes."""
+        """Consistency of the tuned filter, by drive; None if it failed or had too few fixes."""
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
@@ -319,7 +319,7 @@ def evaluate(
     cluster: "Client | None" = None,
     **options: Any,
 ) -> Evaluation:
-    """Compare tuned parameters with the same filter by data sheet, raw GPS and IMU only.
+    """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only.
 
     Parameters
     ----------

@@ -16,10 +16,10 @@ from sigmaswarm.scoring.consistency import Consistency
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 
 Measured = dict[str, float | None]
-"""By measure; None where it is not known."""
+"""Scores by measure; None if unknown."""
 
 FEW = 4
-"""Outages of one placement: with fewer, all placements hide much the same fixes."""
+"""Least number of outages of one placement: with fewer, all placements hide nearly the same fixes."""
 
 
 class DriftRecord(BaseModel):
@@ -56,7 +56,7 @@ class ScoresRecord(BaseModel):
     def drift_said(self, measure: str, method: str = "tuned") -> str:
         """Describe the number of outages behind a drift, and the range of drifts of a single placement.
 
-        Empty if unknown, or where the method failed in any placement: the others have other outages.
+        Empty if unknown, or if the method failed in any placement, since the others have other outages.
         """
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]
@@ -118,7 +118,7 @@ _SEALED = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
 
 
 def seal(folder: Path) -> None:
-    """Write into evaluation.json which files belong to the evaluation."""
+    """Write the files that belong to the evaluation into evaluation.json."""
     record = load_record(EvaluationRecord, folder / ASKED_FILE)
     found = {name: _sha256(folder / name) for name in _SEALED if (folder / name).exists()}
     write_json(folder / ASKED_FILE, record.model_copy(update={"files": found}).model_dump())

@@ -64,9 +64,10 @@ class Score:
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
     """Negative log-likelihood of innovations with outliers: ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c).
 
-    The negative logarithm of Student's t in two dimensions with v degrees of freedom, but for a constant, if c = v. A c
-    of its own makes it least for Gaussian innovations where their mean NIS is 2: see `sigmaswarm.filters.student`.
-    ``innovation`` (f, 2) is nu, ``covariance`` (f, 2, 2) is S, ``dof`` and ``scale`` are v and c; the result is (f,).
+    The negative logarithm of Student's t in two dimensions with v degrees of freedom, up to a constant, if c = v. The
+    value of c is chosen so that for Gaussian innovations the minimum is at a mean NIS of 2: see
+    `sigmaswarm.filters.student`. ``innovation`` (f, 2) is nu, ``covariance`` (f, 2, 2) is S, ``dof`` and ``scale`` are
+    v and c; the result is (f,).
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
     half_log_det = 0.5 * np.log(np.linalg.det(covariance))
@@ -74,7 +75,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that come in pieces, as of `score_estimate`; ``initial`` is where the method started."""
+    """Errors of estimates that come in pieces, as of `score_estimate`; ``initial`` is the start of the method."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth

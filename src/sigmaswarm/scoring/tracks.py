@@ -1,6 +1,6 @@
 """Tracks and errors over time of every method on a drive, thinned while the methods run, and their file.
 
-`tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array a column, called
+`tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array per column, called
 ``i/series/column``. The same result gives the same bytes; the file has no date.
 """
 
@@ -32,7 +32,7 @@ from sigmaswarm.scoring.truth_noise import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
-"""Ends the name of the series that holds a filter's NIS."""
+"""Ending of the name of the series of a filter's NIS."""
 SHARES, MOVED = ".shares", ".moved"
 """Endings of the series of the weights of a filter bank, and of its distance from its tuning."""
 MOST_POINTS = 1500
@@ -241,7 +241,7 @@ def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool)
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Where the car turns most within 4 s while a filter runs, m east and north: the median of the fixes around."""
+    """Where the car turns most within 4 s while a filter runs, m east and north: the median of the fixes around it."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]

@@ -16,17 +16,17 @@ from sigmaswarm.filters.run import run_innovations
 from sigmaswarm.scoring.batch import Replayer
 
 VERIFIED = {"shift-clock", "rotate", "gyro", "accelerometer", "turn", "level", "shift-fixes"}
-"""Repairs that change the motion that a filter sees: axes, signs, units and clocks."""
+"""Repairs that change the motion of a filter: axes, signs, units and clocks."""
 WORSE = 1.05
-"""A forecast error that is larger by more contradicts a repair."""
+"""Relative increase of the forecast error that contradicts a repair."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise of planar8's states, unit/sqrt(s): such a filter follows the fixes within seconds, and the IMU in between."""
 LEAST_STD = 0.5
-"""m: no smaller standard deviation is assumed of the fixes."""
+"""m: smallest standard deviation assumed of the fixes."""
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
-    """Return the filter whose forecasts judge repairs: planar8 with the lateral constraint, by hand."""
+    """Return the filter whose forecasts verify repairs: planar8 with the lateral constraint, without tuning."""
     dt = drive.nominal_interval
     std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
     return FilterParameters(
@@ -44,10 +44,10 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
-    """Return a copy of the drive with all faults repaired that can be.
+    """Return a copy of the drive with all repairs that are possible.
 
     A filter runs over the log before and after. Where its forecasts of the next fix, or of fixes hidden for 3
-    to 5 s, get worse by more than 5%, the repair of axes or clocks that is to blame is withheld.
+    to 5 s, get worse by more than 5%, the responsible repair of axes or clocks is withheld.
 
     Parameters
     ----------

@@ -24,19 +24,19 @@ _Row = tuple[str, str, Mapping[str, float | None]]
 """Drive, method, and scores by measure."""
 
 LATE = 5.0
-"""s into a drive: a start of the scores after it is reported."""
+"""s after the start of a drive: a later start of the scores is reported."""
 MOST_REMARKS = 3
 """Remarks that `print` shows of an evaluation."""
 NO_TRUTH = (
-    "without truth there are no errors of position and heading. What remains: how far each filter drifts while fixes "
-    "are hidden from it, measured against those fixes (whose own errors are in these figures, too), and whether its "
-    "predictions of the fixes agree with its covariances (NIS)"
+    "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
+    "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
+    "predictions of the fixes (NIS)"
 )
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluationView:
-    """An evaluation as people read it, from memory or from its files.
+    """An evaluation as tables and sentences, from memory or from its files.
 
     Attributes
     ----------
@@ -200,9 +200,7 @@ class EvaluationView:
         data = self.setup.data
         said: list[str] = []
         if any(drive.seen_s for drive in data):
-            said.append(
-                "the filter was tuned on some of these drives: its scores there are better than on others"
-            )
+            said.append("the filter was tuned on some of these drives: its scores there are too good")
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             said.append(f"the tuned filter failed on {', '.join(failed)}")
         said += worse_than_raw(self.scores)
@@ -273,8 +271,8 @@ def explained_scores(view: EvaluationView) -> str:
     drifts = rmse = ""
     if view.scores.drifts:
         drifts = (
-            " Each method runs again with the fixes hidden, by as many placements of the outages as the drive has room "
-            "for, at most eight; a drift is the RMS over all of them, at the end of each."
+            " Each method runs again with the fixes hidden, for up to eight placements of the outages; a drift "
+            "is the RMS over the ends of all of them."
         )
         if not with_truth:
             drifts += " Without truth it is against the hidden fixes and includes their own errors."

@@ -25,7 +25,7 @@ METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
 
 @dataclass(frozen=True)
 class GpsGrade:
-    """A named quality of receiver.
+    """A named grade of receiver.
 
     Attributes
     ----------
@@ -75,7 +75,8 @@ GPS_GRADES = {
             0.5,
             math.sqrt(2.1**2 - 0.5**2),
             velocity_std=0.05,
-            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is recalled",
+            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is from memory, not "
+            "verified",
         ),
         GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
         GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),
@@ -101,7 +102,7 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Measure the antenna's motion, given at the fixes' time stamps (n,), s, less the grade's latency.
+    """Measure the antenna's motion, at the fixes' time stamps (n,), s, minus the grade's latency.
 
     There are no fixes in the outages, (start, end) in s. The number of draws does not depend on the grade.
     """

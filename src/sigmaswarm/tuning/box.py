@@ -53,9 +53,9 @@ class TouchedBound:
 
 @dataclass(frozen=True)
 class Dimension:
-    """One parameter that is searched: its field of FilterParameters, and its range.
+    """One tuned parameter: its field of FilterParameters, and its range.
 
-    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 where the field is a plain
+    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 if the field is a plain
     number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
     of its factor; ``least``: the lower limit that it applies.
     """

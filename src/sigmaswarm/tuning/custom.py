@@ -24,7 +24,7 @@ from sigmaswarm.tuning.space import SCALING
 
 MODEL_OBJECTIVES = {
     "truth-rmse": "root mean square of the scored states' errors against truth",
-    "innovation-nll": "mean negative log-likelihood of each measurement before it is absorbed",
+    "innovation-nll": "mean negative log-likelihood of each measurement before its update",
 }
 """Objectives of custom models."""
 
@@ -56,9 +56,7 @@ class ModelProblem(Problem[dict[str, float]]):
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """Costs of points, shape (n, d), on some of the logs, shape (n, len(drives))."""
         if isinstance(executor, ProcessPoolExecutor):
-            raise InputError(
-                "functions of your own can't be sent to other processes; use a ThreadPoolExecutor"
-            )
+            raise InputError("your own functions can't be sent to other processes; use a ThreadPoolExecutor")
         sets = [self.parameters(point) for point in points]
         jobs = [(parameters, i) for parameters in sets for i in drives]
         each = np.array(list((executor.map if executor else map)(self._cost, *zip(*jobs, strict=True))))

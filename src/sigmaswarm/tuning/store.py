@@ -99,7 +99,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def saved_history(path: Path) -> dict[int, list[float]]:
-    """Return the lowest costs after each generation, by trial, also of a tuning that is not finished."""
+    """Return the lowest costs after each generation, by trial, also of an unfinished tuning."""
     history: dict[int, list[float]] = {}
     for place in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
         number = int(place.stem[-3:])
@@ -187,7 +187,7 @@ class ResultFolder:
             return
         if not resume:
             raise InputError(
-                f"{path}: already holds a tuning; add --resume to go on with it, or choose another --out"
+                f"{path}: already holds a tuning; add --resume to continue it, or choose another --out"
             )
         remedy = "not written by a tuning; choose another --out"
         record = load_record(ConfigRecord, file, remedy, infinite=True)
@@ -195,7 +195,7 @@ class ResultFolder:
         if not same_results(record.versions, wanted.pop("versions", {})):
             made = names_shown(" ".join(one) for one in record.versions.items())
             raise InputError(
-                f"{file}: was started with other versions, {made}; go on with those, or choose another --out"
+                f"{file}: was started with other versions, {made}; continue with those, or choose another --out"
             )
         if saved != wanted:
             old, new = _difference("", saved, wanted)

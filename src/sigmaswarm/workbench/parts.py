@@ -1,4 +1,4 @@
-"""Small pieces that several steps share."""
+"""Common elements of several steps."""
 
 import json
 from collections.abc import Callable, Coroutine
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 def start(work: Coroutine[Any, Any, None]) -> None:
-    """Run work without waiting for it; it outlives the tab that started it."""
+    """Run work in the background; it continues if the tab is closed."""
     background_tasks.create(work)
 
 

@@ -57,7 +57,7 @@ class Workbench:
         """Return the folder of a drive, tuning, ... by its name; refuse names that lead elsewhere."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
-            raise InputError(f"{name!r} is no name within {kind}; use letters, digits, - and _")
+            raise InputError(f"{name!r} is not a name within {kind}; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, holds: str = "") -> list[str]:
@@ -74,12 +74,12 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Drives to work with: the checked copy stands for its original."""
+        """Drives to work with: a checked copy replaces its original."""
         names = self.names("drives", "drive.toml")
         return [name for name in names if name + CHECKED not in names]
 
     def read(self, name: str) -> Drive:
-        """Read a drive, or take it from the cache."""
+        """Read a drive, or return it from the cache."""
         path = self.path("drives", name)
         return self.drive(path, path.stat().st_mtime_ns)
 

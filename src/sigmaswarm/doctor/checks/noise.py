@@ -12,11 +12,11 @@ from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 TOO_SMALL = 2.0
 """Observed noise over the stated one."""
 TOO_LARGE = 6.5
-"""Stated over observed, where the noise is white; a receiver's slow errors do not show, so that much is usual."""
+"""Stated over observed, where the noise is white; slow errors of a receiver do not show, so such a ratio is usual."""
 LASTS = 2.5
-"""The stated deviation over the scatter about a path of ten seconds, from which on most of the error outlasts these."""
+"""Stated deviation over scatter about a path of ten seconds, from which most of the error lasts longer."""
 FAR_FIRST = 1000.0
-"""m from the first fix to the next sound one: such a first fix, as the origin, displaces the whole drive."""
+"""m from the first fix to the next good one: such a first fix, as the origin, displaces the whole drive."""
 WHITE = 0.7
 """Noise from fix to fix over the scatter about a path of ten seconds: 1 for white noise."""
 
@@ -57,10 +57,10 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         if stated > LASTS * max(scatter, LEAST_NOISE):
             what = (
                 f"the fixes scatter by {scatter:.2g} m per axis about a path of ten seconds, and the receiver states "
-                f"{stated:.2g} m: their errors last, so that many fixes are worth hardly more than one, and a filter "
-                "without truth can't know how far off it is"
+                f"{stated:.2g} m: their errors last, so that many fixes are hardly better than one, and a filter "
+                "without truth can't know its error"
             )
-            remedy = "take a filter's own position deviation for the scatter alone"
+            remedy = "read a filter's own position deviation as the scatter alone"
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )

@@ -44,7 +44,7 @@ Figure = Annotated[float | None, BeforeValidator(_finite)]
 """A number; None in place of NaN and infinity, which JSON lacks."""
 Interval = tuple[Figure, Figure]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
-"""A touched bound, a sentence in the file."""
+"""A touched bound; in the file it is a sentence."""
 
 
 class _Part(BaseModel):
@@ -93,7 +93,7 @@ class VariantSummary(ScoreStatistics, _Scored):
 
 
 class PairedStatistics(_Part):
-    """Two methods on the same drives, one value a drive: the mean over the trials that tested on it.
+    """Two methods on the same drives, with one value per drive: the mean over the trials that tested on it.
 
     Attributes
     ----------
@@ -250,7 +250,10 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class Spread(_Part):
-    """Quantiles over drives of one value a drive, the mean over its trials; failed drives are counted and left out."""
+    """Quantiles over drives of one value per drive, the mean over its trials.
+
+    Failed drives are counted and left out.
+    """
 
     protocol: str
     method: str

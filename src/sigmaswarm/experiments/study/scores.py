@@ -134,7 +134,7 @@ class _Pass:
 
 
 def _passes(design: Design) -> list[_Pass]:
-    """Prepare the drives for all measures; longer outages are measured locally alone."""
+    """Prepare the drives for all measures; longer outages are measured only on local drives."""
     passes = [_Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), TAKEN)]
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():

@@ -92,7 +92,7 @@ class BankRun:
     bank : LiveFilterBank
     initial : InitialState
     failure : str or None
-        When no lane was left for the first time, in the pieces so far.
+        First time at which all lanes had failed, in the pieces so far.
     """
 
     def __init__(

@@ -1,12 +1,12 @@
-"""What the compiled filter absorbs: fixes, velocities, and what a car on its wheels can't do.
+"""Updates of the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
 
 Each measurement fills, lane by lane, the innovation nu, its variance S and the covariances C = Cov(state, z); then
 `_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C come from sigma
-points. Where z is linear in the state they are the Kalman filter's; where it turns something by the heading they have
-a closed form, as in planar5.py and planar8.py.
+points. Where z is linear in the state they are the Kalman filter's; where it is rotated by the heading they have a
+closed form, as in planar5.py and planar8.py.
 
-Loops over states (i, j, row) are written out for the model's n by `unroll.unrolled`, and so is what depends on whether
-it estimates the gyro's bias (its place, or -1); `absorbers` gives the result.
+Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`, as are the parts that depend on the
+gyro's bias (its index, or -1); `absorbers` returns the result.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -46,14 +46,14 @@ from sigmaswarm.filters.student import (
 
 
 def axis_of(bias):
-    """Column of a step with the axis of the gyro whose bias stands at a place."""
+    """Column of a step with the axis of the gyro whose bias has an index."""
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
 def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
     """A position fix of the antenna, a row of `Timeline.fixes`; ``since`` is Q's scale since the last fix.
 
-    What no lane needs is left out; what other lanes need does not change a bit.
+    Parts that no lane needs are left out; this does not change a bit of the others.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
@@ -100,7 +100,7 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
 
 
 def forecast_fix(w, z, lever, since, *, n, fix_error):
-    """A fix that the filter does not get to see: only its forecast is scored."""
+    """A hidden fix: only its forecast is scored."""
     _measure_fix(w, z, lever)
     if fix_error:
         age_fix_error(w, z, since)
@@ -114,7 +114,7 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
 
 
 def _look(w, l):
-    """Add a fix's NIS and likelihood to the sums, before the update; gives its NIS."""
+    """Add a fix's NIS and likelihood to the sums, before the update; return its NIS."""
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
     n1, n2 = w[R.N1, l], w[R.N2, l]
@@ -131,7 +131,7 @@ def _look(w, l):
 def _measure_fix(w, z, lever, *, n):
     """z = p + R(theta) lever - latency v: nu, H P H^T, C and R.
 
-    R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
+    R(theta) lever depends on theta alone, so its sigma points have planar5's closed form.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]
@@ -163,7 +163,7 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """R(theta) lever, k J R(theta) lever, and e: what the heading and its spread make of the lever arm."""
+    """R(theta) lever, k J R(theta) lever, and e: the effect of the heading and its spread on the lever arm."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
@@ -173,7 +173,7 @@ def _turn_lever(w, lever_x, lever_y):
 
 
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
-    """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
+    """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
     P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position and at the
     lasting error of fixes, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
@@ -208,12 +208,12 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
 
 
 def _fade(w, *, n):
-    """Strong tracking: stretch P so far that the recent size of the innovations is explained (FADING < 0: off).
+    """Strong tracking: inflate P until it explains the recent size of the innovations (FADING < 0: off).
 
     After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things
-    are not theirs. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly
-    look back. And only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see
-    would grow on.
+    differ. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, forget too fast.
+    And only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would grow
+    on.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -233,7 +233,7 @@ def _fade(w, *, n):
 def _reason(w, *, n):
     """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`.
 
-    The factors in force are taken out of R and Q as the new ones are put in.
+    The present factors of R and Q are replaced by the new ones.
     """
     for l in range(LANES):
         memory = w[R.FUZZY, l]
@@ -291,8 +291,8 @@ def _weigh(w, since):
     update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
     tr R^-1 A), three times from w = 1.
 
-    A filter that is wrong takes all fixes for outliers. So the fix that ends a run of them, long enough, has weight 1,
-    and what it sees of P is stretched as far as its innovation asks for.
+    A filter that is wrong takes all fixes for outliers. So the fix that ends a long run of them has weight 1, and the
+    part of P that it observes is inflated to explain its innovation.
     """
     recovering = 0
     for l in range(LANES):
@@ -330,7 +330,7 @@ def _adapt(w, since, *, n):
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
     their weights (1 - b) / (1 - b^(k+1)). R from the residual after the update, eps eps^T + H P+ H^T, positive by
-    construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which no negative value is taken. A second fix of the same
+    construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which negative values are not used. A second fix of the same
     time (since = 0) shows nothing about Q.
     """
     span = since if since > 0.0 else math.inf
@@ -358,9 +358,9 @@ def absorb_velocity(w, z, *, n):
 
 
 def absorb_standstill(w, u, *, n, gyro_biases, tilted):
-    """The car stands: it has no velocity, and all that the gyro shows is its biases, if they are states.
+    """The car stands: the velocity is 0, and the gyro measures its biases, if they are states.
 
-    These are linear in the error, so one after the other is all at once, if the error is folded in at the end.
+    These are linear in the error, so sequential updates equal a joint one, if the error is injected at the end.
     """
     for l in range(LANES):
         w[R.R1, l] = w[R.R_STANDSTILL, l]
@@ -378,7 +378,7 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def _take_velocity(w, zu, zv, *, n):
-    """Absorb a velocity, its variance in row R1; then its rows of P once more, as in `_keep_digits`."""
+    """Update with a velocity, its variance in row R1; then compute its rows of P again, as in `_keep_digits`."""
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
         s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
@@ -397,12 +397,12 @@ def _take_velocity(w, zu, zv, *, n):
 def _measure_along(w, u, wheels, *, n, bias, lateral):
     """z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward: nu, S and C.
 
-    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: what the wheels have shown,
-    speed / scale = forward - delay (ax - b).
+    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: the reading of the wheels, speed /
+    scale = forward - delay (ax - b).
 
-    R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with
-    t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is turned by 90 degrees;
-    ``away`` is what is forward in it.
+    R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with t = R^T
+    P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is rotated by 90 degrees; ``away``
+    is its forward velocity.
     """
     if lateral:
         shown = u[GZ]
@@ -465,7 +465,7 @@ def absorb_lateral(w, u, *, tilted, measure_lateral):
 
 
 def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
-    """The wheels' speed, ``wheels`` a row of `drives.odometer.Wheels`; not where it lies so far off that they slip."""
+    """The wheels' speed, ``wheels`` a row of `drives.odometer.Wheels`; not if it is so far off that they slip."""
     measure_odometer(w, u, wheels)
     for l in range(LANES):
         used = w[R.N1, l] * w[R.N1, l] <= SLIP_GATE * w[R.S11, l]

@@ -2,8 +2,8 @@
 
 Read it next to `filters.robot_localization`, which has the equations and the textbook form. The eight states are in
 planar8's rows: x, y, vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one
-for each row that differs from the identity, and measurements of single states are absorbed one after the other: with
-a diagonal R that is the joint update.
+for each row that differs from the identity, and measurements of single states are used one after the other: with a
+diagonal R this is the joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -80,7 +80,7 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 def _absorb(w, z, *, state, noise, gate):
     """A measurement of one state: x += K nu; P' = P - p p' / S, and the state's own column p R / S.
 
-    ``gate``: the row of the NIS from which on it is left out; 0: none.
+    ``gate``: the row of the NIS at which it is rejected; 0: none.
     """
     for l in range(LANES):
         r, use = w[noise, l], 1.0
@@ -114,7 +114,7 @@ _absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
 
 @kernel
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
-    """nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU, turned by the mean heading."""
+    """nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU, rotated by the mean heading."""
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
         w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]
@@ -184,7 +184,7 @@ def _add_forecast(w):
 
 @kernel
 def step(w, u, happens, z, wheels, lever, since):
-    """Predict to the end of a step; absorb the IMU sample, then the fix there."""
+    """Predict to the end of a step; update with the IMU sample, then with the fix."""
     d, gz, ax, ay = u[DT], u[GZ], u[AX], u[AY]
     if d > 0.0:
         _predict(w, d, u[Q_SCALE])

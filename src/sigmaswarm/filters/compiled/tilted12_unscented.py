@@ -1,14 +1,14 @@
 """tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
 Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Any square root L of P is right for
-them; take the one with the states first that do not enter linearly, in the order of `tilted.STEP_FIRST` and
+them; take the one that begins with the states that do not enter linearly, in the order of `tilted.STEP_FIRST` and
 `MEASURED_FIRST`. Then its other columns move states that enter linearly while those are fixed: position, velocity and
 the accelerometer's biases. Only the first columns need points:
 
-- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these turn as
-  the centre does, so their error stays as it is, and the acceleration is that of the centre, turned in closed form.
-- In a fix, the attitude, which turns the lever arm, also in closed form.
-- In the lateral constraint and the odometer, the attitude, which turns the velocity.
+- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these rotate as
+the center does, so their error does not change, and the acceleration is that of the center, rotated in closed form.
+- In a fix, the attitude, which rotates the lever arm, also in closed form.
+- In the lateral constraint and the odometer, the attitude, which rotates the velocity.
 
 Write a function of the state as its linear part plus r, which is 0 at the center and at all points that are not drawn.
 Let r+ and r- be at the points of column c, and gamma^2 = alpha^2 (n + kappa). The slope is d = (r+ - r-) / (2 gamma),
@@ -76,7 +76,10 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """H in place of the slopes, mu, and what the bends add to the covariance; ``columns`` of each output."""
+    """H in place of the slopes, mu, and the addition of the curvatures to the covariance.
+
+    ``columns`` of each output.
+    """
     for l in range(LANES):
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
         spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
@@ -198,12 +201,12 @@ def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
 
 
 def _chosen(new, w, l, row):
-    """A number of a point far from the centre, else what stands in a row."""
+    """A number of a point far from the center, else the value of a row."""
     return new if w[R.POINT_FAR, l] > 0.0 else w[row, l]
 
 
 def _draw(w, u, *, j, far, point, sinc_cos):
-    """Slopes and bends of column j of the root, from its two points."""
+    """Slopes and curvatures of column j of the root, from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for l in range(LANES):
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
@@ -258,7 +261,7 @@ _linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
 
 @kernel
 def _turn_acceleration(w):
-    """Slopes and bends of the columns of the attitude."""
+    """Slopes and curvatures of the columns of the attitude."""
     for l in range(LANES):
         east, north, up = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
@@ -282,7 +285,7 @@ def _turn_acceleration(w):
 
 @kernel
 def _unscented_transition(w, u):
-    """H, mu and what is added to the covariance of a step; the mean is moved by mu."""
+    """H, mu and the addition to the covariance of a step; mu is added to the mean."""
     _root_of_step(w)
     ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
     far = 0

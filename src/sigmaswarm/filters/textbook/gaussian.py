@@ -61,7 +61,7 @@ class Prediction:
 
 
 def less_whole_turns(values: Array, columns: Sequence[int]) -> Array:
-    """``values``, shape (..., m), with the columns that are angles (rad) brought to within half a turn of zero."""
+    """``values``, shape (..., m), with the columns that are angles (rad) wrapped to (-pi, pi]."""
     values = values.copy()
     values[..., columns] -= 2 * np.pi * np.round(values[..., columns] / (2 * np.pi))
     return values

@@ -1,6 +1,6 @@
 """NMEA 0183 sentences of a receiver, through pynmeagps: GGA or GNS for position, RMC for date and velocity, GST.
 
-Sentences with one time of day make one fix. The day comes from RMC or ZDA and goes on at midnight.
+Sentences with one time of day make one fix. The day is from RMC or ZDA and advances at midnight.
 """
 
 import math
@@ -46,7 +46,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a log; it is decoded when its rows are wanted."""
+    """Open a log; it is decoded when its rows are read."""
     pynmeagps = library("pynmeagps", "logs")
     remarks: list[str] = []
     return of_rows(path, "fixes", COLUMNS, lambda: _rows(path, pynmeagps, remarks), GUESS, remarks)
@@ -83,7 +83,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
 
 
 def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[Any, float]]:
-    """The sentences that are whole, and the share of the file that is read."""
+    """The complete sentences, and the share of the file that is read."""
     broken = complete = read = 0
     size = path.stat().st_size
     with path.open("rb") as file:

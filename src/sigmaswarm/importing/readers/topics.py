@@ -1,4 +1,4 @@
-"""Which topics a drive is made of, by what their messages hold (sensor_msgs, geometry_msgs, nav_msgs)."""
+"""The topics of a drive, by the content of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
 
 import math
 import re
@@ -19,13 +19,13 @@ _FIX = {"lat": "latitude", "lon": "longitude", "alt": "altitude"}
 _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
 _POSITION = {"x": "position.x", "y": "position.y"}
 _SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
-"""Where messages have the speed of the wheels: nav_msgs and geometry_msgs, Autoware's reports, and others."""
+"""Paths of the speed of the wheels in messages: nav_msgs and geometry_msgs, Autoware's reports, and others."""
 _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
 _SATELLITES = re.compile(r"gps|gnss", re.IGNORECASE)
 STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_FIX, _POSITION)}
-"""By role, the paths of its numbers in standard messages."""
+"""The paths of numbers in standard messages, by role."""
 
 
 def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
@@ -159,7 +159,7 @@ class Topics:
         return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Fixes: NavSatFix in degrees, or a pose in meters east and north; deviations where they are stated."""
+        """Fixes: NavSatFix in degrees, or a pose in meters east and north; with stated deviations, if any."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
@@ -192,7 +192,7 @@ class Topics:
         return found
 
     def _part(self, topic: str, columns: dict[str, str]) -> Part:
-        """The part with its time: the header's stamp, unless it is unset or not wanted."""
+        """The part with its time: the header's stamp, unless it is unset or excluded."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
             self.notes.append(f"{topic}: messages have no header; receive times taken")

@@ -1,8 +1,8 @@
 """u-blox receivers' UBX streams, through pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
-u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are
-standard deviations as the receiver sees them. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED
-in cm/s, times in GPS week (SOL) and ms of week. Other messages in the stream, NMEA among them, are passed over.
+u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are standard
+deviations by the receiver's estimate. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in cm/s,
+times in GPS week (SOL) and ms of week. Other messages in the stream, such as NMEA, are skipped.
 """
 
 import calendar
@@ -66,7 +66,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a stream; it is decoded when its rows are wanted."""
+    """Open a stream; it is decoded when its rows are read."""
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: holds no UBX messages; name the format with --format")
@@ -87,7 +87,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row a NAV-PVT message with a valid date and time."""
+    """One row per NAV-PVT message with a valid date and time."""
     broken = undated = 0
     for raw, done in _messages(path):
         if raw is None or raw[2:4] != NAV_PVT:
@@ -111,7 +111,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
 
 
 def _time(message: Any) -> float:
-    """s since 1970; ValueError where the calendar has no such day or the day no such time."""
+    """s since 1970; ValueError for an impossible date or time."""
     day = date(message.year, message.month, message.day)
     if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
         raise ValueError("no time of day")
@@ -120,7 +120,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row a time of week, of the messages that state it; the week is the last one that NAV-SOL stated."""
+    """One row per time of week, from the messages that state it; the week is the last one in NAV-SOL."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
@@ -159,7 +159,7 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
 
 
 def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
-    """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is done.
+    """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is read.
 
     The length of a damaged message is unreliable: the next one is searched right after its first bytes.
     """
