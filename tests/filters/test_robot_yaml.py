@@ -15,8 +15,9 @@ from sigmaswarm.drives.drive import Odometer
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.exports.robot_localization import robot_localization
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.robot_localization import NAME
-from sigmaswarm.filters.robot_yaml import NOT_FUSED, filter_for
+from sigmaswarm.filters.robot_yaml import NOT_FUSED
 from sigmaswarm.tuning.space import search_space
 from support import make_drive
 

@@ -98,7 +98,7 @@ def _tune(
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.drives.sensors import sensors_of
-    from sigmaswarm.filters.robot_yaml import filter_for
+    from sigmaswarm.filters.presets import filter_for
     from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter

@@ -11,7 +11,7 @@ from sigmaswarm.exports.features import features_of, in_range, values_of
 from sigmaswarm.exports.template import fill
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_localization import PLACES
+from sigmaswarm.filters.robot_yaml import PLACES
 from sigmaswarm.scoring.drifts import OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import Evaluation
 from sigmaswarm.versions import __version__

@@ -19,6 +19,7 @@ from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
+from sigmaswarm.filters.robot_yaml import IMU_NOISE, YAML, read_configuration
 from sigmaswarm.records import read_content
 from sigmaswarm.wording import first_mistake, shown
 
@@ -127,7 +128,7 @@ class FilterParameters:
     fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
-    imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option((1e-4, 1e-2))
+    imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option(IMU_NOISE)
     imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
@@ -233,9 +234,8 @@ class FilterParameters:
         """
         path = Path(path)
         if path.suffix in YAML:
-            from sigmaswarm.filters.robot_yaml import read_configuration  # which makes such parameters
-
-            return read_configuration(path)
+            usual: dict[str, Any] = {"model": "robot-localization", "kind": "ekf", "nominal_interval": 1.0}
+            return cls(1.0, 0.0, 0.0, measurement_noise=(1.0, 1.0), **usual, **read_configuration(path))
         if path.is_dir():
             from sigmaswarm.drives.reader import has_table  # slow to import
 
@@ -289,8 +289,6 @@ _SCALED = (
     "fix_error",
 )
 """Variances, or factors of them, besides Q and R."""
-YAML = (".yaml", ".yml")
-"""Endings of configurations of robot_localization."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 

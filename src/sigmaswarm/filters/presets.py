@@ -15,17 +15,20 @@ A tuning is compared with a filter of the same model and options with usual nois
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
 
+from sigmaswarm.datasets.dataset import Dataset
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_localization import NOT_FUSED, SMALLEST
+from sigmaswarm.filters.robot_yaml import NOT_FUSED, PROCESS_NOISE, SMALLEST, SPEED_NOISE, YAML
 
 PresetName = Literal["defaults", "datasheet", "paper"]
 
@@ -49,8 +52,6 @@ BY_HAND = {
     "robust_dof": 4.0,
 }
 """Usual values of parameters without a data sheet: m2/s2; the 99% gate; the receiver's statement taken as right."""
-ROBOT_LOCALIZATION_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
-"""robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 HALF_A_WHEELBASE = 1.3
 """m from the rear axle to an IMU in the middle of a car."""
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
@@ -111,16 +112,27 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
         plain,
         model=like.model,
         kind=like.kind,
-        process_noise=tuple(drive.nominal_interval * q for q in ROBOT_LOCALIZATION_NOISE),
+        process_noise=tuple(drive.nominal_interval * q for q in PROCESS_NOISE),
         measurement_noise=states or plain.measurement_noise,
         accuracy_scale=accuracy,
         imu_noise=_stated_imu(drive, plain),
-        lateral_noise=like.lateral_noise and 0.1**2,
-        odometer_noise=like.odometer_noise and 0.1**2,
+        lateral_noise=like.lateral_noise and SPEED_NOISE,
+        odometer_noise=like.odometer_noise and SPEED_NOISE,
     )
 
 
-def as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
+def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> FilterParameters:
+    """Load a filter; one of an ekf.yaml gets the variances that the messages of the first drive state."""
+    if isinstance(given, FilterParameters):
+        return given
+    parameters = FilterParameters.load(given)
+    if Path(given).suffix not in YAML:
+        return parameters
+    (stated,) = dataset.subset([0]).map(partial(_as_stated, p=parameters))
+    return stated
+
+
+def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     """Fill in the variances that a drive's messages state, in a filter from a configuration of robot_localization."""
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]

@@ -18,17 +18,12 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.robot_yaml import SMALLEST
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.geodesy import wrap_angle
 
 NAME = "robot-localization"
 X, Y, VX, VY, YAW, AX, AY, VYAW = range(8)
-PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
-"""Places of the eight states among robot_localization's 15."""
-SMALLEST = 1e-9
-"""robot_localization raises variances of measurements to this."""
-NOT_FUSED = 1e9
-"""Variance of an entry of the IMU that a configuration does not fuse."""
 
 
 class TextbookRobotLocalization:

@@ -1,25 +1,34 @@
 """A configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
 
 The file has process noise, thresholds and the fused entries. The variances of measurements are in the messages, so
-`filter_for` takes them from a drive.
+`presets.filter_for` takes them from a drive.
 """
 
 import math
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from sigmaswarm.datasets.dataset import Dataset
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.filters.parameters import YAML, FilterParameters
-from sigmaswarm.filters.presets import BY_HAND, ROBOT_LOCALIZATION_NOISE, as_stated
-from sigmaswarm.filters.robot_localization import NAME, NOT_FUSED, PLACES
 from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import shown
+
+YAML = (".yaml", ".yml")
+"""Endings of such files."""
+PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
+"""Places of the eight states among robot_localization's 15."""
+PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
+"""robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
+IMU_NOISE = (1e-4, 1e-2)
+"""Usual variances of gz ((rad/s)2) and ax ((m/s2)2)."""
+SPEED_NOISE = 0.1**2
+"""Usual variance of a measured speed, (m/s)2."""
+SMALLEST = 1e-9
+"""robot_localization raises variances of measurements to this."""
+NOT_FUSED = 1e9
+"""Variance of an entry of the IMU that a configuration does not fuse."""
 
 _X, _YAW, _VX, _VY, _VYAW, _AX, _AY = 0, 5, 6, 7, 11, 12, 13
 _CONFIG = re.compile(r"((odom|pose|twist|imu)\d+)_config")
@@ -27,19 +36,8 @@ _BLOCK = re.compile(rf"{_CONFIG.pattern}|process_noise_covariance")
 Block = Mapping[str, Any]
 
 
-def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> FilterParameters:
-    """Load a filter; one of an ekf.yaml gets the variances that the messages of the first drive state."""
-    if isinstance(given, FilterParameters):
-        return given
-    parameters = FilterParameters.load(given)
-    if Path(given).suffix not in YAML:
-        return parameters
-    (stated,) = dataset.subset([0]).map(partial(as_stated, p=parameters))
-    return stated
-
-
-def read_configuration(path: Path) -> FilterParameters:
-    """Read an ekf.yaml of ROS 1 or 2; variances of the messages are usual ones.
+def read_configuration(path: Path) -> dict[str, Any]:
+    """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2; variances of the messages are usual ones.
 
     Raises
     ------
@@ -62,20 +60,19 @@ def read_configuration(path: Path) -> FilterParameters:
     noise = _process_noise(block, path)
     if left := "; ".join(_left_out(block, inputs)):
         warnings.warn(f"{path}: {left}", SigmaswarmWarning, stacklevel=4)
-    usual = FilterParameters(1.0, 0.0, 0.0, noise, (1.0, 1.0), model=NAME, kind="ekf", nominal_interval=1.0)
-    r_gyro, r_accel = usual.imu_noise[:2]
+    r_gyro, r_accel = IMU_NOISE
     r_imu = (r_gyro if gyro else NOT_FUSED, r_accel if accel else NOT_FUSED)
-    return replace(
-        usual,
-        imu_noise=(*r_imu, r_accel) if any(entries[_AY] for entries in imu) else r_imu,
-        gate=_threshold(block, path, fixes and [f"{fixes}_pose", fixes]),
-        imu_gate=(
+    return {
+        "process_noise": noise,
+        "imu_noise": (*r_imu, r_accel) if any(entries[_AY] for entries in imu) else r_imu,
+        "gate": _threshold(block, path, fixes and [f"{fixes}_pose", fixes]),
+        "imu_gate": (
             _threshold(block, path, [f"{name}_twist" for name in inertial]) or math.inf,
             _threshold(block, path, [f"{name}_linear_acceleration" for name in inertial]) or math.inf,
         ),
-        lateral_noise=BY_HAND["odometer_noise"] if no_slip else None,
-        odometer_noise=BY_HAND["odometer_noise"] if wheels else None,
-    )
+        "lateral_noise": SPEED_NOISE if no_slip else None,
+        "odometer_noise": SPEED_NOISE if wheels else None,
+    }
 
 
 def _loaded(path: Path) -> Any:
@@ -124,7 +121,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
     """Variances per second of the eight states; the defaults where the file states none."""
     key = "process_noise_covariance"
     if key not in block:
-        return ROBOT_LOCALIZATION_NOISE
+        return PROCESS_NOISE
     given = block[key]
     try:  # YAML 1.1 takes 1e-9 for text
         values = [float(value) for value in given]

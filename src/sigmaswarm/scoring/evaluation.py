@@ -22,8 +22,8 @@ from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.replay import Replay, joined
-from sigmaswarm.filters.robot_yaml import filter_for
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of

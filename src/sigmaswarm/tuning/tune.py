@@ -19,7 +19,7 @@ from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_yaml import filter_for
+from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import (
     ModelTuneConfig,
