@@ -64,8 +64,8 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and read the fits.
 
-    Where the gyro does not follow the course as recorded, and within a second, an offset of the clocks of up to 40 s is
-    searched first, and the fixes' times are moved by it before axes are read.
+    Where the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first,
+    up to 40 s. The fixes' times are moved by it before axes are read.
     """
     evidence = _gather(drive)
     course, fit = evidence.course, evidence.yaw_fit

@@ -47,7 +47,7 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
-    """Return the default filter of the mended drive, untuned: it judges repairs of clocks, too."""
+    """Return the baseline of the mended drive's default filter, which judges repairs of clocks, too."""
     model = "tilted12" if has_attitude(mended) else "planar8"
     like = FilterParameters(
         *(0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0, 1.0)),
@@ -63,7 +63,7 @@ def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all faults repaired that can be.
 
-    A filter set by hand runs over the log before and after; for a repair of clocks also the default filter, untuned.
+    A filter set by hand runs over the log before and after, for a repair of clocks also the default filter's baseline.
     Where the forecasts of either, of the next fix or of fixes hidden for 3 to 5 s, get worse by more than 5%, the
     repair of axes or clocks that is to blame is withheld.
 
