@@ -75,10 +75,11 @@ def gather(drive: Drive) -> Evidence:
     if fit.share > EXPLAINED and evidence.yaw == AS_RECORDED and abs(fit.late) < USUAL:
         return evidence
     late = search_offset(drive, course)
-    if late is None and not fits and fit.course_change >= LEAST_TURN:  # without the clock no axis can be read
+    if fits or fit.course_change < LEAST_TURN:  # only a large offset contradicts this reading
+        if late is None or abs(late) < SEARCHED:
+            return evidence
+    elif late is None:  # without the clock no axis can be read
         return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
-    if late is None or (fits and abs(late) < SEARCHED):
-        return evidence
     rest = 0.0
     for _ in range(2):  # the fits give the rest
         evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - late)))
