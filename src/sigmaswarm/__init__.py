@@ -122,7 +122,7 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.batch import run_batch
     from sigmaswarm.tuning.config import TuneConfig as TuneConfig
     from sigmaswarm.tuning.lever_arm import LeverArmEstimate as LeverArmEstimate
-    from sigmaswarm.tuning.lever_arm import estimate_lever_arm
+    from sigmaswarm.tuning.lever_arm import estimate_lever_arm as estimate_lever_arm
     from sigmaswarm.tuning.result import Tuning
     from sigmaswarm.tuning.tune import tune
 
@@ -194,7 +194,6 @@ __all__ = [
     "Tuning",
     "baseline",
     "diagnose",
-    "estimate_lever_arm",
     "evaluate",
     "export",
     "import_log",

@@ -189,7 +189,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "out-exists": (
         results,
         "tune good --out t --particles 2 --generations 1",
-        ["t", "already holds", "--resume"],
+        ["t", "already contains", "--resume"],
     ),
     "out-of-another": (
         results,

@@ -29,7 +29,7 @@ class SimulateOptions:
     maneuver
         cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
     environment
-        clear, night, rain, fog, slippery; all by default. Clear, night and fog share one physics.
+        clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs
         Drives of each maneuver in each environment.
     imu
@@ -54,7 +54,7 @@ class SimulateOptions:
     odometer
         pulses (counted, coarse), can (fine, 83 Hz) or ideal: wheel speed with scale error and slip. None by default.
     heading
-        dual-antenna (0.4 deg) or ideal: the receiver tells a heading with each fix. None by default.
+        dual-antenna (0.4 deg) or ideal: the receiver gives a heading with each fix. None by default.
     resume
         Keep existing drives and simulate the missing ones.
     """

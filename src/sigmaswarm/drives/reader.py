@@ -79,7 +79,7 @@ def read_drive(path: str | Path) -> Drive:
     Raises
     ------
     DriveError
-        The folder, a file, a cell or a key is unusable; one line says where, why and what to do.
+        The folder, a file, a cell or a key is unusable; the message states place, fault and remedy.
 
     Warns
     -----

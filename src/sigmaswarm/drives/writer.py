@@ -28,7 +28,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     Parameters
     ----------
     drive : Drive
-        Of a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again. Its name is
+        For a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again. Its name is
         written where the folder has another one.
     path : str or Path
         The folder to make, with its parents.

@@ -66,7 +66,7 @@ REFUSED = {
 
 
 class GridOptions(CompareOptions, total=False):
-    """All options of a comparison: what it varies, and those of every tuning."""
+    """All options of a comparison: the varied ones, and those of every tuning."""
 
     optimizers: Sequence[str]
     scales: Sequence[str]

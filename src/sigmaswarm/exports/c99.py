@@ -57,7 +57,7 @@ def c99(
     Raises
     ------
     InputError
-        If a number of the filter has no place in C, or the IMU would be too fast.
+        If a number of the filter cannot be written in C, or the IMU would be too fast.
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(

@@ -80,7 +80,7 @@ def check_export(
     Raises
     ------
     InputError
-        If there is no C compiler, or it refuses; or if a drive lacks what the filter reads.
+        If there is no C compiler, or it refuses; or if a drive lacks an input of the filter.
     AlignmentError
         If a drive never moves far enough for a start.
     """

@@ -117,7 +117,7 @@ def in_range(value: float, of: str) -> float:
     Raises
     ------
     InputError
-        If it is beyond the range of floating point; ``of`` says what it is made of.
+        If it is beyond the range of floating point; ``of`` states its origin.
     """
     if not math.isfinite(value):
         raise InputError(

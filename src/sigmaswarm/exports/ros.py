@@ -64,7 +64,7 @@ def ros2(
     time_origin : float
         s on the bag's clock at which the estimate's times are 0.
     origin : (latitude deg, longitude deg, altitude m), optional
-        Of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
+        Position of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
     innovations : Innovations, optional
         Of the filter at each fix, for topics of innovations, their standard deviations and the NIS.
     merge : Path, optional
@@ -79,7 +79,7 @@ def ros2(
     Warns
     -----
     SigmaswarmWarning
-        Of topics that could not be copied.
+        For topics that could not be copied.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer

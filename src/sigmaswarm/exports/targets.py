@@ -41,7 +41,7 @@ def export_texts(
     Parameters
     ----------
     parameters : FilterParameters
-        With ``nominal_interval``, as every tuning has it.
+        Parameters with ``nominal_interval``, which every tuning has.
     target : {"filterpy", "c99", "robot_localization"}
         robot-localization is another name of the last.
     replay : Drive, optional
@@ -61,8 +61,8 @@ def export_texts(
     Raises
     ------
     InputError
-        If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
-        variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
+        If the target is unknown or does not support the model, the parameters lack the interval of Q, a variance
+        is unusable, or the target does not accept a given ``replay`` or ``lanes``.
     """
     if target == "robot-localization":
         target = "robot_localization"

@@ -131,7 +131,7 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Some of its sets, which share what was computed for all of them."""
+        """Some of its sets, which share the values computed for all."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part

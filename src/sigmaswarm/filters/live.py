@@ -218,7 +218,7 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if it was ignored (before the start, too late, or a repeat) or is held.
+            False if it was ignored (before the start, too late, or a repeat) or waits.
 
         Raises
         ------

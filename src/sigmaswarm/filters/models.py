@@ -88,7 +88,7 @@ def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
 
 
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: a car on its wheels has none at its rear axle."""
+    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: 0 at the rear axle of a car on its wheels."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
@@ -222,8 +222,8 @@ class CarModel:
         The axes that drive it, as a time line names them.
     position, velocity, lateral, odometer, heading, rates_at_rest : callable
         Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
-        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `heading` of the angle that it is
-        near, `gyro_bias`; those of a tilted model have a ``jacobian``.
+        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `heading` near an
+        angle, `gyro_bias`. Those of a tilted model have a ``jacobian``.
     tilts : Tilts or None
         Of a model whose attitude is more than a heading.
     kinds : tuple of str

@@ -44,7 +44,7 @@ def read_configuration(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the file is no such configuration.
+        If the file is not such a configuration.
 
     Warns
     -----

@@ -180,7 +180,7 @@ class Antenna:
 
 @dataclass(frozen=True)
 class RearAxle:
-    """The velocity to the left (m/s) at the rear axle: a car on its wheels has none, and none up from the road.
+    """The velocity to the left (m/s) at the rear axle: 0 for a car on its wheels, as the velocity up from the road.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.gather import Gathered, complete_part, gather
+from sigmaswarm.importing.gather import Gathered, complete_parts, gather
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
@@ -99,7 +99,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     ----------
     request : Request
     name : str
-        Of the drive.
+        Name of the drive.
     progress : callable
         Called with the share that is done, 0 to 1.
 
@@ -272,10 +272,11 @@ def _gather_all(
     total, before = sum(sizes.values()), 0
     for path, log in logs.items():
         mine: list[tuple[Role, Part]] = [
-            (role, complete_part(part, log, role))
+            (role, one)
             for role in ROLES
             if request.home(role) == path
             for part in recipe.roles.get(role, ())
+            for one in complete_parts(part, log, role)
         ]
         share = _share(progress, before / total, sizes[path] / total)
         read = gather(log, [part for _, part in mine], share, request.limits)

@@ -44,7 +44,7 @@ class Limits:
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
-                f"{path}: has more than {self.columns} columns; raise --max-columns if it is sound"
+                f"{path}: has more than {self.columns} columns; raise --max-columns if this is right"
             )
         return tuple(name for name in found if name)
 

@@ -82,7 +82,7 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
     """Accelerations in g or mg if their magnitude is then gravity; rates in deg/s if they exceed 5.
 
-    Others are in SI units, or raw counts if they exceed what a car can do.
+    Others are in SI units, or raw counts if they are too large for a car.
     """
     text = columns.text(what)
     letter = what[0]

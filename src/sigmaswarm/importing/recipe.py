@@ -143,7 +143,7 @@ def with_maps(
     Raises
     ------
     InputError
-        An entry is no ``column=expression``, or no role has such a column.
+        An entry is not ``column=expression``, or no role has such a column.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()

@@ -91,7 +91,7 @@ class LearnConfig:
     search : int
         Number of further settings (units, window, learning rate) to try; the best on the held-out data is kept.
     seed : int
-        Same seed, same bits on the same machine.
+        The same seed gives the same bits on the same machine.
     """
 
     kind: NetworkName

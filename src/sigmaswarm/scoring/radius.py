@@ -5,9 +5,9 @@ position keeps the variance of these errors, whatever the filter's covariance is
 
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
 
-with P the mean of the filter's variances of x and y, s the standard deviation of the fixes (`receiver_std`), w the
-white noise that they show (`white_noise`), and g s^2 the variance of the filter's own states for errors that last, if
-it has them. So nothing is added for a receiver with white errors. A short training drive determines a covariance from
+with P the mean of the filter's variances of x and y, s the standard deviation of the fixes (`receiver_std`), and w the
+white noise that they show (`white_noise`). A filter that has states for errors that last has their variance g s^2 in P;
+otherwise g = 0. Nothing is added for a receiver with white errors. A short training drive determines a covariance from
 few independent errors. So the error over sigma has Student's t distribution with `DOF` degrees of freedom, and for a
 probability q
 

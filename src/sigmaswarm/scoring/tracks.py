@@ -50,7 +50,7 @@ class Tracks:
     Attributes
     ----------
     name : str
-        Of the drive.
+        Name of the drive.
     series : mapping of str to mapping of str to ndarray, shape (n,)
         ``truth``, ``raw_gps``, ``imu_only`` and the filters have time (s), x, y (m); methods also position_error (m),
         filters and ``imu_only`` heading_error (deg), filters position_3sigma (m) and heading_3sigma (deg). ``F.nis``

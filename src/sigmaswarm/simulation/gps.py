@@ -92,7 +92,7 @@ GPS_GRADES = {
 
 @dataclass(frozen=True)
 class HeadingGrade:
-    """A named quality of the heading that a receiver tells with each fix.
+    """A named quality of the heading that a receiver gives with each fix.
 
     Attributes
     ----------

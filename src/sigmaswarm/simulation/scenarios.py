@@ -109,7 +109,7 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     odometer : str or OdometerGrade, optional
         "pulses", "can" or "ideal": see `ODOMETER_GRADES`. No odometer by default.
     heading : str or HeadingGrade, optional
-        "dual-antenna" or "ideal": the receiver tells a heading, see `HEADING_GRADES`. None by default.
+        "dual-antenna" or "ideal": the receiver gives a heading, see `HEADING_GRADES`. None by default.
 
     Returns
     -------

@@ -35,10 +35,12 @@ UNKNOWN_STD, STATED_STD = 2.0, 1.0
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of the accelerometers' scales in a planar filter: the body rolls and pitches with them."""
-PRIOR_STD = {"rear_axle": 1.0, "tire_slip": 0.01, "scale_ax": 0.03, "scale_ay": 0.03, "scale_gz": 0.03}
-"""Of the other unknowns: m, s2/m, 1."""
-STEP = {"forward": 0.1, "left": 0.1, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(SCALES, 0.005)
-"""For derivatives, in the units of the unknowns."""
+PRIOR_STD = dict.fromkeys(SCALES, 0.03) | {"latency": 0.02, "rear_axle": 1.0, "tire_slip": 0.01}
+"""Standard deviations of the priors of the other unknowns: 1, s, m, s2/m; the last three are parameters of filters."""
+STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(
+    SCALES, 0.005
+)
+"""Steps of finite differences, in the units of the unknowns."""
 DOF = 8.0
 """Degrees of freedom of Student's t, which downweights outliers."""
 BLOCK = 20.0
@@ -207,9 +209,7 @@ def _maximum(
     """
     prior = {**arm, **_others(parameters)}
     values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
-    values = {name: values[name] for name in prior}
-    if "rear_axle" in values:
-        values |= {"rear_axle": parameters.rear_axle, "tire_slip": parameters.tire_slip}
+    values = {name: getattr(parameters, name, values[name]) for name in prior}
     found = _step(drives, parameters, values, prior)
     for _ in range(ROUNDS - 1):
         if np.abs(found[0][: len(ARM)]).max() < CONVERGED:
@@ -257,11 +257,12 @@ def _deviations(
 
 
 def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of the prior of the unknowns besides the arm."""
+    """Mean and standard deviation of the prior of the other unknowns."""
     model = MODELS[p.model]
     rolling = {} if model.tilts else {"scale_ax": ROLLING, "scale_ay": ROLLING}
-    names = SCALES if p.lateral_noise is None or model.measures_imu else tuple(PRIOR_STD)
-    mean = {"rear_axle": HALF_A_WHEELBASE}
+    names = SCALES if model.measures_imu else (*SCALES, "latency")
+    names += () if model.measures_imu or p.lateral_noise is None else ("rear_axle", "tire_slip")
+    mean = {"rear_axle": HALF_A_WHEELBASE, "latency": p.latency}
     return {name: (mean.get(name, 0.0), {**PRIOR_STD, **rolling}[name]) for name in names}
 
 
@@ -290,6 +291,6 @@ def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) 
     driving[:, : len(SCALES)] *= 1.0 + np.array([values[name] for name in SCALES])
     lever = np.array([*(values[name] for name in ARM), line.lever[2]])
     moved = replace(line, lever=lever, driving=driving)
-    p = replace(p, **{name: values[name] for name in ("rear_axle", "tire_slip") if name in values})
+    p = replace(p, **{name: value for name, value in values.items() if hasattr(p, name)})
     replay = Replay(moved, replace(start, mean=mean), Targets.none(moved))
     return Recording(replay, p).finished().innovations

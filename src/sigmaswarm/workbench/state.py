@@ -134,7 +134,7 @@ def _read_choices(file: Path) -> dict[str, Any]:
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Do work and return its result, or None and the sentence of its error."""
+    """Run a function; return its result, or None and the message of its error."""
     try:
         return work(*arguments, **options), ""
     except sigmaswarm.SigmaswarmError as error:

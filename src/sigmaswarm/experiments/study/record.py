@@ -99,7 +99,7 @@ class PairedStatistics(_Part):
     ----------
     mean_difference, interval : method less other (negative: better), with its bootstrap interval over drives
     p : of Wilcoxon's signed-rank test, two-sided
-    rank_biserial : effect size, -1 to 1: share of the rank sum in favor less the share against
+    rank_biserial : effect size, -1 to 1: share of the rank sum in favor minus the share against
     improvement, improvement_interval : percent, the paper's equation 5
     n_drives : int
     """

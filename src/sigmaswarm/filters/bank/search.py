@@ -32,7 +32,7 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
-"""Of differential evolution: F and CR."""
+"""F and CR of differential evolution."""
 NOT_SCORED = 2.0
 """s at the beginning of a replay, in which a filter of other offsets settles."""
 FEWEST_FIXES = 8

@@ -154,7 +154,7 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
 def _told_apart(known: Names) -> str:
     """Distinguish a function from others that are made of the same one: a hash of its bound names.
 
-    Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
+    Numba names machine code after a function's qualified name and the number of compilations of the process. So
     kernels of two models, compiled by two processes, may have the same name, and when both are loaded from the cache,
     one would run in place of the other.
     """

@@ -53,7 +53,7 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
     ----------
     samples, newest, n : the ring, the row of its last sample, its number of samples
     fixes, end : fixes, and how many
-    gyro_bias : what is known of it, rad/s
+    gyro_bias : known bias of the gyro, rad/s
     """
     now = samples[newest, 0]
     last = last_fix(fixes, end, now, -math.inf)

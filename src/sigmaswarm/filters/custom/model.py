@@ -154,7 +154,7 @@ class Model:
         Raises
         ------
         InputError
-            If one is missing, unknown, or no finite number.
+            If one is missing, unknown or not finite.
         """
         known = [t.name for t in self.parameters]
         needed = [*SCALING_NAMES, *known] if self.kind == "ukf" else known
