@@ -121,6 +121,8 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.batch import BatchResult as BatchResult
     from sigmaswarm.tuning.batch import run_batch
     from sigmaswarm.tuning.config import TuneConfig as TuneConfig
+    from sigmaswarm.tuning.lever_arm import LeverArmEstimate as LeverArmEstimate
+    from sigmaswarm.tuning.lever_arm import estimate_lever_arm as estimate_lever_arm
     from sigmaswarm.tuning.result import Tuning
     from sigmaswarm.tuning.tune import tune
 
@@ -162,6 +164,7 @@ _HOMES = {
     "simulation.scenarios": "simulate",
     "tuning.batch": "BatchResult run_batch",
     "tuning.config": "TuneConfig",
+    "tuning.lever_arm": "LeverArmEstimate estimate_lever_arm",
     "tuning.result": "Tuning",
     "tuning.tune": "tune",
 }

@@ -95,7 +95,9 @@ def test_a_clock_that_is_set_is_no_absurd_number(
         assert len(read_drive(folder).imu) == len(drive.imu)
 
 
-@pytest.mark.parametrize("key", ["gps_std_m", "accel_noise_density", "gyro_noise_density", "gps_lever_arm_m"])
+@pytest.mark.parametrize(
+    "key", ["gps_std_m", "accel_noise_density", "gps_lever_arm_m", "gps_lever_arm_std_m"]
+)
 @pytest.mark.parametrize("value", ["1e16", "1e155", "1e300", "inf", "nan"])
 def test_a_key_is_refused(key: str, value: str, tmp_path: Path):
     folder = write_drive(make_drive(duration=20.0), tmp_path / "d")

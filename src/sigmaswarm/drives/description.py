@@ -19,6 +19,7 @@ Origin = tuple[float, float, float]
 POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
+    "gps_lever_arm_std_m": ((2, 3), "[0.05, 0.05, 0.1]"),
     "gps_std_m": ((0,), "1.5"),
     "heading_deg": ((0,), "90.0"),
     "accel_noise_density": ((0,), "0.004"),

@@ -1,6 +1,6 @@
 """Compare optimizers with the same budget on the same drives, over many seeds.
 
-A folder of a comparison holds
+A folder of a comparison contains
 
     config.json       configuration and data; a resumed comparison must have the same
     runs/NAME-SEED/   the folder of each tuning, as `tune` writes it, and run.json once it has ended
@@ -66,7 +66,7 @@ REFUSED = {
 
 
 class GridOptions(CompareOptions, total=False):
-    """All options of a comparison: what it varies, and those of every tuning."""
+    """All options of a comparison: the varied ones, and those of every tuning."""
 
     optimizers: Sequence[str]
     scales: Sequence[str]

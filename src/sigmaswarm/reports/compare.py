@@ -52,7 +52,7 @@ def comparison_table(comparison: Comparison) -> Table:
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Median [95% interval of the median], worst "
         f"run, and p: paired Wilcoxon test against {comparison.contenders[0].label}, corrected after Holm over the "
-        "rows. Steps: filter steps spent, of what the budget takes on all drives. Touched bounds: in how many runs a "
+        "rows. Steps: filter steps spent, as a share of the budget on all drives. Touched bounds: in how many runs a "
         f"parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
         f"held out: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )

@@ -50,7 +50,7 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        2 where the filter is consistent; above, it is optimistic.
+        2 where the filter is consistent; above, the filter is overconfident.
     nis_band : (float, float)
         95% band of the mean of this many independent values.
     inside_gate : float
@@ -172,7 +172,7 @@ VERDICTS: dict[Kind, str] = {
 
 
 def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
-    """Sentences on the consistency on several drives, one for each kind that holds for a drive."""
+    """Sentences on the consistency on several drives, one for each kind of verdict."""
     known = [one for one in found if one]
     of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)

@@ -87,7 +87,7 @@ class Options:
         Further methods, by names of `ALSO`: callables that run on a replay, such as a trained network.
     fixes_alone : MotionNoise, optional
         Noises of the filter of the fixes alone, ``tuning.fixes_alone``. None: they are fitted to each drive, so its
-        scores are optimistic.
+        scores are lower bounds.
     """
 
     against: FilterParameters | None = None
@@ -328,7 +328,8 @@ def evaluate(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Preferably none of the tuning's. Without truth only the outage drift is computed, against the hidden fixes.
+        Preferably drives that the tuning did not use. Without truth only the outage drift is computed, against the
+        hidden fixes.
     parameters : FilterParameters
         The tuned ones.
     seen : sequence of Landmarks, optional

@@ -1,6 +1,6 @@
 """Tracks and errors over time of every method on a drive, thinned while the methods run, and their file.
 
-`tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array per column, called
+`tracks.npz` contains, for drive number ``i`` in ``names`` and each of its series, one array per column, called
 ``i/series/column``. The same result gives the same bytes; the file has no date.
 """
 
@@ -50,7 +50,7 @@ class Tracks:
     Attributes
     ----------
     name : str
-        Of the drive.
+        Name of the drive.
     series : mapping of str to mapping of str to ndarray, shape (n,)
         ``truth``, ``raw_gps``, ``imu_only`` and the filters have time (s), x, y (m); methods also position_error (m),
         filters and ``imu_only`` heading_error (deg), filters position_3sigma (m) and heading_3sigma (deg). ``F.nis``

@@ -322,7 +322,7 @@ def explained_radius() -> str:
     return (
         "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
         "Its variance per axis is the filter's plus that of fix errors that last, which the log does not show: the "
-        "square of what the receiver states, else of 2.1 m, less the white noise of the fixes. The radii are "
+        "square of what the receiver states, else of 2.1 m, minus the white noise of the fixes. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} sigma, as of Student's t with {DOF:g} degrees of freedom, since a "
         "training drive determines a covariance from few independent errors. The estimates and the filter's own "
         "covariance, also in exports, do not contain this addition."
