@@ -13,6 +13,7 @@ import inspect
 import random
 import re
 import sys
+import textwrap
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -93,9 +94,17 @@ def docstrings(cli: bool) -> Iterator[Text]:
         if ("cli" in path.parts) == cli:
             for node in ast.walk(ast.parse(path.read_text())):
                 if isinstance(node, ast.Expr) and isinstance(text := getattr(node.value, "value", None), str):
-                    # Names of parameters are code.
-                    text = re.sub(r"(?m)^(\s*)\w+(?= : |$)", r"\1", inspect.cleandoc(text))
-                    yield from paragraphs(text, str(path.relative_to(ROOT)), node.lineno)
+                    yield from paragraphs(described(text), str(path.relative_to(ROOT)), node.lineno)
+
+
+def described(docstring: str) -> str:
+    """Return a docstring with the descriptions of parameters as paragraphs; their names are code."""
+    body, *sections = re.split(r"(?m)^(\w[\w ]+\n-{3,})$", inspect.cleandoc(docstring))
+    for head, section in zip(sections[::2], sections[1::2], strict=True):
+        if head.startswith(("Attributes", "Parameters", "Raises", "Returns", "Warns", "Yields")):
+            section = textwrap.dedent(re.sub(r"(?m)^\S.*$", "", section))
+        body += f"\n\n{section}"
+    return body
 
 
 def messages() -> Iterator[Text]:

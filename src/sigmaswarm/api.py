@@ -42,9 +42,9 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     Parameters
     ----------
     log : str or Path
-        A file or folder; it holds the IMU.
+        A file or folder; it contains the IMU.
     name : str, optional
-        Of the drive; by default that of the log.
+        Name of the drive; by default that of the log.
     **settings
         ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ("ax=acc_x*g"), ``time``, ``recipe`` (a
         file) and settings of a recipe, such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
@@ -156,7 +156,7 @@ def evaluate(
     drives : Drive or sequence of Drive
         Without truth only the drift over outages and the consistency are scored, against the fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
-        A `Tuning` also states which drives it saw: the evaluation warns where they overlap.
+        A `Tuning` also contains the names of its drives: the evaluation warns where they overlap.
     against : the same, optional
         A second filter, of any model; also the path of an ekf.yaml of robot_localization.
     **options
@@ -272,7 +272,7 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     ----------
     what : Drive, Evaluation, Tuning or Comparison
     drive : str, optional
-        Of an evaluation: the drive whose track to draw; by default the scores of all methods are compared.
+        For an evaluation: the drive whose track is drawn; by default the scores of all methods are compared.
 
     Returns
     -------

@@ -215,7 +215,7 @@ def _log_once(folder: str) -> None:
 @cache
 def _warn_once(trouble: str) -> None:
     warnings.warn(
-        f"compiled filters are not kept, since {trouble}: each start compiles them again, for ten seconds or so; "
+        f"compiled filters are not kept, since {trouble}: each start compiles them again, for about ten seconds; "
         "set NUMBA_CACHE_DIR to a folder of your own",
         SigmaswarmWarning,
         stacklevel=2,

@@ -62,7 +62,7 @@ def finite(content: Any) -> Any:
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
-    """Make a folder and its missing parents; an `InputError` names what is in the way, and ``remedy``."""
+    """Make a folder and its missing parents; an `InputError` names the obstacle, and ``remedy``."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -210,7 +210,7 @@ class _Part(io.FileIO):
 
 @contextmanager
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
-    """Yield a free, hidden path next to ``path`` with a locked lock file; remove what is left there at the end.
+    """Yield a free, hidden path next to ``path`` with a locked lock file; remove its remains at the end.
 
     An error of the hidden path, or of none, becomes one of ``named``, by default ``path``.
     """

@@ -112,6 +112,6 @@ def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
     unpacked = sum(member.file_size for member in members)
     if len(members) > MOST_MEMBERS or unpacked > MOST_UNPACKED:
         raise InputError(
-            f"{path}: holds {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MOST_MEMBERS} or "
+            f"{path}: contains {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MOST_MEMBERS} or "
             f"{MOST_UNPACKED / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
         )

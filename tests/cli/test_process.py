@@ -47,7 +47,8 @@ def test_a_mistake_is_one_line_and_exit_code_2():
     done = sigmaswarm("evaluate", "nowhere", "nowhere")
     assert (done.returncode, done.stdout) == (2, "")
     assert (
-        done.stderr == "sigmaswarm: nowhere: no such file; give a tuning.toml or the folder that holds it\n"
+        done.stderr
+        == "sigmaswarm: nowhere: no such file; give a tuning.toml or the folder that contains it\n"
     )
 
 

@@ -11,13 +11,16 @@ import pytest
 from processes import Process
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import FEWEST_SEEDS, Comparison
 from sigmaswarm.experiments.statistics import holm, signed_rank
+from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.reports.compare import comparison_table, save_comparison
+from sigmaswarm.scoring.evaluation import score_fixes_alone
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
@@ -154,6 +157,14 @@ def test_the_tables_say_what_the_runs_were(whole):
     assert random[2:5] == [f"{middle:.4g} [{low:.4g}, {high:.4g}]", f"{high:.4g}", "-"]
     assert header[2:5] == ["training cost [95%]", "worst", "p"]
     assert len((folder / "runs.csv").read_text().splitlines()) == 1 + 24
+
+
+def test_the_fixes_alone_are_fitted_to_the_training_drives(whole):
+    comparison, folder = whole
+    noise = MotionNoise.typical(noise_of(PreparedDrive(drive)) for drive in DRIVES)
+    scores = [score_fixes_alone(PreparedDrive(drive), noise, 5.0, 0) for drive in HELD_OUT]
+    assert comparison.fixes_alone_rmse == scores[0].position_rmse
+    assert f"held-out RMSE of {comparison.fixes_alone_rmse:.4g} m" in (folder / "comparison.md").read_text()
 
 
 def test_with_enough_seeds_the_table_has_tests(whole):

@@ -79,7 +79,7 @@ def test_types_come_along(tmp_path: Path):
         ("nowhere", "no such bag"),
         ("cdr", "is an MCAP file that ROS 2 did not write"),
         ("ros1", r"is a ROS 1 bag.*convert it first: rosbags-convert"),
-        ("empty folder", "holds no bag"),
+        ("empty folder", "contains no bag"),
         ("broken", "is cut short or broken"),
         ("another time", r"covers 17000000\d\d\.\d{3} to .*name the bag that the drive was imported from"),
         ("itself", "has /sigmaswarm/odometry already"),

@@ -180,7 +180,7 @@ def test_a_unit_that_can_not_be_known_is_refused_and_the_remedy_helps(tmp_path: 
 def test_stated_times_pass_the_same_check(tmp_path: Path, time: str):
     write(tmp_path, "t", lambda t: repr(t))
     if "1e-6" in time:
-        with pytest.raises(InputError, match="between two rows of the imu"):
+        with pytest.raises(InputError, match="two rows of the imu are"):
             imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", time=time)
     else:
         imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", time=time, maps=["gps.t=t-5"])

@@ -359,7 +359,7 @@ def test_validation_drives_are_scored_but_choose_nothing():
     training, other = DRIVES[:1], make_drive(duration=25.0, seed=9, gps_std=4.0, name="noisy")
     plain = tune(training, **SMALL)
     assert plain.validation is None
-    assert any("on the drives that it was tuned on" in remark for remark in plain.remarks)
+    assert any("of the drives it was tuned on" in remark for remark in plain.remarks)
     strange, blind = "suits the receiver and the IMU of these drives", {"objective": "innovation-t"}
     assert any(strange in remark for remark in plain.remarks)
     without = replace(plain, config=plain.config.model_copy(update=blind))

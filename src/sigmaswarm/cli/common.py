@@ -150,7 +150,11 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     say(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
         caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
-        say(replace(view.consistency_table(), caption=caption).to_rich(), *sentences)
+        say(
+            replace(view.consistency_table(), caption=caption).to_rich(),
+            view.radius_table().to_rich(),
+            *sentences,
+        )
         return
     left = f", {len(sentences) - MOST_SENTENCES} more remarks" if len(sentences) > MOST_SENTENCES else ""
     adds = f"--verbose adds {'each drive, ' if several else ''}consistency{left}"

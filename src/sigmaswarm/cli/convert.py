@@ -18,7 +18,7 @@ def convert(
 ) -> None:
     """Convert drives between Parquet and CSV.
 
-    Parquet is smaller and much faster to read; both hold the same bits, and every command reads either. Columns that
+    Parquet is smaller and much faster to read; both have the same bits, and every command reads either. Columns that
     sigmaswarm does not know are dropped with a warning.
 
     Examples:

@@ -195,7 +195,7 @@ def _request(source: Path, options: ImportOptions) -> "Request":
     limits = {name: getattr(options, f"max_{name}") for name in ("rows", "columns", "unpacked_mb")}
     for name, value in limits.items():
         if value is not None and value < 1:
-            raise InputError(f"--max-{name.replace('_', '-')} {value} can't be; give a number above 0")
+            raise InputError(f"--max-{name.replace('_', '-')} {value}: must be above 0")
     return Request(
         source=source,
         gps=options.gps,
@@ -313,7 +313,7 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
     say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
     if seen.proposal:
         title = "To read the rest, add to the command"
-        console.print(f"\n{title}{'' if seen.works else ', with what is missing'}:", style="bold")
+        console.print(f"\n{title}{'' if seen.works else ', with the missing parts'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
         times = "; imu.t and gps.t are the times of their rows" if of_rows else ""
         evidence = f"({shown(seen.evidence, 1000)}{times}; it is applied only on request)"

@@ -31,7 +31,7 @@ class LearnOptions:
     search
         Number of further settings (units, window, learning rate) to try.
     seed
-        Same seed, same result.
+        The same seed gives the same result.
     resume
         Continue an interrupted training; the result is the same as without interruption.
     json

@@ -35,7 +35,7 @@ class RunOptions:
     merge
         With --out NAME.ros2: also copy the messages of the ROS 2 bag of the drive. --beside is the deprecated name.
     before
-        Also write what is known before the filter's start, the fixes, to NAME.csv, .geojson, .gpx or .kml.
+        Also write the fixes before the filter's start to NAME.csv, .geojson, .gpx or .kml.
     as_recorded
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
@@ -180,7 +180,7 @@ def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
     if earlier > LATE_START:
-        rest = f"wrote the {fixes} fixes before to {options.before}"
+        rest = f"wrote the {fixes} earlier fixes to {options.before}"
         rest = rest if options.before else "--before NAME.csv writes the fixes"
         say(f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; {rest}")
 

@@ -24,7 +24,7 @@ CONNECT_TIMEOUT = 10.0
 
 
 class ClusterError(SigmaswarmError):
-    """A cluster can't be reached, or can't do the work."""
+    """A cluster can't be reached, or can't run a task."""
 
 
 @dataclass(frozen=True, eq=False)

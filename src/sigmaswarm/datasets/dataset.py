@@ -69,7 +69,7 @@ def datasets_of(
     *groups
         Each a Drive, a sequence of them, or a dataset; with a cluster also paths and URLs.
     takes : str
-        Names what the calling function accepts, for messages.
+        The accepted input of the calling function, for messages.
 
     Raises
     ------

@@ -17,6 +17,8 @@ SPAN = 5.0
 """s: over which turns are compared."""
 LEAST, CLEARLY = 0.8, 0.15
 """Share of the turns that an offset must explain, and by how much it must exceed that of any other."""
+FEWER = 4.0
+"""An offset that leaves so many times less unexplained than any other exceeds them, too: turns that repeat."""
 FEWEST = 20
 LEAST_TURN = 0.15
 """rad RMS in `SPAN`: least change of a course that shows an offset."""
@@ -53,7 +55,8 @@ def search_offset(drive: Drive, course: Course) -> float | None:
     found = np.array([explained(lag) for lag in lags])
     best = int(np.argmax(found))
     others = found[np.abs(lags - lags[best]) > NEAR]
-    return float(lags[best]) if found[best] >= max(LEAST, others.max() + CLEARLY) else None
+    clearly = min(others.max() + CLEARLY, 1 - (1 - others.max()) / FEWER)
+    return float(lags[best]) if found[best] >= max(LEAST, clearly) else None
 
 
 def _pairs(course: Course) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis
@@ -120,6 +121,19 @@ def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
     return _with("gps", drive, speed=factor * speed, course=course)
 
 
+def _heading(drive: Drive, convention: float, offset: float) -> Drive:
+    """Which of `HEADINGS` the heading is in, and a constant, rad, to be taken off."""
+    heading, std, (name, read) = (
+        drive.gps.heading,
+        drive.gps.std_heading,
+        [*HEADINGS.items()][int(convention)],
+    )
+    if heading is None:
+        return drive
+    std = np.radians(std) if std is not None and name.startswith("deg") else std
+    return _with("gps", drive, heading=wrap_angle(read(heading) - offset), std_heading=std)
+
+
 def _odometer(drive: Drive, factor: float) -> Drive:
     """A factor for the odometer's speed."""
     return _with("odometer", drive, speed=drive.odometer and factor * drive.odometer.speed)
@@ -152,6 +166,7 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-fixes": partial(_shift, "gps"),
     "state-noise": _state_noise,
     "velocity": _velocity,
+    "heading": _heading,
     "drop-readings": _drop_readings,
     "odometer": _odometer,
     "shift-odometer": partial(_shift, "odometer"),

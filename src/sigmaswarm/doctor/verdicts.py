@@ -74,11 +74,12 @@ class Mount:
         return self.unit * self.axes
 
 
-def _expected(axes: Array, unit: float, angle: float) -> tuple[Array, Array]:
-    """The entries (4,) of M for an interpretation of the columns, and the variances of their tolerances as a matrix."""
-    c, s = math.cos(angle), math.sin(angle)
+def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
+    """Entries (n, 4) of M for an interpretation of the columns, one per angle; variances (4, 4) of their tolerances."""
+    c, s = np.cos(angles), np.sin(angles)
     slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
-    return unit * (np.array([[c, -s], [s, c]]) @ axes).ravel(), np.diag(slack**2)
+    rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
+    return unit * (rotations @ axes).reshape(-1, 4), np.diag(slack**2)
 
 
 def mount_of(fit: AccelerationFit) -> Mount:
@@ -86,29 +87,30 @@ def mount_of(fit: AccelerationFit) -> Mount:
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 
-    def misfit(axes: Array, unit: float, angle: float) -> float:
-        expected, slack = _expected(axes, unit, angle)
+    def misfits_of(axes: Array, unit: float, angles: Array) -> Array:
+        expected, slack = _expected(axes, unit, angles)
         off = fit.matrix.ravel() - expected
-        return float(off @ np.linalg.solve(covariance + slack, off))
+        solved = np.linalg.solve(covariance + slack, off[:, :, None])[:, :, 0]
+        return np.array([one @ other for one, other in zip(off, solved, strict=True)])
 
     def deviation(axes: Array, unit: float) -> Array:
         return np.diag(spread / unit @ np.abs(axes.T))
 
-    plain = misfit(as_recorded, 1.0, 0.0)
+    plain = float(misfits_of(as_recorded, 1.0, np.zeros(1))[0])
     readings = [(plain, as_recorded, 1.0)]
     for order, signs, unit in product(
         (np.eye(2), np.eye(2)[::-1]), product((1.0, -1.0), repeat=2), (1.0, GRAVITY)
     ):
         axes = np.diag(signs) @ order
         price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
-        turned = min(misfit(axes, unit, angle) + 6.0 * (abs(angle) > MOUNTED / 8) for angle in ANGLES)
-        readings.append((turned + price, axes, unit))
+        turned = np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MOUNTED / 8))
+        readings.append((float(turned) + price, axes, unit))
     best, axes, unit = min(readings, key=lambda reading: reading[0])
     if plain - best < CLEARLY:
         axes, unit = as_recorded, 1.0
     if unit == 1 and not ((deviation(axes, unit) < SHOWN) & (axes != as_recorded).any(axis=1)).any():
         axes = as_recorded  # an axis that the drive does not show stays as it is
-    misfits = np.array([misfit(axes, unit, angle) for angle in ANGLES])
+    misfits = misfits_of(axes, unit, ANGLES)
     k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
     (x, y), (dx, dy) = np.diag(fit.matrix @ axes.T / unit).tolist(), deviation(axes, unit).tolist()
@@ -151,7 +153,7 @@ def clock_of(
     searched = float(acceleration_fit.LATENESS[-1])
     if acceleration is not None and mount is not None:
         # The delay and its deviation, now that M is about known: the fit's Gaussian, conditioned.
-        expected, slack = _expected(mount.axes, mount.unit, mount.angle)
+        (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance
         gain = np.linalg.solve(covariance[:4, :4] + slack, covariance[:4, 4])
         late = acceleration.late + gain @ (expected - acceleration.matrix.ravel())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -56,10 +57,17 @@ class Regression:
     """A robust fit of y = sum over k of solution[k] columns[k], minus the part of each window's own unknowns."""
 
     solution: Array  # (k,)
-    covariance: Array  # (k, k), which allows for windows that overlap and for correlated residuals
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
     cost: float  # the mean size of the residual
+    columns: Array  # (w, 2n, k), weighted, less each window's own: real parts next to imaginary ones
+    left: Array  # (w, 2n), of the same kind, what they do not explain
+    own: int  # number of a window's own unknowns
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the solution (k, k); it allows for windows that overlap and for correlated residuals."""
+        return _covariance(self.columns, self.left, self.own)
 
 
 def regress(
@@ -102,7 +110,7 @@ def _solve(
     real, imaginary = np.split(left / np.tile(np.maximum(root, 1e-12), 2), 2, axis=1)
     residual = real + 1j * imaginary
     cost = float(np.mean(np.abs(residual) * weight))
-    return Regression(solution, _covariance(a, left, q.shape[-1]), residual, robust, cost)
+    return Regression(solution, residual, robust, cost, a, left, q.shape[-1])
 
 
 def _covariance(a: Array, left: Array, own: int) -> Array:

@@ -31,7 +31,7 @@ class Drive:
     gps : Gps
     truth : Truth or None
     frame : {"enu", "wgs84"}
-        In which form the fixes were recorded; ``gps.x`` and ``gps.y`` are always metres.
+        In which form the fixes were recorded; ``gps.x`` and ``gps.y`` are always in meters.
     origin : (latitude deg, longitude deg, altitude m) or None
         Where the local frame touches the earth. Always known when ``frame`` is "wgs84".
     metadata : mapping

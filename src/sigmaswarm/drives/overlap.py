@@ -33,7 +33,7 @@ SAME_TIME = 1000
 SAME_PLACE = 3.0
 """cm, or 1e-7 deg (1.1 cm to the north): largest difference between the positions of one fix in two files."""
 SAME_RATE = 2e-4
-"""Of ln: largest difference between the yaw rates of one sample, in two units with 8 decimals."""
+"""Largest difference between the logarithms of one yaw rate, in two units with 8 decimals."""
 MOVING = 1.5
 """m/s between fixes: slower fixes are not landmarks."""
 UNITS = math.log(180 / math.pi)

@@ -55,8 +55,8 @@ class Sensors:
         The axes of the IMU.
     attitude : bool
         See `has_attitude`.
-    odometer, accuracy, velocity : bool
-        True if the log has wheel speed, the receiver's deviations, and its speed and course.
+    odometer, accuracy, velocity, heading : bool
+        True if the log has wheel speed, the receiver's deviations, its speed and course, and its heading.
     spread : (float, float) or None
         See `stated_spread`.
     white : bool
@@ -79,6 +79,7 @@ class Sensors:
     white: bool
     driven: float
     receiver_std: tuple[float, float]
+    heading: bool = False
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
@@ -100,6 +101,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         white=has_white_errors(drive),
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
         receiver_std=receiver_std(drive),
+        heading=gps.heading is not None,
     )
 
 
@@ -113,10 +115,10 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     - **accuracy** if every receiver states its deviation, and it varies.
     - **robust** always: it costs little without outliers, and is needed with some.
 
-    Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity (no log
-    with truth had it) and latency. Models are not chosen by scores: held-out likelihood and forecasts chose 18 to 24%
-    worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to 12% worse. The figures are
-    in docs/results.md, "Default filter".
+    Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity and
+    heading (no log with truth had them) and latency. Models are not chosen by scores: held-out likelihood and
+    forecasts chose 18 to 24% worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to
+    12% worse. The figures are in docs/results.md, "Default filter".
     """
     found = [sensors_of(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)
@@ -132,6 +134,8 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
+    if found and all(one.heading for one in found):
+        reasons.append("a heading, which you may add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
     return SuggestedFilter("tilted12" if six else "planar8", use, ", ".join(reasons))
 

@@ -24,7 +24,7 @@ def split_drives(
 
     Parameters
     ----------
-    drives : sequence of Drive, or of what stands for drives, as their paths
+    drives : sequence of Drive, or of objects that represent drives, such as paths
         At least two, so that each part gets one.
     train_fraction : float
         Of the number of drives, in (0, 1).
@@ -48,7 +48,7 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
     drive : Drive
         Stays as it is.
     train_fraction : float
-        Of the drive's duration, in (0, 1).
+        Share of the drive's duration, in (0, 1).
     at : float, optional
         s on the drive's clock: split there instead, as where a logger paused.
 

@@ -31,6 +31,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "std_x": (1e-6, LARGEST, _NO_STD),
     "std_y": (1e-6, LARGEST, _NO_STD),
     "std_theta": (1e-9, LARGEST, _NO_STD),
+    "std_heading": (1e-6, LARGEST, _NO_STD),
     **dict.fromkeys(
         ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
         (-LARGEST, LARGEST, _DAMAGED),
@@ -147,7 +148,7 @@ class TableFile:
         for name in (name for name in columns if self.cells[name].dtype == pl.String):
             broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
             if broken.any():
-                what = "holds a line break"
+                what = "contains a line break"
                 raise self._fault(int(broken.arg_max() or 0), name, what, 'close the quote (") before it')
 
     def _numbers(self, column: str) -> Array:
@@ -156,7 +157,7 @@ class TableFile:
         if text.dtype == pl.String and self.path.suffix == CSV:
             text = text.str.strip_chars()
         elif not text.dtype.is_numeric():
-            what = f"holds {shown(text.dtype)}, not numbers; write it as 64-bit floats"
+            what = f"contains {shown(text.dtype)}, not numbers; write it as 64-bit floats"
             raise DriveError(f"{self.path}, column {column}: {what}")
         values = text.cast(pl.Float64, strict=False)
         if values.null_count() or not values.is_finite().all():
@@ -229,7 +230,7 @@ def _parquet(path: Path) -> pl.DataFrame:
     except (*BROKEN, OSError):
         raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
     if cells.is_empty():
-        raise DriveError(f"{path} holds no rows; it needs one row per sample")
+        raise DriveError(f"{path} contains no rows; it needs one row per sample")
     return cells
 
 
@@ -258,7 +259,7 @@ def _has_lone_quote(path: Path) -> bool:
 
 
 def _empty(path: Path) -> DriveError:
-    what = "is empty" if path.stat().st_size == 0 else "holds no rows"
+    what = "is empty" if path.stat().st_size == 0 else "contains no rows"
     return DriveError(f"{path} {what}; it needs a header line and one row per sample")
 
 

@@ -41,7 +41,7 @@ def drive_urls(url: str) -> list[str]:
         ]
         if not found:
             raise DriveError(
-                f"{without_secrets(url)}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
+                f"{without_secrets(url)}: contains no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
             )
         return [f"{url}/{name}" for name in found]
 

@@ -13,7 +13,7 @@ def tilts_of(n: int) -> tuple[int, ...]:
 
 
 def quaternions(mean: Array) -> Array:
-    """Of means (..., n), (..., 4): x, y, z, w, as files have them."""
+    """Quaternions (..., 4) of means (..., n): x, y, z, w, as in files."""
     if tilts_of(mean.shape[-1]):
         return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
     half = mean[..., THETA] / 2
@@ -22,7 +22,7 @@ def quaternions(mean: Array) -> Array:
 
 
 def rotations(mean: Array) -> Array:
-    """Of means (k, n), (k, 3, 3): from the body to the local frame."""
+    """Rotations (k, 3, 3) of means (k, n), from the body to the local frame."""
     if tilts_of(mean.shape[-1]):
         return tilted.rotation(mean)
     c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])

@@ -12,11 +12,12 @@ import re
 import textwrap
 import tokenize
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import cache
 from typing import Any
 
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
-from sigmaswarm.filters.compiled.unroll import Kernel, copied
+from sigmaswarm.filters.compiled.unroll import Kernel
 
 STATES = (
     *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
@@ -39,10 +40,11 @@ INPUTS = {
     **{"AZ": "sample->az", "GX": "sample->gx", "GY": "sample->gy"},
     **{"FIX_X": "(fix->x - b->origin[0])", "FIX_Y": "(fix->y - b->origin[1])"},
     **{"FIX_VAR_X": "fix->variance[0]", "FIX_VAR_Y": "fix->variance[1]"},
+    **{"FIX_THETA": "fix->heading", "FIX_VAR_THETA": "fix->heading_variance"},
     **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
 }
 """C text for an element of a step, a fix and a reading."""
-CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
+CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
 RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
 _SIGNS: dict[type, str] = {
@@ -103,8 +105,7 @@ class _Function(ast.NodeTransformer):
     def __init__(
         self, emitter: Emitter, function: Callable[..., Any], name: str, known: dict[str, Any]
     ) -> None:
-        parsed, self.comments = _parsed(function)
-        definition: ast.FunctionDef = copied(parsed)
+        definition, self.comments = _parsed(function)
         self.emitter, self.name, self.definition = emitter, name, definition
         self.known, self.names = known, {**function.__globals__, **known}
         emitter.constants |= {n: v for n, v in self.names.items() if n.isupper() and isinstance(v, float)}
@@ -153,7 +154,9 @@ class _Function(ast.NodeTransformer):
                 chosen += self.chosen(statement.body if known else statement.orelse)
                 continue
             if isinstance(statement, ast.If | ast.For):
-                statement.body = self.chosen(statement.body)
+                body = self.chosen(statement.body)
+                statement = copy(statement)
+                statement.body = body
             chosen.append(statement)
         return chosen
 
@@ -345,10 +348,20 @@ class _Function(ast.NodeTransformer):
 
     def fold(self, node: ast.expr) -> ast.expr:
         """The expression with C's names, without terms that this filter's numbers make 0."""
-        return self.visit(copied(node))
+        return self.visit(node)
 
     def c(self, node: ast.expr) -> str:
         return self.print(self.fold(node))
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        """Rewrite a copy, since a function is parsed once."""
+        new = copy(node)
+        for name, value in ast.iter_fields(node):
+            if isinstance(value, list):
+                setattr(new, name, [self.visit(each) for each in value])
+            elif isinstance(value, ast.AST):
+                setattr(new, name, self.visit(value))
+        return new
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
         return _numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value))
@@ -379,12 +392,14 @@ class _Function(ast.NodeTransformer):
         return ast.Name(self.call(node))
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
-        node.operand = self.visit(node.operand)
-        value = _number(node.operand)
-        return node if value is None or isinstance(node.op, ast.Not) else _numeral(-value if value else 0.0)
+        operand = self.visit(node.operand)
+        value = _number(operand)
+        if value is None or isinstance(node.op, ast.Not):
+            return ast.UnaryOp(node.op, operand)
+        return _numeral(-value if value else 0.0)
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
-        left, right = node.left, node.right = self.visit(node.left), self.visit(node.right)
+        left, right = self.visit(node.left), self.visit(node.right)
         a, b = _number(left), _number(right)
         match node.op:
             case ast.Add() if a == 0.0:
@@ -404,12 +419,12 @@ class _Function(ast.NodeTransformer):
             case _ if a is not None and b is not None:  # computed in double
                 return _numeral(eval(f"{a!r} {_SIGNS[type(node.op)]} {b!r}"))
             case _:
-                return node
+                return ast.BinOp(left, node.op, right)
 
     def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
         name = ast.unparse(node.func)
         if name in CALLS:
-            return f"{CALLS[name]}({self.c(node.args[0])})"
+            return f"{CALLS[name]}({', '.join(map(self.c, node.args))})"
         printed, signature = self.emitter.signatures[getattr(self.names[name], "__name__", name)]
         arguments: list[str] = []
         for each, theirs in zip(node.args, signature, strict=True):

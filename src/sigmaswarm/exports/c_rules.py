@@ -1,4 +1,4 @@
-"""Print the rules for what happens to a sample as C99: standstill, stale fixes, gaps; the library's own functions.
+"""Print the rules of samples as C99 (standstill, stale fixes, gaps), from the library's own functions.
 
 They are plain functions over times, fixes and small arrays. A time is a type of its own in C, whose float build counts
 ticks: a difference of two times becomes ``since``, and a number of seconds that is added to a time ``SECONDS``.

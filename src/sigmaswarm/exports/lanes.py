@@ -71,7 +71,7 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
     numbers |= {name: getattr(p, name) for name in ("accuracy_scale", "velocity_noise", "lateral_noise")}
     if p.lateral_noise is not None:
         numbers |= {"rear_axle": p.rear_axle, "tire_slip": p.tire_slip or None}
-    numbers |= {name: getattr(p, name) for name in ("odometer_noise", "standstill_noise")}
+    numbers |= {name: getattr(p, name) for name in ("heading_noise", "odometer_noise", "standstill_noise")}
     return {name: float(value) for name, value in numbers.items() if value is not None}
 
 

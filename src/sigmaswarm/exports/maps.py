@@ -1,6 +1,6 @@
 """Tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
-A clock that counts from 1970 is recognized by its size; only then are times written, in UTC.
+A clock that counts from 1970 is recognized by its size. Times are written for such a clock alone, in UTC.
 """
 
 import json

@@ -86,6 +86,7 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
         "R_ACCEL": yaml_number(r_accel),
         "R_LATERAL": lateral,
         "R_ODOMETER": yaml_number(p.odometer_noise or 1.0),
+        "R_HEADING": yaml_number(p.heading_noise or 1.0),
         "GYRO_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[0])),
         "ACCEL_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[1])),
         "FIX_COVARIANCE": f"{stated}{r_x!r} and {r_y!r} m2",
@@ -95,6 +96,7 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
         "USE_IMU_GATE": math.isfinite(max(p.imu_gate)),
         "USE_LATERAL": p.lateral_noise is not None,
         "USE_ODOMETER": p.odometer_noise is not None,
+        "USE_HEADING": p.heading_noise is not None,
     }
     names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
     return {file: fill(template, used, values) for file, template in names.items()}

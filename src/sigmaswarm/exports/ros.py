@@ -64,7 +64,7 @@ def ros2(
     time_origin : float
         s on the bag's clock at which the estimate's times are 0.
     origin : (latitude deg, longitude deg, altitude m), optional
-        Of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
+        Position of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
     innovations : Innovations, optional
         Of the filter at each fix, for topics of innovations, their standard deviations and the NIS.
     merge : Path, optional
@@ -79,7 +79,7 @@ def ros2(
     Warns
     -----
     SigmaswarmWarning
-        Of topics that could not be copied.
+        For topics that could not be copied.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -124,7 +124,9 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         raise InputError(f"{path}: no such bag; name the one that the drive was imported from")
     paths = bag_paths(path)
     if not paths:
-        raise InputError(f"{path}: holds no bag; name the folder with metadata.yaml, or a .db3 or .mcap file")
+        raise InputError(
+            f"{path}: contains no bag; name the folder with metadata.yaml, or a .db3 or .mcap file"
+        )
     if paths[0].suffix == ".bag":
         raise InputError(
             f"{path}: is a ROS 1 bag, which ROS 2 cannot read; convert it first: "

@@ -41,7 +41,7 @@ def export_texts(
     Parameters
     ----------
     parameters : FilterParameters
-        With ``nominal_interval``, as every tuning has it.
+        Parameters with ``nominal_interval``, which every tuning has.
     target : {"filterpy", "c99", "robot_localization"}
         robot-localization is another name of the last.
     replay : Drive, optional
@@ -61,8 +61,8 @@ def export_texts(
     Raises
     ------
     InputError
-        If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
-        variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
+        If the target is unknown or does not support the model, the parameters lack the interval of Q, a variance
+        is unusable, or the target does not accept a given ``replay`` or ``lanes``.
     """
     if target == "robot-localization":
         target = "robot_localization"
@@ -76,7 +76,9 @@ def export_texts(
         return TARGETS[target](parameters, interval, as_recorded)
     texts = c99(parameters, interval, as_recorded, side_by_side)
     if replay is not None:
-        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
+        texts["replay.csv"] = replay_rows(
+            replay, parameters.model, as_recorded=as_recorded, heading=parameters.heading_noise is not None
+        )
     return texts
 
 
@@ -91,6 +93,10 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     if parameters.fix_error is not None and target != "c99":
         raise InputError(
             f"{target} has no fix-error; tune without it for this target, or run it with LiveFilter"
+        )
+    if parameters.heading_noise is not None and target == "filterpy":
+        raise InputError(
+            "filterpy has no heading; tune without it for this target, or run it with LiveFilter"
         )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)

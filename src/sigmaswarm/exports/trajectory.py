@@ -170,7 +170,7 @@ def true_trajectory(drive: Drive) -> Estimate:
     Raises
     ------
     InputError
-        If the drive knows no truth.
+        If the drive has no truth.
     """
     truth = drive.truth
     if truth is None:

@@ -54,6 +54,9 @@ def augmented(model: CarModel) -> CarModel:
     def process(state: Array, dt: float, imu: Array) -> Array:
         return np.concatenate([model.process(state[:-2], dt, imu), state[-2:]])
 
+    def heading(near: float) -> Appended:
+        return Appended(model.heading(near))
+
     return replace(
         model,
         states=(*model.states, *STATES),
@@ -62,6 +65,7 @@ def augmented(model: CarModel) -> CarModel:
         velocity=Appended(model.velocity),
         lateral=_appended(model.lateral),
         odometer=_appended(model.odometer),
+        heading=heading,
         rates_at_rest=Appended(model.rates_at_rest),
         tilts=_tilts(model.tilts) if model.tilts else None,
         kinds=("ekf",) if model.tilts else ("ukf", "ekf"),

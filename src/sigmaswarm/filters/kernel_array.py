@@ -131,7 +131,7 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Some of its sets, which share what was computed for all of them."""
+        """Some of its sets, which share the values computed for all."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part
@@ -293,6 +293,7 @@ def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
         R.R_LATERAL: of("lateral_noise"),
         R.R_STANDSTILL: r_left[0] if r_left else of("standstill_noise"),
         R.R_ODOMETER: of("odometer_noise"),
+        R.R_HEADING: of("heading_noise"),
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),
         R.REAR_AXLE: gyro_gate if measures else of("rear_axle"),

@@ -207,16 +207,18 @@ class LiveFilter:
         fix: Sequence[float],
         velocity: Sequence[float] | None = None,
         std: Sequence[float] | None = None,
+        heading: Sequence[float] | None = None,
     ) -> bool:
         """Process a fix: x, y (m), and optionally its velocity, m/s east and north.
 
         ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
-        needs it, one with ``fix_error`` uses it.
+        needs it, one with ``fix_error`` uses it. ``heading``: rad, and its stated standard deviation, 0 where none is
+        stated; a filter with ``heading_noise`` uses it.
 
         Returns
         -------
         bool
-            False if it was ignored (before the start, too late, or a repeat) or is held.
+            False if it was ignored (before the start, too late, or a repeat) or waits.
 
         Raises
         ------
@@ -226,10 +228,15 @@ class LiveFilter:
         try:
             takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
             var_x, var_y = _squared(std) if takes else (0.0, 0.0)
+            theta, var_theta = 0.0, np.inf
+            if heading is not None and self.parameters.heading_noise is not None:
+                theta, var_theta = heading[0], heading[1] ** 2
             seen = fix[0], fix[1], 0.0, 0.0, 0.0
             if velocity is not None and self._takes_velocity:
                 seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
-            return self._calls.fix(self._memory.handle, t, *seen, var_x, var_y) == live.TAKEN
+            return (
+                self._calls.fix(self._memory.handle, t, *seen, var_x, var_y, theta, var_theta) == live.TAKEN
+            )
         except _NO_NUMBERS as error:
             raise InputError(f"a fix that is not two numbers: {error}") from None
 

@@ -88,7 +88,7 @@ def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
 
 
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: a car on its wheels has none at its rear axle."""
+    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: 0 at the rear axle of a car on its wheels."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
@@ -110,6 +110,12 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
         return np.array([forward - delay * (ax - bias)])
 
     return h
+
+
+def heading(near: float) -> Callable[[Array], Array]:
+    """Heading (rad) of two antennas or a compass; planar models need not know the angle that it is ``near``."""
+    del near
+    return lambda state: state[THETA : THETA + 1].copy()
 
 
 def gyro_bias(state: Array) -> Array:
@@ -214,10 +220,10 @@ class CarModel:
         ``f(state, dt, imu) -> state``, in the textbook's form.
     imu : tuple of str
         The axes that drive it, as a time line names them.
-    position, velocity, lateral, odometer, rates_at_rest : callable
+    position, velocity, lateral, odometer, heading, rates_at_rest : callable
         Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
-        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `gyro_bias`; those of a
-        tilted model have a ``jacobian``.
+        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `heading` near an
+        angle, `gyro_bias`. Those of a tilted model have a ``jacobian``.
     tilts : Tilts or None
         Of a model whose attitude is more than a heading.
     kinds : tuple of str
@@ -244,6 +250,7 @@ class CarModel:
     velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
     odometer: Callable[[float, float], Any] = wheel_speed
+    heading: Callable[[float], Any] = heading
     rates_at_rest: Callable[[Array], Array] = gyro_bias
     tilts: Tilts | None = None
     measures_imu: bool = False
@@ -342,6 +349,7 @@ MODELS: dict[str, CarModel] = {
         velocity=tilted.States((2, 3)),
         lateral=tilted.RearAxle,
         odometer=tilted.Wheels,
+        heading=tilted.Heading,
         rates_at_rest=tilted.States((7, 10, 11)),
         tilts=Tilts(tilted.plus, tilted.minus, tilted.nearest, tilted.transition, tilted.as_angles),
         kinds=("ekf", "ukf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"),
@@ -351,7 +359,7 @@ MODELS: dict[str, CarModel] = {
         robot_localization,
         CITY_VARIANCE,
         measures_imu=True,
-        options=("lateral", "odometer", "gate", "imu-gate", "accuracy"),
+        options=("lateral", "odometer", "heading", "gate", "imu-gate", "accuracy"),
         kinds=("ekf",),
     ),
 }

@@ -92,6 +92,9 @@ class FilterParameters:
         The odometer's reading over the true speed.
     odometer_latency : float
         s: age of an odometer reading at its time stamp.
+    heading_noise : float or None
+        rad2: variance of a fix's heading, where the log has one (two antennas, a compass), in addition to the stated
+        one. None: not used.
     gate : float or None
         The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of good fixes
         (chi-square, two degrees of freedom). None: every fix is used.
@@ -138,6 +141,7 @@ class FilterParameters:
     odometer_noise: Positive | None = _option(None)
     odometer_scale: Positive = _option(1.0)
     odometer_latency: Real = _option(0.0)
+    heading_noise: Positive | None = _option(None)
     gate: Positive | None = _option(None)
     latency: Real = _option(0.0)
     accuracy_scale: Positive | None = _option(None)
@@ -245,7 +249,7 @@ class FilterParameters:
                 )
             path = path / "tuning.toml"
         table = read_content(
-            path, "give a readable TOML file", missing="give a tuning.toml or the folder that holds it"
+            path, "give a readable TOML file", missing="give a tuning.toml or the folder that contains it"
         )
         if not isinstance(table.get("filter"), dict):
             raise InputError(f"{path}: has no [filter] table; give a file written by `sigmaswarm tune`")
@@ -285,6 +289,7 @@ _SCALED = (
     "lateral_noise",
     "standstill_noise",
     "odometer_noise",
+    "heading_noise",
     "accuracy_scale",
     "fix_error",
 )
@@ -331,6 +336,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "odometer_noise": "m2/s2",
         "odometer_scale": "reading over true speed",
         "odometer_latency": "s",
+        "heading_noise": "rad2",
         "gate": "NIS, dimensionless",
         "imu_gate": ["NIS, dimensionless"] * 2,
         "latency": "s",

@@ -28,7 +28,7 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_yaml import NOT_FUSED, PROCESS_NOISE, SMALLEST, SPEED_NOISE, YAML
+from sigmaswarm.filters.robot_yaml import HEADING_NOISE, NOT_FUSED, PROCESS_NOISE, SMALLEST, SPEED_NOISE, YAML
 
 PresetName = Literal["defaults", "datasheet", "paper"]
 
@@ -47,11 +47,12 @@ BY_HAND = {
     "lateral_noise": 0.2**2,
     "standstill_noise": 0.05**2,
     "odometer_noise": 0.1**2,
+    "heading_noise": HEADING_NOISE,
     "gate": 9.2,
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Usual values of parameters without a data sheet: m2/s2; the 99% gate; the receiver's stated accuracy unchanged."""
+"""Usual values of parameters without a data sheet: m2/s2, rad2; 99% gate; the receiver's stated accuracy unchanged."""
 HALF_A_WHEELBASE = 1.3
 """m from the rear axle to an IMU in the middle of a car."""
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
@@ -121,6 +122,7 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
         imu_noise=_stated_imu(drive, plain),
         lateral_noise=like.lateral_noise and SPEED_NOISE,
         odometer_noise=like.odometer_noise and SPEED_NOISE,
+        heading_noise=like.heading_noise and HEADING_NOISE,
     )
 
 
@@ -144,7 +146,12 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     if drive.gps.std_x is not None and drive.gps.std_y is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None
-    return replace(p, imu_noise=imu, odometer_noise=wheels, **variances)
+    heading = p.heading_noise
+    if drive.gps.heading is None:
+        heading = None
+    elif heading is not None and drive.gps.std_heading is not None:
+        heading = SMALLEST
+    return replace(p, imu_noise=imu, odometer_noise=wheels, heading_noise=heading, **variances)
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:

@@ -7,8 +7,8 @@ state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
     vx += d ax                          vy += d ay                          P = J P J' + d Q
 
 The velocity does not turn with the body, so an ay that is fused becomes sideways speed in a turn. Measurements are
-states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix. A fix, gz or ax with
-nu' S^-1 nu >= threshold^2 is left out.
+states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, yaw of two antennas, whose
+innovation is wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out.
 z, roll, pitch and their rates stay at 0 in ``two_d_mode`` and decouple. Read from
 https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
 """
@@ -57,6 +57,7 @@ class TextbookRobotLocalization:
         p, r = self.covariance, np.diag(np.maximum(variances, SMALLEST))
         h = np.eye(8)[states]
         nu, s = z - self.mean[states], h @ p @ h.T + r
+        nu = wrap_angle(nu) if states == [YAW] else nu
         if nu @ np.linalg.solve(s, nu) >= gate:
             return
         gain = np.linalg.solve(s, h @ p).T
@@ -83,6 +84,10 @@ class TextbookRobotLocalization:
     def odometer(self, speed: float) -> None:
         """Update with the wheels' speed forward, m/s."""
         self.correct([VX], np.array([speed]), np.array([self.parameters.odometer_noise]))
+
+    def heading(self, yaw: float, stated: float) -> None:
+        """Update with a yaw, rad, and the variance that its message states, rad2."""
+        self.correct([YAW], np.array([yaw]), np.array([stated + (self.parameters.heading_noise or 0.0)]))
 
     def fix(self, position: Array, stated: Array) -> None:
         """Update with a fix, (2,) m, and the variances that it states, (2,) m2."""

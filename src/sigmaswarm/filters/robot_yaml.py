@@ -23,6 +23,8 @@ PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 IMU_NOISE = (1e-4, 1e-2)
 """Usual variances of gz ((rad/s)2) and ax ((m/s2)2)."""
+HEADING_NOISE = math.radians(0.5) ** 2
+"""rad2: usual variance of the heading of two antennas."""
 SPEED_NOISE = 0.1**2
 """Usual variance of a measured speed, (m/s)2."""
 SMALLEST = 1e-9
@@ -42,7 +44,7 @@ def read_configuration(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the file is no such configuration.
+        If the file is not such a configuration.
 
     Warns
     -----
@@ -72,6 +74,7 @@ def read_configuration(path: Path) -> dict[str, Any]:
         ),
         "lateral_noise": SPEED_NOISE if no_slip else None,
         "odometer_noise": SPEED_NOISE if wheels else None,
+        "heading_noise": HEADING_NOISE if any(e[_YAW] for e in inputs.values()) else None,
     }
 
 
@@ -162,6 +165,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: differential and relative left out"
         if entries[_YAW]:
-            yield f"{name}: yaw left out"
+            yield f"{name}: yaw is that of the fixes, left out where a drive has no heading"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: yaw rate left out"

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.geodesy import wrap_angle
+
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
@@ -178,7 +180,7 @@ class Antenna:
 
 @dataclass(frozen=True)
 class RearAxle:
-    """The velocity to the left (m/s) at the rear axle: a car on its wheels has none, and none up from the road.
+    """The velocity to the left (m/s) at the rear axle: 0 for a car on its wheels, as the velocity up from the road.
 
     Attributes
     ----------
@@ -231,6 +233,23 @@ class Wheels:
         h = _jacobian_along(state, forward, up)
         h[0, [*ATTITUDE]] += self.delay * GRAVITY * np.array([forward[1], -forward[0], 0.0])
         h[0, ACCEL_BIAS[0]] = self.delay
+        return h
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Heading (rad) of two antennas: the yaw of the attitude, within half a turn of ``near``."""
+
+    near: float
+
+    def __call__(self, state: Array) -> Array:
+        return self.near + wrap_angle(state[[ATTITUDE[2]]] - self.near)
+
+    def jacobian(self, state: Array) -> Array:
+        """H, (1, 12), of a small rotation of the forward axis."""
+        east, north, up = rotation(state)[:, 0]
+        h, level2 = np.zeros((1, N)), east**2 + north**2
+        h[0, [*ATTITUDE]] = -east * up / level2, -north * up / level2, 1.0
         return h
 
 

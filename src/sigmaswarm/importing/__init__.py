@@ -9,5 +9,5 @@ expressions -> rows   `gather.py` evaluates them by batches (`expressions.py`, `
 rows -> time line     `timeline.py` unwraps, chooses a recording, spreads and sorts; `joining.py` joins a role's tables
 time line -> drive    `places.py` checks positions, `mounting.py` turns the IMU, `assemble.py` makes the drive
 
-A `Recipe` holds the expressions; the user may change it with `--map`. `convert.py` runs all steps, `look.py` shows all.
+A `Recipe` has the expressions; the user may change it with `--map`. `convert.py` runs all steps, `look.py` shows all.
 """

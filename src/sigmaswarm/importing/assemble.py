@@ -121,7 +121,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
         if not abs(offset) < LONGEST_OFFSET:
-            raise InputError(f"--{role}-offset {offset:g} can't be; give seconds")
+            raise InputError(f"--{role}-offset {offset:g}: must be a number of seconds")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
     # a stamp years before all others is broken, and would cost them their last digits
@@ -206,7 +206,7 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
     """Fixes at a rate, Hz, at the position of the truth, with white noise, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
-        raise InputError(f"{given} can't be; give a rate in Hz and a deviation in m, as 5,1")
+        raise InputError(f"{given} can't be used; give a rate in Hz and a deviation in m, as 5,1")
     if not (truth.time[-1] - truth.time[0]) * rate <= MOST_FIXES:
         raise InputError(f"{given} would make more than {MOST_FIXES} fixes; check the truth's times")
     time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)

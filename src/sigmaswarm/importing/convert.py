@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.gather import Gathered, complete_part, gather
+from sigmaswarm.importing.gather import Gathered, complete_parts, gather
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
@@ -26,7 +26,7 @@ class Request:
 
     Attributes
     ----------
-    source : the log; it must hold the IMU
+    source : the log; it must contain the IMU
     gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
     form : the source's format, if given
     recipe : settings, and parts that take the place of the guess
@@ -99,7 +99,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     ----------
     request : Request
     name : str
-        Of the drive.
+        Name of the drive.
     progress : callable
         Called with the share that is done, 0 to 1.
 
@@ -246,8 +246,8 @@ def _require_sensors(
 ) -> None:
     """Refuse logs in which no IMU or no fixes were found, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (
-        ("imu", "IMU samples", "name the log that holds them as SOURCE"),
-        ("gps", "position fixes", "name a log that holds them with --gps"),
+        ("imu", "IMU samples", "name the log that contains them as SOURCE"),
+        ("gps", "position fixes", "name a log that contains them with --gps"),
     )
     for role, what, remedy in wanted:
         if role not in roles or recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):
@@ -272,10 +272,11 @@ def _gather_all(
     total, before = sum(sizes.values()), 0
     for path, log in logs.items():
         mine: list[tuple[Role, Part]] = [
-            (role, complete_part(part, log, role))
+            (role, one)
             for role in ROLES
             if request.home(role) == path
             for part in recipe.roles.get(role, ())
+            for one in complete_parts(part, log, role)
         ]
         share = _share(progress, before / total, sizes[path] / total)
         read = gather(log, [part for _, part in mine], share, request.limits)

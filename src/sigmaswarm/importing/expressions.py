@@ -288,7 +288,7 @@ def _rounded(expression: Expression) -> pl.Expr:
 
 
 def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
-    """One ``column * number`` in ns, where its column holds whole numbers or dates; else None."""
+    """One ``column * number`` in ns, where its column contains whole numbers or dates; else None."""
     scaled = integer_scale(text, frame.columns)
     if scaled is None:
         return None

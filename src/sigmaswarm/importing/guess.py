@@ -25,7 +25,10 @@ _NO_PLACES = re.compile(
 """Tables whose x, y, z are neither a position nor the IMU's."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
-    "gps": ("lat", "lon", "alt", "x", "y", "std_x", "std_y", "speed", "course", "bearing", "vx", "vy"),
+    "gps": (
+        *("lat", "lon", "alt", "x", "y", "std_x", "std_y"),
+        *("speed", "course", "bearing", "std_heading", "vx", "vy"),
+    ),
     "truth": ("lat", "lon", "alt", "x", "y", "vx", "vy", "theta", "bearing"),
     "odometer": ("wheel_speed", "speed"),
 }
@@ -124,13 +127,21 @@ def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
     if located and role in ("gps", "truth"):
         yield from place(columns, role).items()
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
-    skipped |= {"bearing"} if ("theta" if role == "truth" else "course") in columns else set()
+    # a receiver with one antenna may call its course so
+    heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
+    heads = heads and ("course" in columns or "std_heading" in columns)
+    course = "theta" if role == "truth" else "course"
+    skipped |= {"bearing"} if course in columns and not heads else set()
+    skipped |= set() if heads else {"std_heading"}
     skipped |= {"speed"} if role == "odometer" and "wheel_speed" in columns else set()
     for what in _WANTED[role]:
         if what not in columns or what in skipped:
             continue
         if what in ("course", "bearing", "theta"):
-            yield ("theta" if role == "truth" else "course"), heading(columns, what, role)
+            yield ("heading" if what == "bearing" and heads else course), heading(columns, what, role)
+        elif what == "std_heading" and columns.names[what].unit is None:
+            degrees = "radians" in heading(columns, "bearing", role).expression
+            yield what, Found(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             yield what.removeprefix("wheel_"), quantity(columns, what, role)
 

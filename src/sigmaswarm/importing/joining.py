@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Gathered
@@ -22,7 +23,7 @@ TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 3
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
 POSITIONS = ("lat", "lon", "x", "y")
-TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
+TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 """Columns that are left out together."""
 
 
@@ -52,7 +53,20 @@ def join(
                 target = name.removeprefix("+")
                 added = values.get(target, 0.0) if name.startswith("+") else 0.0
                 values[target] = added + _between(at, known_at[known], column[known], TURNS.get(target))
-    return _complete_rows(time, values, role, required, say)
+    return _complete_rows(time, _with_known_headings(values), role, required, say)
+
+
+def _with_known_headings(values: Values) -> Values:
+    """Rows without a heading keep their fix: the deviation of their heading is `NO_HEADING`."""
+    heading = values.get("heading", np.zeros(0))
+    std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
+    if not known.any() or (known.all() and not np.isfinite(std).any()):
+        return {name: column for name, column in values.items() if name != "std_heading"}
+    std = np.where(
+        std > LEAST_STD, std, LEAST_STD
+    )  # where it is not stated, the filter's own variance is left
+    std = np.where(known, std, NO_HEADING)
+    return {**values, "heading": np.where(known, heading, 0.0), "std_heading": std}
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
@@ -88,7 +102,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         why = "no usable row; --show shows its contents"
         if part.timeless:
             why = "no time within 292 years of 1970; give its column and unit with --time"
-        raise InputError(f"the {role}: {table} holds {why}")
+        raise InputError(f"the {role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
     filled = _finite(values, len(time)).any(axis=0)

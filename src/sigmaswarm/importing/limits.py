@@ -27,7 +27,9 @@ class Limits:
         """Refuse a table of too many rows."""
         if count > self.rows:
             where = path if path.name == table else f"{path}, {table}"
-            raise InputError(f"{where}: holds more than {self.rows} rows; split the log, or raise --max-rows")
+            raise InputError(
+                f"{where}: contains more than {self.rows} rows; split the log, or raise --max-rows"
+            )
 
     def check_unpacked(self, count: int, path: Path) -> None:
         """Refuse data of too many bytes."""
@@ -42,7 +44,7 @@ class Limits:
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
-                f"{path}: has more than {self.columns} columns; raise --max-columns if it is sound"
+                f"{path}: has more than {self.columns} columns; raise --max-columns if this is right"
             )
         return tuple(name for name in found if name)
 

@@ -44,14 +44,14 @@ def parse_mount(text: str) -> Array:
     Parameters
     ----------
     text : str
-        ``"90"``: the sensor is turned by so many degrees about z, counter-clockwise seen from above.
+        ``"90"``: the sensor is turned by 90 degrees about z, counter-clockwise seen from above.
         ``"0,10.5,90"``: roll, pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z.
         ``"x=-y,y=x"``: the vehicle's axes as the sensor's; an axis that is left out follows from the others.
 
     Raises
     ------
     InputError
-        It is none of these, or a mirror image.
+        It has none of these forms, or is a mirror image.
     """
     parts = text.replace(" ", "").split(",")
     if all("=" in part for part in parts):

@@ -53,6 +53,7 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("vy", "vy|vn|v_?north|north_?vel(?:ocity)?|vel(?:ocity)?_?n(?:orth)?"),
     ("std_x", f"std_?x|sigma_?x|std_?e(?:ast)?|sd_?e|std_?lon|(?:lon(?:gitude)?|east(?:ing)?)_?{_STD}"),
     ("std_y", f"std_?y|sigma_?y|std_?n(?:orth)?|sd_?n|std_?lat|(?:lat(?:itude)?|north(?:ing)?)_?{_STD}"),
+    ("std_heading", f"std_?(?:heading|yaw|hdg)|(?:heading|yaw|hdg)_?(?:{_STD}|acc(?:uracy)?)|acc_?heading"),
     (
         "wheel_speed",
         "(?:wheels?|vehicle|car|can|odo(?:meter)?)_?(?:speed|velocity)|speed_?(?:can|wheels?)|odometer",

@@ -16,7 +16,7 @@ PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
 DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
-    **dict.fromkeys(("lat", "lon", "course", "bearing", "theta"), "angle"),
+    **dict.fromkeys(("lat", "lon", "course", "bearing", "theta", "std_heading"), "angle"),
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
@@ -82,7 +82,7 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
     """Accelerations in g or mg if their magnitude is then gravity; rates in deg/s if they exceed 5.
 
-    Others are in SI units, or raw counts if they exceed what a car can do.
+    Others are in SI units, or raw counts if they are too large for a car.
     """
     text = columns.text(what)
     letter = what[0]
@@ -124,9 +124,7 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
         seen = f"they reach {max(columns.largest(a) for a in axes):.5g}"
     named = ", ".join(quoted(columns.names[a].column) for a in axes)
     maps = _maps(columns, role, axes, form)
-    return (
-        f"columns {named} hold raw counts, or an unknown unit: {seen}; give their scale, as {maps} ({about})"
-    )
+    return f"columns {named} contain raw counts, or have an unknown unit: {seen}; give their scale, as {maps} ({about})"
 
 
 def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:

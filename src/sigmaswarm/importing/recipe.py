@@ -19,7 +19,7 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz", "keep"),
     "gps": (
         *("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y"),
-        *("speed", "course", "heading", "vx", "vy", "keep"),
+        *("speed", "course", "heading", "std_heading", "vx", "vy", "keep"),
     ),
     "truth": (
         *("t", "x", "y", "lat", "lon", "alt", "vx", "vy"),
@@ -143,7 +143,7 @@ def with_maps(
     Raises
     ------
     InputError
-        An entry is no ``column=expression``, or no role has such a column.
+        An entry is not ``column=expression``, or no role has such a column.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()

@@ -71,7 +71,7 @@ class Placement:
     frames: tuple[str, str, str]
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe the parts of it that an import with a mounting and a lever arm has."""
+        """Describe the parts that are used by an import with a mounting and a lever arm."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
@@ -116,7 +116,7 @@ class Choice:
     ----------
     tables : by role, the table that was named
     receive_times : times of receipt are taken, not the stamps of headers
-    mapped : roles whose columns the user maps, so that their table may hold anything
+    mapped : roles whose columns the user maps, so that their table may contain anything
     """
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])

@@ -55,7 +55,7 @@ def require_supported(parameters: FilterParameters) -> None:
         )
     if p.kind not in ("ukf", "ekf"):
         raise InputError(f"{p.kind} adapts its own noises; tune a ukf or an ekf for noise-gru")
-    for name in ("velocity_noise", "odometer_noise", "fix_error"):
+    for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:
             raise InputError(f"noise-gru is not trained through a filter with {name}; tune one without")
 

@@ -76,7 +76,7 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
     Parameters
     ----------
     parameters : FilterParameters
-        With ``nominal_interval``, as every tuning has it.
+        Parameters with ``nominal_interval``, which every tuning has.
     name : str
 
     Raises

@@ -34,7 +34,7 @@ COARSE = 0.5
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
-    """Return what the stretches show and do not show."""
+    """Return remarks on what the stretches show."""
     total, longest = sum(lengths), max(lengths)
     remarks: list[str] = []
     if stretches.gaps:

@@ -20,7 +20,13 @@ from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, method_names
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
-from sigmaswarm.scoring.view import EvaluationView, explained_consistency, explained_scores, with_training
+from sigmaswarm.scoring.view import (
+    EvaluationView,
+    explained_consistency,
+    explained_radius,
+    explained_scores,
+    with_training,
+)
 from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
@@ -69,6 +75,11 @@ def evaluation_report(folder: Path) -> Report:
             _comparison(view),
             *((Section("The swarm", (BANK,), charts=swarm),) if swarm else ()),
             Section("Consistency", (explained_consistency(nees),), (view.consistency_table(),)),
+            *(
+                (Section("Position radius", (explained_radius(),), (view.radius_table(),)),)
+                if scores.radius
+                else ()
+            ),
             parameters_section(file),
             *convergence_section(file, folder),
             data_section("Drives of the evaluation", setup.data),

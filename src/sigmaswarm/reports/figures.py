@@ -19,6 +19,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import Formatter
@@ -186,7 +187,7 @@ def _svg(figure: Figure, **settings: str) -> str:
     look: dict[Any, Any] = {"svg.hashsalt": "sigmaswarm", **settings}
     with rc_context(look), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")
-        figure.savefig(file, format="svg", metadata=metadata)
+        FigureCanvasSVG(figure).print_svg(file, metadata=metadata)  # once: see `save`
     return re.sub(
         r'<g id="hover-([^"]*)">',
         lambda found: f"<g><title>{escape(urlsafe_b64decode(found[1]).decode())}</title>",

@@ -50,7 +50,7 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        2 where the filter is consistent; above, it is optimistic.
+        2 where the filter is consistent; above, the filter is overconfident.
     nis_band : (float, float)
         95% band of the mean of this many independent values.
     inside_gate : float
@@ -172,7 +172,7 @@ VERDICTS: dict[Kind, str] = {
 
 
 def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
-    """Sentences on the consistency on several drives, one for each kind that holds for a drive."""
+    """Sentences on the consistency on several drives, one for each kind of verdict."""
     known = [one for one in found if one]
     of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)
@@ -210,9 +210,12 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
 def _size(mean_squares: Sequence[float], what: str) -> str:
     """Compare sigmas with the right ones, from mean NIS or NEES, which should be 2."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
-    ratio = math.sqrt(2 / mean) if mean > 0 else math.inf
+    return f"{size_of(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
+
+
+def size_of(ratio: float) -> str:
+    """Describe sigmas by their ratio to the right ones."""
     size = "large" if ratio > 1 else "small"
-    off = f"{100 * abs(ratio - 1):.0f}% too {size}"
-    if not 0.5 < ratio < 2:
-        off = f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"
-    return f"{off} (mean {what} {mean:.2g}, should be 2)"
+    if 0.5 < ratio < 2:
+        return f"{100 * abs(ratio - 1):.0f}% too {size}"
+    return f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"

@@ -12,6 +12,7 @@ from sigmaswarm.files import write_json
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.consistency import Consistency
+from sigmaswarm.scoring.radius import RadiusRecord
 
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 
@@ -50,6 +51,8 @@ class ScoresRecord(BaseModel):
     """By drive and measure."""
     failed: dict[str, list[str]] = Field(default_factory=dict)
     """By drive: methods that failed."""
+    radius: dict[str, dict[str, RadiusRecord]] = Field(default_factory=dict)
+    """By drive: of the tuned filter with all fixes, ``tracking``, and by measure of drift at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
     """By drive: fixes that repeat an earlier one although the vehicle may have moved; filters do not use them."""
 

@@ -82,10 +82,11 @@ class PieceErrors:
         self._first = self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
         self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
         self._off: list[Array] = []
+        self._variance: list[Array] = []
         self._turned: list[Array] = []
 
-    def add(self, time: Array, mean: Array) -> None:
-        """The next estimates: times (r,) in s, and means (r, n) of a model's states."""
+    def add(self, time: Array, mean: Array, variance: Array | None = None) -> None:
+        """The next estimates: times (r,) in s, means (r, n) of a model's states, and variances for `errors`, (r,)."""
         truth, first = self._truth, self._next
         self._next = int(np.searchsorted(truth.time, time[-1], side="right"))
         at, nodes = slice(first, self._next), np.concatenate([[self._time], time])
@@ -94,7 +95,16 @@ class PieceErrors:
         x, y, theta = (np.interp(truth.time[at], nodes, pose[:, i]) for i in (0, 1, THETA))
         self._off.append(np.hypot(x - truth.x[at], y - truth.y[at]))
         self._turned.append(wrap_angle(theta - truth.theta[at]))
+        if variance is not None:
+            self._variance.append(np.interp(truth.time[at], time, variance))
         self._time, self._pose = time[-1], pose[-1]
+
+    @property
+    def errors(self) -> tuple[Array, Array, Array]:
+        """Times of truth so far, s, with the variances that were given, m2, and the position errors, m."""
+        none = np.empty(0)
+        variance, off = (np.concatenate([none, *of]) for of in (self._variance, self._off))
+        return self._truth.time[self._first : self._next], variance, off
 
     @property
     def score(self) -> Score:

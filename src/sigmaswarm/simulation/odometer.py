@@ -28,7 +28,7 @@ class OdometerGrade:
     teeth : int
         Pulses per turn of the wheels.
     scale_std : float
-        Standard deviation of the scale error, drawn for each drive: reading over true speed, less 1.
+        Standard deviation of the scale error, drawn for each drive: reading / true speed - 1.
     resolution : float
         m/s, of the number on the bus.
     slowest : float

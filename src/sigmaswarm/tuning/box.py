@@ -15,7 +15,7 @@ from sigmaswarm.tuning.options import Scale
 BoxEnd = Literal["lower", "upper"]
 NOISES = (
     *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
-    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
+    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "heading_noise"),
 )
 """Fields of `FilterParameters` that are noise variances; all of them times one factor scale the covariance."""
 
@@ -24,7 +24,7 @@ NOISES = (
 class TouchedBound:
     """A parameter that ended at a bound: the optimum may lie beyond it.
 
-    Files hold its text: ``q_x at its lower bound (1e-05)``.
+    Files contain its text: ``q_x at its lower bound (1e-05)``.
     """
 
     parameter: str

@@ -42,7 +42,7 @@ def _qualified_name(optimizer: Any) -> str:
 
 
 OwnOptimizer = Annotated[Callable[..., Any], PlainSerializer(_qualified_name, return_type=str)]
-"""A class of the user's own; files hold its module and name."""
+"""A class of the user's own; files contain its module and name."""
 OwnOptimizerName = Annotated[str, Field(pattern=r"^[\w.]+:[\w.<>]+$")]
 
 

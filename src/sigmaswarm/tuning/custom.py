@@ -84,7 +84,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
     Raises
     ------
     InputError
-        If the model does not fit a log, or the objective is none for models or needs truth that a log does not have.
+        If the model does not fit a log, the objective does not support models, or it needs truth that a log lacks.
     """
     if not logs:
         raise InputError("no logs were given; give at least one")

@@ -36,11 +36,11 @@ SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of the accelerometers' scales in a planar filter: the body rolls and pitches with them."""
 PRIOR_STD = dict.fromkeys(SCALES, 0.03) | {"latency": 0.02, "rear_axle": 1.0, "tire_slip": 0.01}
-"""Of the other unknowns: 1, s, m, s2/m. The last three are parameters of the filter."""
+"""Standard deviations of the priors of the other unknowns: 1, s, m, s2/m; the last three are parameters of filters."""
 STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(
     SCALES, 0.005
 )
-"""For derivatives, in the units of the unknowns."""
+"""Steps of finite differences, in the units of the unknowns."""
 DOF = 8.0
 """Degrees of freedom of Student's t, which downweights outliers."""
 BLOCK = 20.0

@@ -156,13 +156,13 @@ OBJECTIVES = {
         ),
         Objective(
             "nis",
-            "|ln(mean NIS / 2)|: how far the innovations are from what the filter expects",
+            "|ln(mean NIS / 2)|: how far the innovations are from their covariances",
             lambda scores: _off(scores.mean_nis),
             nats=1.0,
         ),
         Objective(
             "nees",
-            "|ln(mean NEES / 2)|: how far the position error is from what the filter expects",
+            "|ln(mean NEES / 2)|: how far the position error is from its covariance",
             lambda scores: _off(scores.mean_nees),
             needs_truth=True,
             nats=1.0,

@@ -21,6 +21,7 @@ Option = Literal[
     "slip",
     "standstill",
     "odometer",
+    "heading",
     "gate",
     "imu-gate",
     "latency",

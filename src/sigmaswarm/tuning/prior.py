@@ -34,7 +34,7 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
     -------
     ndarray, shape (n, m)
         0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0; the mean over both axes. R of a filter
-        that goes by each fix's own accuracy is that of the median fix. With `FilterParameters.fix_error` R includes the
+        that uses each fix's stated accuracy is that of the median fix. With `FilterParameters.fix_error` R includes the
         variance of the errors that last, and 0.25 replaces 0.5 where it is larger.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)

@@ -135,7 +135,7 @@ def accuracy_warnings(
     if share > NO_PART:
         return []
     why = (
-        f"what the receiver states of its fixes is {share:.0%} of R, so `accuracy` has no effect: it hardly changes "
+        f"the accuracy that the receiver states is {share:.0%} of R, so `accuracy` has no effect: it hardly changes "
         "from fix to fix, or is unrelated to their errors"
     )
     rest = " ".join(name for name in use if name != "accuracy")

@@ -24,9 +24,9 @@ from sigmaswarm.tuning.search import Trial
 End = float | Literal["-"]
 """An end of the range in which the cost rises by less than 1%; ``-`` if it is at the bound."""
 NOT_VALIDATED = (
-    "its cost is on the drives that it was tuned on; evaluate it on others, or give validation drives"
+    "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
 )
-"""The remark that an evaluation makes unnecessary."""
+"""The remark that an evaluation makes unnecessary; files contain it, so its text must not change."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 

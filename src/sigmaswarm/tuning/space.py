@@ -43,6 +43,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
         Dimension("odometer_scale", "odometer_scale", 0, 0.9, 1.1, spread=False),
         Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
     ),
+    "heading": (Dimension("heading_noise", "heading_noise", 0, 1e-7, 0.1),),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
     "imu-gate": (
         Dimension("gate_gyro", "imu_gate", 1, 4.0, 100.0),

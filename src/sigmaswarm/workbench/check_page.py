@@ -130,7 +130,7 @@ class CheckPage:
         return list(self.bench.read(name + CHECKED).metadata.get("steps", []))
 
     async def _look_ahead(self, asked: int, drive: Drive, diagnosis: Diagnosis) -> None:
-        """Try each repair, so that its card shows what it would change."""
+        """Try each repair, so that its card shows its effect."""
         for finding in diagnosis.findings:
             if finding.repair is None or finding.code in self.after:
                 continue

@@ -20,7 +20,7 @@ from sigmaswarm.workbench.take_page import TakePage
 from sigmaswarm.workbench.tune_page import TunePage
 
 STEPS = {
-    "log": ("Log", "what is in it"),
+    "log": ("Log", "its content"),
     "check": ("Check", "faults, repairs, cuts"),
     "tune": ("Tune", "search the parameters"),
     "judge": ("Judge", "on drives that the tuning did not use"),

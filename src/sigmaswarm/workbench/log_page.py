@@ -184,7 +184,7 @@ class LogPage:
 
     @ui.refreshable_method
     def _notes(self) -> None:
-        """Assumptions of the import, and a proposal for what was not recognized."""
+        """Assumptions of the import, and a proposal for the rest."""
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
@@ -228,7 +228,7 @@ class LogPage:
             text("h2", "Does it agree?")
             text(
                 "p",
-                "Solid: what the IMU measured. Dashed: what it should follow. Zoom with the mouse.",
+                "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse.",
                 "soft",
             )
             with ui.element("div").classes("grid"):

@@ -18,7 +18,7 @@ def start(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def aside(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Do work on a thread; return its result, or None and the sentence of its error."""
+    """Run a function on a thread; return its result, or None and the message of its error."""
     return await run.io_bound(attempt, work, *arguments, **options) or (None, "")
 
 

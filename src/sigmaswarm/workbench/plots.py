@@ -60,7 +60,7 @@ class TimePlot:
     ----------
     title, unit : str
     series : mapping of label to `Series`
-    dashed : labels drawn as dashes: what the others should follow
+    dashed : labels drawn as dashes: the expected values
     spans : from when to when to shade, s
     """
 

@@ -61,7 +61,7 @@ class Workbench:
         return path
 
     def names(self, kind: str, holds: str = "") -> list[str]:
-        """List the names of a kind whose folders hold a file, the newest last."""
+        """List the names of a kind whose folders contain a file, the newest last."""
         found = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
         found = [p for p in found if not holds or (p / holds).is_file()]
         return [p.name for p in sorted(found, key=lambda p: (p.stat().st_mtime, p.name))]
@@ -134,7 +134,7 @@ def _read_choices(file: Path) -> dict[str, Any]:
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Do work and return its result, or None and the sentence of its error."""
+    """Run a function; return its result, or None and the message of its error."""
     try:
         return work(*arguments, **options), ""
     except sigmaswarm.SigmaswarmError as error:

@@ -85,7 +85,7 @@ class TakePage:
             text("h2", "The filter itself")
             text(
                 "p",
-                "tuning.toml holds the parameters with units, data and versions; FilterParameters.load reads it.",
+                "tuning.toml has the parameters with units, data and versions; FilterParameters.load reads it.",
             )
             link("Download the tuning", f"download/tunings/{self.chosen['tuning']}", download=True)
 

@@ -17,15 +17,14 @@ from sigmaswarm.drives.drive import Array, Imu
 MOUNTING = (math.radians(5), math.radians(10))
 """rad: a rotation about z of at least the first is a warning, of at least the second serious."""
 TILT = (0.5, 1.2)
-"""m/s2: the same for the unexplained mean of ax, ay. Roads and cheap sensors' biases stay below the second."""
+"""m/s2: the same for what is left over in ax, ay. Roads and cheap sensors' biases stay below the second."""
 SIZE = (0.3, 1.0)
-"""m/s2 by which the usual specific force differs from gravity.
+"""m/s2 by which the usual specific force differs from gravity: at least the first is a note, the second a warning.
 
-At least the first is a note, at least the second a warning. Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias
-(MPU-6050).
+Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050).
 """
-CLEAR = 3.5
-"""Deviations."""
+LIKELY, CLEAR = 2.5, 3.5
+"""Standard deviations: a rotation of at least the first is a note, of at least the second is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
 """m/s2: acceleration below which the scale is unknown."""
@@ -51,7 +50,7 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     if not np.array_equal(axes, np.eye(2)):
         forward, left = (f"{'-' if row.sum() < 0 else ''}{'ax' if row[0] else 'ay'}" for row in axes)
         opposite = np.array_equal(axes, -np.eye(2)) and az is not None and float(np.median(az)) < 0
-        what = f"forward acceleration is in {forward}, that to the left in {left}"
+        what = f"forward acceleration stands in {forward}, that to the left in {left}"
         if opposite:
             what = (
                 "the accelerometers report the opposite of specific force: ax, ay and az have the wrong sign"
@@ -74,18 +73,20 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     """The angle about the vertical, and the scale of each axis."""
     angle, std, imu, span = mount.angle, mount.angle_std, evidence.drive.imu, evidence.span
-    if abs(angle) >= max(MOUNTING[0], CLEAR * std):
-        severity = "serious" if abs(angle) > MOUNTING[1] else "warning"
+    if abs(angle) >= max(MOUNTING[0], LIKELY * std):
+        clear = abs(angle) >= CLEAR * std
+        severity = ("serious" if abs(angle) > MOUNTING[1] else "warning") if clear else "note"
         degrees, side = (
             math.degrees(angle),
             "left" if angle > 0 else "right",
         )  # a = R(angle) u: where x points
         what = (
-            f"the IMU is turned by {abs(degrees):.0f} deg (deviation {math.degrees(std):.0f}) to the {side} "
-            "about the vertical"
+            f"the IMU {'is' if clear else 'may be'} turned by {abs(degrees):.0f} deg (deviation "
+            f"{math.degrees(std):.0f}) to the {side} about the vertical"
         )
-        confidence, remedy = confidence_of(angle / std), f"turn (ax, ay) and (gx, gy) by {degrees:+.0f} deg"
-        yield Finding("mounting", severity, what, WHERE, span, confidence, remedy, Repair("turn", (angle,)))
+        remedy = f"turn (ax, ay) and (gx, gy) by {degrees:+.0f} deg{'' if clear else ' if other drives show it too'}"
+        repair = Repair("turn", (angle,)) if clear else None
+        yield Finding("mounting", severity, what, WHERE, span, confidence_of(angle / std), remedy, repair)
     second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
     force = mount.matrix @ np.array([imu.ax, imu.ay])
     for name, (scale, std), row in zip(("forward", "left"), mount.scale, force, strict=True):
@@ -98,7 +99,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """The mean of ax, ay minus the car's own motion."""
+    """The mean of ax, ay less the car's own motion."""
     assert evidence.course is not None
     assert evidence.acceleration is not None
     rows, time = evidence.acceleration.rows, evidence.course.time
@@ -118,13 +119,13 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
         what = f"gravity {what}; the IMU is tilted by about {tilt:.0f} deg"
     else:
         what = f"bias, or tilt of {tilt:.0f} deg, {what}"
-    remedy = "level the IMU, or subtract the constant; --model planar8 estimates the rest"
+    remedy = "level the IMU, or take the constant off; --model planar8 estimates the rest"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """Level six axes if a tilt explains the mean of ax and ay; else subtract the constants."""
+    """Turn six axes level where a tilt explains what is left over in ax and ay; else take the constants off."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):
@@ -144,9 +145,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
     elif mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
         return  # reported with the axes
     elif upside_down(evidence):
-        what = (
-            "the IMU is upside down, as az, gx and gy show; the fixes do not show which axis points forward"
-        )
+        what = "the IMU is upside down: az, gx and gy agree on it; the fixes do not show which axis points forward"
         remedy = "turn it about x: import with --mount x=x,y=-y, or turn all axes by the sensor's data sheet"
         repair = Repair("rotate", tuple(np.diag([1.0, -1.0, -1.0]).ravel().tolist()))
         where = "imu.csv, ay, az, gy, gz"

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.checks.velocity import agrees
 from sigmaswarm.doctor.clock_search import WIDEST
 from sigmaswarm.doctor.evidence import Evidence
@@ -79,7 +80,10 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if chosen.model == "tilted12":
         reasons["model"] = "az, gx and gy are there, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))
-    may = "you may add velocity to --use: the receiver gives speed and course"
-    what = f"tune takes {chosen.options}{f': {because}' if because else ''}{f'; {may}' if agrees(evidence) else ''}"
+    may = ["velocity to --use: the receiver gives speed and course"] if agrees(evidence) else []
+    if drive.gps.heading is not None and not any(check_heading(evidence)):
+        may.append("heading to --use: the fixes have one")
+    what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
+    what += f"; you may add {'; and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

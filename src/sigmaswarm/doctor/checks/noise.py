@@ -12,11 +12,11 @@ from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 TOO_SMALL = 2.0
 """Observed noise over the stated one."""
 TOO_LARGE = 6.5
-"""Stated over observed, where the noise is white; slow errors of a receiver do not show, so such a ratio is usual."""
+"""Stated over observed, where the noise is white; a receiver's slow errors do not show, so that much is usual."""
 LASTS = 2.5
-"""Stated deviation over scatter about a path of ten seconds, from which most of the error lasts longer."""
+"""The stated deviation over the scatter about a path of ten seconds, from which on most of the error outlasts these."""
 FAR_FIRST = 1000.0
-"""m from the first fix to the next good one: such a first fix, as the origin, displaces the whole drive."""
+"""m from the first fix to the next sound one: such a first fix, as the origin, displaces the whole drive."""
 WHITE = 0.7
 """Noise from fix to fix over the scatter about a path of ten seconds: 1 for white noise."""
 
@@ -54,11 +54,11 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     elif white and stated > TOO_LARGE * scatter:
         how, confidence = "larger", confidence_of(2 * stated / TOO_LARGE / scatter)
     else:
-        if stated > LASTS * max(scatter, LEAST_NOISE):
+        if stated > LASTS * max(scatter, LEAST_NOISE) or (noise < WHITE * scatter and scatter > LEAST_NOISE):
             what = (
-                f"the fixes scatter by {scatter:.2g} m per axis about a path of ten seconds, and the receiver states "
-                f"{stated:.2g} m: their errors last, so that many fixes are hardly better than one, and a filter "
-                "without truth can't know its error"
+                f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
+                f"of ten seconds, and the receiver states {stated:.2g} m: their errors last, so that many fixes are "
+                "hardly better than one; without truth neither the stated deviation nor a filter's error can be checked"
             )
             remedy = "read a filter's own position deviation as the scatter alone"
             yield Finding(

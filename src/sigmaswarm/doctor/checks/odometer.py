@@ -167,7 +167,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
         return
     for unit, factor in UNITS.items():
         if not 1 / FAMILIAR < size < FAMILIAR and abs(math.log(size * factor)) < 0.1:
-            what = f"speed is in {unit}: {size:.2f} times what the fixes move at"
+            what = f"speed is in {unit}: {size:.2f} times the speed of the fixes"
             remedy, repair = f"multiply speed by {factor:.4g}", Repair("odometer", (factor,))
             yield Finding("odometer-unit", "serious", what, SPEED, span, 0.99, remedy, repair)
             return
@@ -223,7 +223,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     late = float(lags[best])
     if abs(late) >= LATE and alike[best] > max(ALIKE, float(alike[len(lags) // 2]) + 0.05):
         way = "late" if late > 0 else "early"
-        what = f"the wheels' speed changes {abs(late):.2f} s {way} for what the accelerometer feels"
+        what = f"the wheels' speed changes {abs(late):.2f} s {way} relative to the acceleration"
         remedy = f"add {-late:+.2f} s to its times, or let `tune --use odometer` find its latency"
         repair = Repair("shift-odometer", (-late,))
         yield Finding(

@@ -37,7 +37,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
     move = f"take {size} off" if late > 0 else f"add {size} to"
     if evidence.moved:
-        what = f"the fixes are {abs(late):.1f} s {way} against the IMU: only then do the gyro's turns match the course"
+        what = f"the fixes are {abs(late):.1f} s {way} relative to the IMU, by the turns of the gyro and the course"
         leap = "; GPS time is 18 s ahead of UTC" if abs(abs(late) - 18) < 1 else ""
         repair = Repair("shift-clock", (-evidence.moved,))
         yield Finding(

@@ -25,7 +25,7 @@ LATE = 0.2
 FEWEST = 30
 REMEDY = (
     "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
-    "second [[gps]] of the same table, its t moved), and see on another drive what they are worth"
+    "second [[gps]] of the same table, with its t moved), and test them on another drive"
 )
 
 

@@ -83,6 +83,7 @@ HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),
     "raw-gps": Method("raw GPS"),
+    "fixes-alone": Method("fixes alone, constant velocity"),
     "ekf-defaults": Method("EKF, manual: defaults", paper="ekf"),
     "ekf-datasheet": Method("EKF, manual: data sheet", paper="ekf"),
     "adaptive-ukf-defaults": Method("adaptive UKF, manual: defaults", paper="adaptive-ukf"),

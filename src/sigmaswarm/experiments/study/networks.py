@@ -81,7 +81,7 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A trained network, the parameters of its filter, and the s of driving that it learned from."""
+    """A trained network, the parameters of its filter, and the time of driving that it learned from, s."""
 
     parameters: FilterParameters
     learned: Learned

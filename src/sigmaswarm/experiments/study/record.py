@@ -1,6 +1,6 @@
 """The files of a study: results.json, scores.csv, timings.json and tracks.npz.
 
-results.json holds (null where a figure is unknown):
+results.json contains (null where a figure is unknown):
 
     schema         1
     config         study.toml
@@ -99,7 +99,7 @@ class PairedStatistics(_Part):
     ----------
     mean_difference, interval : method less other (negative: better), with its bootstrap interval over drives
     p : of Wilcoxon's signed-rank test, two-sided
-    rank_biserial : effect size, -1 to 1: share of the rank sum in favor less the share against
+    rank_biserial : effect size, -1 to 1: share of the rank sum in favor minus the share against
     improvement, improvement_interval : percent, the paper's equation 5
     n_drives : int
     """
@@ -127,7 +127,7 @@ class PairedComparison(PairedStatistics, _Compared):
 
 
 class TrialTuning(_Part):
-    """A tuning in a trial; ``folder``, relative to the study's, holds result.json and history.npz."""
+    """A tuning in a trial; ``folder``, relative to the study's, contains result.json and history.npz."""
 
     protocol: str
     method: str

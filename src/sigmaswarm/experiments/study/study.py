@@ -1,6 +1,6 @@
 """Run a study: tune every method in every trial, then score all methods on the test drives.
 
-The folder of a study holds
+The folder of a study contains
 
     study.toml           the configuration; a resumed study must have the same
     trials/              a folder for each protocol and tuned method, as a tuning's
@@ -181,7 +181,9 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
         write_whole(file, config.to_toml())
         return
     if not resume:
-        raise InputError(f"{out}: already holds a study; add --resume to continue it, or name another folder")
+        raise InputError(
+            f"{out}: already contains a study; add --resume to continue it, or name another folder"
+        )
     saved = read_config(file)
     for name in StudyConfig.model_fields:
         if getattr(saved, name) != getattr(config, name):

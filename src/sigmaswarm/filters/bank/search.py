@@ -32,7 +32,7 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
-"""Of differential evolution: F and CR."""
+"""F and CR of differential evolution."""
 NOT_SCORED = 2.0
 """s at the beginning of a replay, in which a filter of other offsets settles."""
 FEWEST_FIXES = 8
@@ -82,7 +82,7 @@ class Steps:
     def followed(self, lane: Array, known: Evidence) -> tuple[Array, Evidence]:
         """A lane (N_KEPT,) after all steps, and its evidence then."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
-        fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint8) & FIX)
+        fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
         self._run(lanes, self._place, len(self.rows), innovations)
         return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _lost_over(*innovations.T))
@@ -97,7 +97,7 @@ class Steps:
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
         """Run from a place to before step ``stop``; lanes and place are changed."""
         k = len(self.rows)
-        flags, steps = self.rows[:, T_FLAGS].astype(np.uint8), self.rows[:, T_STEP]
+        flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         arrays = (
             np.ascontiguousarray(steps[:, :FIRST_AXIS]),
             np.arange(k, dtype=np.int32),

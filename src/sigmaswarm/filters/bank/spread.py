@@ -44,6 +44,7 @@ _MEASURED = {
     "lateral": ("lateral_noise", "R_LATERAL"),
     "standstill": ("standstill_noise", "R_STANDSTILL"),
     "odometer": ("odometer_noise", "R_ODOMETER"),
+    "heading": ("heading_noise", "R_HEADING"),
 }
 """The parameter and the kernel's constant of each offset, by name."""
 FAR, FAR_AXLE = 0.5, 0.5

@@ -58,7 +58,7 @@ CONSTANTS = (
     "REAR_AXLE", "TIRE_SLIP", "LATENCY", "GATE", "FORGETTING", "FADING",
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
-    "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
+    "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
     "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix that states none
 )  # fmt: skip

@@ -38,7 +38,7 @@ from sigmaswarm.filters.compiled.memory import memory_at
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
 from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL, WATCHED, last_fix, rough_heading
-from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
+from sigmaswarm.filters.schedule import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
 # The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, the intervals
 # in which the constraints and the odometer were absorbed last, and when the latter was.
@@ -58,9 +58,11 @@ LATE_BY, SEEN_FIX, LOOKED = range(N_BELIEF + 7, N_BELIEF + 10)
 LEVER = slice(N_BELIEF + 10, N_BELIEF + 13)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
 LAST_SAMPLE = SAMPLE.start  # its time
-FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, HAS_VELOCITY, KIND = range(9)
+(
+    FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA, HAS_VELOCITY, KIND,
+) = range(11)  # fmt: skip
 FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
-N_FIX = 9
+N_FIX = 11
 # The last sample and fix that lay too far ahead to be taken at once; and the one that has just come.
 SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
@@ -179,8 +181,8 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
     ``number``: of the sample, from the start.
     """
-    before, nothing = v[TIME], np.zeros(9)
-    no_fix, wheels = nothing[:6], nothing[6:]
+    before, nothing = v[TIME], np.zeros(11)
+    no_fix, wheels = nothing[:8], nothing[8:]
     end, came = _until(fixes, counts[N_FIXES], t), _until(speeds, counts[N_SPEEDS], t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
@@ -190,6 +192,8 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
         if z[KIND] >= FROZEN:
             continue
         happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
+        if z[FIX_VAR_THETA] < math.inf:
+            happens |= HEADING
         _step_to(step, v, z[FIX_TIME], u, happens, z[FIX_ROW], wheels)
         v[SINCE] = 0.0
     happens = 0
@@ -491,13 +495,13 @@ def _take_sample(sources):
 
 
 def _take_fix(sources):
-    def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y):
+    def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
         """Process a fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
             return LEFT_OUT
-        z = np.array([t, x, y, vx, vy, var_x, var_y, has_velocity, 0.0])
+        z = np.array([t, x, y, vx, vy, var_x, var_y, theta, var_theta, has_velocity, 0.0])
         ahead = v[FIX_AHEAD]
         agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
         if counts[HOLDS_FIX] == HELD:
@@ -569,7 +573,7 @@ class LiveCalls:
     Attributes
     ----------
     sample : ``(handle, t, a, b, c, d, e, f)``, an IMU sample, its axes as the filter takes them; what became of it
-    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
+    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``, a fix; what became of it
     speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
     heading : ``(handle, gyro_bias)``, approximate heading from the log alone, rad, for a gyro of that bias (rad/s); NaN
         where it does not show one
@@ -591,7 +595,7 @@ def live_calls():
     """Compiled once, on import: numbers of other types are converted."""
     makers = (_take_sample, _take_fix, _take_speed, _look_back, _look_at_covariance)
     calls = [cached_by_sources(make, "live") for make in makers]
-    for function, numbers in zip(calls, (7, 8, 2, 1, 0), strict=True):
+    for function, numbers in zip(calls, (7, 10, 2, 1, 0), strict=True):
         signature = (int64, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)

@@ -13,8 +13,23 @@ gyro's bias (its index, or -1); `absorbers` returns the result.
 
 import math
 
+import numpy as np
+
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
-from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
+from sigmaswarm.drives.timeline import (
+    AX,
+    FIX_THETA,
+    FIX_U,
+    FIX_V,
+    FIX_VAR_THETA,
+    FIX_VAR_X,
+    FIX_VAR_Y,
+    FIX_X,
+    FIX_Y,
+    GX,
+    GY,
+    GZ,
+)
 from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, see_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, SLOPE, R, at
@@ -23,17 +38,19 @@ from sigmaswarm.filters.compiled.tilted12 import (
     fold,
     measure_along_tilted,
     measure_fix_tilted,
+    measure_heading_tilted,
 )
 from sigmaswarm.filters.compiled.tilted12_unscented import (
     OUTPUTS,
     measure_fix_unscented,
+    measure_heading_unscented,
     measure_lateral_unscented,
     measure_odometer_unscented,
 )
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED
 from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
-from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
+from sigmaswarm.filters.schedule import HEADING_GATE, MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
     FORECAST_DOF,
     FORECAST_SCALE,
@@ -43,6 +60,8 @@ from sigmaswarm.filters.student import (
     OUTLIERS,
     OUTLYING,
 )
+
+TWO_PI = 2.0 * math.pi
 
 
 def axis_of(bias):
@@ -476,6 +495,28 @@ def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
         fold(w)
 
 
+def _measure_heading(w, *, n):
+    """z = theta: its prediction, C and H P H^T; linear in the state."""
+    for l in range(LANES):
+        w[R.N1, l], w[R.S11, l] = w[R.T, l], w[R.TT, l]
+        for i in range(n):
+            w[C1 + i, l] = w[at(i, R.T), l]
+
+
+def absorb_heading(w, u, z, *, tilted, measure_heading):
+    """The heading of two antennas, ``latency`` ago; one far off has a larger variance: see `schedule.HEADING_GATE`."""
+    shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
+    measure_heading(w)
+    for l in range(LANES):
+        off = theta + w[R.LATENCY, l] * shown - w[R.N1, l]
+        off -= TWO_PI * np.floor(off / TWO_PI + 0.5)
+        s, least = w[R.S11, l] + (w[R.R_HEADING, l] + stated), off * off / HEADING_GATE
+        w[R.N1, l], w[R.S11, l] = off, s if s > least else least
+    _absorb_one(w)
+    if tilted:
+        fold(w)
+
+
 def _absorb_one(w, *, n):
     """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
     for l in range(LANES):
@@ -505,7 +546,7 @@ def _absorb_two(w, *, n, tilted):
 
 
 def absorbers(name: str, note_prior=None, noted=0):
-    """`forecast_fix` and the five `absorb_...` functions of a kernel's name.
+    """`forecast_fix` and the six `absorb_...` functions of a kernel's name.
 
     ``note_prior``: see `tape`; ``noted``: see `move_fix_error`.
     """
@@ -524,14 +565,17 @@ def absorbers(name: str, note_prior=None, noted=0):
     parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
     parts += (age_fix_error, move_fix_error, see_fix_error) if model.fix_error else ()
     parts += () if ready["tilted"] else (_measure_fix,)
+    ready["measure_heading"] = kernel(_measure_heading, n=ready["n"])
     if unscented:
         ready["_measure_fix"] = measure_fix_unscented
+        ready["measure_heading"] = measure_heading_unscented
         ready["measure_lateral"], ready["measure_odometer"] = (
             measure_lateral_unscented,
             measure_odometer_unscented,
         )
     elif ready["tilted"]:
         ready["_measure_fix"] = kernel(measure_fix_tilted, n=ready["n"])
+        ready["measure_heading"] = kernel(measure_heading_tilted, n=ready["n"])
         along = {"n": ready["n"], **ALONG["lateral"]}, {"n": ready["n"], **ALONG["odometer"]}
         ready["measure_lateral"], ready["measure_odometer"] = (
             kernel(measure_along_tilted, **known) for known in along
@@ -545,6 +589,6 @@ def absorbers(name: str, note_prior=None, noted=0):
         ready[function.__name__] = kernel(function, **ready)
     public = (
         *(absorb_fix, forecast_fix, absorb_velocity, absorb_standstill),
-        *(absorb_lateral, absorb_odometer),
+        *(absorb_lateral, absorb_odometer, absorb_heading),
     )
     return {function.__name__: kernel(function, **ready) for function in public}

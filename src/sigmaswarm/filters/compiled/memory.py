@@ -40,7 +40,7 @@ class Memory:
     ----------
     step : SingleStep
     arrays : LiveArrays
-        The belief is a copy of what was given.
+        The state is a copy of the given one.
     handle : int
         What `memory_at` takes; as long as this object lives. Without compiling, the step and the arrays.
     """

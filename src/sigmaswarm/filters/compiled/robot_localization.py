@@ -13,11 +13,23 @@ import math
 import numpy as np
 
 from sigmaswarm.drives.odometer import SPEED
-from sigmaswarm.drives.timeline import AX, AY, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
+from sigmaswarm.drives.timeline import (
+    AX,
+    AY,
+    DT,
+    FIX_THETA,
+    FIX_VAR_THETA,
+    FIX_VAR_X,
+    FIX_VAR_Y,
+    FIX_X,
+    FIX_Y,
+    GZ,
+    Q_SCALE,
+)
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
 from sigmaswarm.filters.compiled.measurements import _look
-from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
+from sigmaswarm.filters.schedule import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
@@ -85,6 +97,8 @@ def _absorb(w, z, *, state, noise, gate):
     for l in range(LANES):
         r, use = w[noise, l], 1.0
         s, off = w[at(state, state), l] + r, z - w[state, l]
+        if state == R.T:
+            off = _wrap(off)
         if gate:
             use = 1.0 if off * off < w[gate, l] * s else 0.0
         one = use / s
@@ -109,6 +123,7 @@ _absorb_gz = kernel(_absorb, state=R.W, noise=R_GZ, gate=GATE_GZ)
 _absorb_ax = kernel(_absorb, state=R.A, noise=R_AX, gate=GATE_AX)
 _absorb_vx = kernel(_absorb, state=R.U, noise=R.R_ODOMETER, gate=0)
 _absorb_ay = kernel(_absorb, state=R.B, noise=R_AY, gate=0)
+_absorb_yaw = kernel(_absorb, state=R.T, noise=R.R1, gate=0)
 _absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
 
 
@@ -183,6 +198,13 @@ def _add_forecast(w):
 
 
 @kernel
+def _absorb_heading(w, theta, stated):
+    for l in range(LANES):
+        w[R.R1, l] = w[R.R_HEADING, l] + stated
+    _absorb_yaw(w, theta)
+
+
+@kernel
 def step(w, u, happens, z, wheels, lever, since):
     """Predict to the end of a step; update with the IMU sample, then with the fix."""
     d, gz, ax, ay = u[DT], u[GZ], u[AX], u[AY]
@@ -205,5 +227,7 @@ def step(w, u, happens, z, wheels, lever, since):
             _absorb_x(w)
             _absorb_y(w)
             _add_residual(w)
+            if happens & HEADING:
+                _absorb_heading(w, z[FIX_THETA], z[FIX_VAR_THETA])
         else:
             _add_forecast(w)

@@ -124,7 +124,7 @@ def _run(
     ``state``: the rows that are recorded; ``heading``: the one that is scored. A step's and a fix's numbers are passed
     as tuples: a row of an array would be reference-counted at each step.
     """
-    z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
+    z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
     wheels = (0.0, 0.0, 0.0)
     n_speeds = int(place[NEXT_SPEED])
     n_fixes = int(place[NEXT_FIX])
@@ -151,7 +151,10 @@ def _run(
         since += u[Q_SCALE]
         if happens & (FIX | HIDDEN):
             f = n_fixes
-            z = (fixes[f, 0], fixes[f, 1], fixes[f, 2], fixes[f, 3], fixes[f, 4], fixes[f, 5])
+            z = (
+                fixes[f, 0], fixes[f, 1], fixes[f, 2], fixes[f, 3],
+                fixes[f, 4], fixes[f, 5], fixes[f, 6], fixes[f, 7],
+            )  # fmt: skip
         if happens & ODOMETER:
             wheels = (speeds[n_speeds, 0], speeds[n_speeds, 1], speeds[n_speeds, 2])
             n_speeds += 1
@@ -339,7 +342,7 @@ def run_lanes(
     steps: Array,
     sample: NDArray[np.int32],
     driving: Array,
-    flags: NDArray[np.uint8],
+    flags: NDArray[np.uint16],
     fixes: Array,
     speeds: Array,
     lever: Array,
@@ -362,8 +365,7 @@ def run_lanes(
     sample : (k,) which row of ``driving`` drives each step
     driving : (n, 3 or 6) as `Timeline.driving`; with all the axes that the model reads
     flags : (k,) bits of each step: see `schedule`
-    fixes : (f, 6) m east, north, m/s east, north, m2 east, north as the receiver states it, in the order in which
-        steps absorb them
+    fixes : (f, 8) as `Timeline.fixes`, in the order in which steps absorb them
     speeds : (o, 3) as `drives.odometer.Wheels.rows`
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval

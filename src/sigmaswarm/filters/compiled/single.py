@@ -38,7 +38,7 @@ def _one_step(sources, *, step, kept, tape, taped):
             w[R.FACED_ALL, lane] = v[R.FACED]  # all lanes are the same
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
-            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
+            (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
             (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
         for r in kept:
@@ -115,7 +115,7 @@ step : the address of the result of `single_step`
 v : (N_KEPT or more,) the filter before and after
 u : (9,) a step's numbers, DT ... GY of `drives.timeline`
 happens : its bits of `schedule`
-z : (6,) a row of `Timeline.fixes`
+z : (8,) a row of `Timeline.fixes`
 wheels : (3,) a row of `odometer.Wheels.rows`
 lever : (3,) that of the time line
 since : Q's scale since the last fix

@@ -261,8 +261,8 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     start : (s,) the filter's state before the first one: its `state_rows`
     ends, started : (a,) int, (a, s) the steps behind which the filter was reset, and its state then: what lies
         before is smoothed without what comes behind
-    sampled : (k,) bool: the steps whose ends are asked for
+    sampled : (k,) bool: the steps whose ends are returned
     behind : (s,) changed: the smoothed state, behind the last step and then before the first
-    out : (r, s) written: what is known at the ends asked for
+    out : (r, s) written: the smoothed states at the chosen ends
     """
     _kernel_of(name)(tape, start, ends, started, sampled, behind, out)

@@ -20,6 +20,7 @@ from sigmaswarm.filters.schedule import (
     GAP_ACCELERATION_STD,
     GAP_TILT_STD,
     GAP_TURN_STD,
+    HEADING,
     HIDDEN,
     LATERAL,
     ODOMETER,
@@ -50,6 +51,7 @@ def _step(
     w, u, happens, z, wheels, lever, since,
     *, predict, carry, grow, settle, note_move, note_prior,
     absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_odometer, absorb_standstill,
+    absorb_heading,
 ):  # fmt: skip
     """Predict, and update with the measurements.
 
@@ -70,6 +72,8 @@ def _step(
         absorb_fix(w, z, lever, since)
         if happens & VELOCITY:
             absorb_velocity(w, z)
+        if happens & HEADING:
+            absorb_heading(w, u, z)
     if happens & HIDDEN:
         forecast_fix(w, z, lever, since)
     if happens & LATERAL:

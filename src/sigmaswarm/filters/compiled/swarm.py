@@ -56,8 +56,8 @@ TAPE = NUMBERS + N_ROWS * LANES
 
 # A row of the tape: a step's numbers, DT ... GY, its flags, the rows of `Timeline.fixes` and `Wheels.rows` that it
 # took, Q's scale since the last fix, and when it ended, s.
-T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 16), slice(16, 19), 19, 20
-N_TAPE = 21
+T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
+N_TAPE = 23
 
 _AT_EVIDENCE, _AT_AGAINST, _AT_WEIGHT = (BEHIND + part.start for part in (EVIDENCE, AGAINST, WEIGHT))
 
@@ -172,7 +172,7 @@ def _swarm_step(sources, *, step, kept):
             w[R.OK, 0] = 0.0
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
-            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
+            (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
             (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
         now = v[TIME] + u[DT]
@@ -187,12 +187,12 @@ def _swarm_step(sources, *, step, kept):
         for c in range(9):
             v[row + c] = u[c]
         v[row + 9] = happens
-        for c in range(6):
+        for c in range(8):
             v[row + 10 + c] = z[c]
         for c in range(3):
-            v[row + 16 + c] = wheels[c]
-        v[row + 19] = since
-        v[row + 20] = now
+            v[row + 18 + c] = wheels[c]
+        v[row + 21] = since
+        v[row + 22] = now
 
     return swarm_step
 

@@ -228,6 +228,19 @@ def measure_fix_tilted(w, z, lever, *, n):
         w[R.S22, l] = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + jn * w[C2 + R.T, l] - up * w[C2 + R.I, l]
 
 
+def measure_heading_tilted(w, *, n):
+    """z = yaw of the attitude: its prediction, C and H P H^T; H as `tilted.Heading`."""
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        east, north = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3)
+        climb = 2.0 * (q1 * q3 - q0 * q2) / (east * east + north * north)
+        hi, hj = -climb * east, -climb * north
+        w[R.N1, l] = angle_of(north, east)
+        for i in range(n):
+            w[C1 + i, l] = w[at(i, R.T), l] + hi * w[at(i, R.I), l] + hj * w[at(i, R.J), l]
+        w[R.S11, l] = w[C1 + R.T, l] + hi * w[C1 + R.I, l] + hj * w[C1 + R.J, l]
+
+
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
     """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:

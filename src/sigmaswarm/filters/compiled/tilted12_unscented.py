@@ -448,6 +448,38 @@ def measure_fix_unscented(w, z, lever):
         w[R.S11, l], w[R.S12, l], w[R.S22, l] = s11, s12, s22
 
 
+@kernel
+def measure_heading_unscented(w):
+    """z = yaw of the attitude: its prediction, C and H P H^T from the turns of the forward axis by sigma points."""
+    _root_of_rotation(w)
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
+        gamma = 4.0 * w[R.QUARTER_GAMMA, l]
+        for j in range(3):
+            x, y, z = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
+            g = gamma * k
+            o0, o1, o2 = y * e2 - z * e1, z * e0 - x * e2, x * e1 - y * e0
+            t0, t1 = q * (y * o2 - z * o1), q * (z * o0 - x * o2)
+            odd, even = 0.0, 0.0
+            for i in (1, -1):
+                f0, f1 = t0 + i * (g * o0), t1 + i * (g * o1)  # change of the axis
+                turned = angle_of(e0 * f1 - e1 * f0, e0 * (e0 + f0) + e1 * (e1 + f1))
+                odd, even = odd + i * turned, even + turned
+            w[SLOPE + OUTPUTS * j, l] = odd * 0.5 / gamma
+            w[BEND + OUTPUTS * j, l] = even * 0.5 / (gamma * gamma)
+        w[R.N1, l] = angle_of(e1, e0)
+    _linearize_along(w)
+    for l in range(LANES):
+        h0, h1, h2 = w[SLOPE, l], w[SLOPE + OUTPUTS, l], w[SLOPE + OUTPUTS * 2, l]
+        w[R.N1, l] += w[SHIFT, l]
+        for i in range(N):
+            w[C1 + i, l] = h0 * w[at(i, R.T), l] + h1 * w[at(i, R.I), l] + h2 * w[at(i, R.J), l]
+        w[R.S11, l] = w[EXTRA, l] + h0 * w[C1 + R.T, l] + h1 * w[C1 + R.I, l] + h2 * w[C1 + R.J, l]
+
+
 def _measure_along(w, u, wheels, *, lateral, bias):
     """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:

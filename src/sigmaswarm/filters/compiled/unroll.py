@@ -136,7 +136,7 @@ def _name(function: Callable[..., Any], known: Names) -> str:
 def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
     """A function's text, changed."""
     definition, names = written_out(function, **known)
-    definition = copied(definition)
+    definition = _copied(definition)
     if change is not None:
         change(definition, names)
     return Written(definition, names)
@@ -154,7 +154,7 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
 def _told_apart(known: Names) -> str:
     """Distinguish a function from others that are made of the same one: a hash of its bound names.
 
-    Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
+    Numba names machine code after a function's qualified name and the number of compilations of the process. So
     kernels of two models, compiled by two processes, may have the same name, and when both are loaded from the cache,
     one would run in place of the other.
     """
@@ -166,15 +166,14 @@ def _told_apart(known: Names) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
-def copied(node: Any) -> Any:
-    """Copy a syntax tree; `copy.deepcopy` takes ten times as long."""
+def _copied(node: Any) -> Any:
+    """A tree of its own; `copy.deepcopy` takes ten times as long."""
     if isinstance(node, list):
-        return [copied(each) for each in node]
-    if not isinstance(node, ast.AST) or not node._fields:
+        return [_copied(each) for each in node]
+    if not isinstance(node, ast.AST):
         return node
-    new = type(node).__new__(type(node))
-    vars(new).update({name: copied(value) for name, value in vars(node).items()})
-    return new
+    new = type(node)(**{name: _copied(getattr(node, name)) for name in node._fields})
+    return ast.copy_location(new, node)
 
 
 class _Writer(ast.NodeTransformer):
@@ -195,7 +194,7 @@ class _Writer(ast.NodeTransformer):
         outer, written = self.values, list[ast.stmt]()
         for value in self._value(node.iter):
             self.values = outer | {node.target.id: value}
-            written += self.block(copied(node.body))  # once for each value
+            written += self.block(_copied(node.body))  # once for each value
         self.values = outer
         return written
 
@@ -222,7 +221,7 @@ class _Writer(ast.NodeTransformer):
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
         """Replace a call of a kernel by its statements; its names become unique."""
         self.calls += 1
-        definition = copied(written.definition)
+        definition = _copied(written.definition)
         parameters = [each.arg for each in definition.args.args]
         names = [n for n in ast.walk(definition) if isinstance(n, ast.Name)]
         stored = {n.id for n in names if isinstance(n.ctx, ast.Store)}
@@ -258,5 +257,5 @@ class _Writer(ast.NodeTransformer):
         return ast.Constant(self.values[node.id]) if known else node
 
     def _value(self, node: ast.expr) -> Any:
-        expression = ast.fix_missing_locations(ast.Expression(copied(node)))
+        expression = ast.fix_missing_locations(ast.Expression(_copied(node)))
         return eval(compile(expression, "<unrolled>", "eval"), self.names | self.values)

@@ -51,9 +51,9 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
     Parameters
     ----------
-    samples, newest, n : the ring, the row of its last sample, how many samples it holds
+    samples, newest, n : the ring, the row of its last sample, its number of samples
     fixes, end : fixes, and how many
-    gyro_bias : what is known of it, rad/s
+    gyro_bias : known bias of the gyro, rad/s
     """
     now = samples[newest, 0]
     last = last_fix(fixes, end, now, -math.inf)

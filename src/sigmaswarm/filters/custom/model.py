@@ -46,7 +46,7 @@ class Tunable:
 class Model:
     """A user's process and measurement, and the parameters that are tuned in them.
 
-    ``p`` holds the values of ``parameters``, each under its name: ``p.length``. Plain functions of numbers and NumPy
+    ``p`` has the values of ``parameters``, each under its name: ``p.length``. Plain functions of numbers and NumPy
     arrays are compiled with Numba; others run too, some hundred times slower.
 
     Attributes
@@ -154,7 +154,7 @@ class Model:
         Raises
         ------
         InputError
-            If one is missing, unknown, or no finite number.
+            If one is missing, unknown or not finite.
         """
         known = [t.name for t in self.parameters]
         needed = [*SCALING_NAMES, *known] if self.kind == "ukf" else known

@@ -18,7 +18,7 @@ class Innovation:
     Attributes
     ----------
     nu : ndarray, shape (m,)
-        Measurement less its prediction.
+        Measurement minus its prediction.
     variance : ndarray, shape (m, m)
         S, the covariance of ``nu``.
     cross : ndarray, shape (n, m)

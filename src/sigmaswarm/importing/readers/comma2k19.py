@@ -27,7 +27,7 @@ _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "speed": (("CAN/speed",), ("speed",)),
 }
-"""By table: the folders that may hold it, and its columns."""
+"""By table: the folders that may contain it, and its columns."""
 _FIX = {
     "lat": "latitude",
     "lon": "longitude",

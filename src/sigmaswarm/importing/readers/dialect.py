@@ -108,7 +108,7 @@ def is_table(file: Path) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True if a column holds numbers with commas, and no texts with commas, as dates."""
+    """Return True if a column contains numbers with commas, and no texts with commas, as dates."""
     filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
     numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in filled)
     return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)

@@ -57,7 +57,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     columns = {kind: names for kind, names in columns.items() if kind in present}
     _require_one_clock(columns, path)
     if not columns:
-        raise InputError(f"{path}: holds no lines of {', '.join(_KINDS)}; log fixes and sensors")
+        raise InputError(f"{path}: contains no lines of {', '.join(_KINDS)}; log fixes and sensors")
     cells = pl.col("line").str.count_matches(",", literal=True)
     widths = pl.col("kind").replace_strict({k: len(n) for k, n in columns.items()}, default=0)
     for row, line, _ in collect(lines.filter(cells < widths).head(1), path, path.name).iter_rows():

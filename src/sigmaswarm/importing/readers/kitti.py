@@ -55,12 +55,12 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(
-            f"{path}: is not a drive of KITTI raw; name the folder that holds oxts/timestamps.txt and oxts/data"
+            f"{path}: is not a drive of KITTI raw; name the folder that contains oxts/timestamps.txt and oxts/data"
         )
     stamps = _stamps(folder / "timestamps.txt")
     files = sorted((folder / "data").glob("*.txt"))
     if not files:
-        raise InputError(f"{folder / 'data'}: holds no texts; unpack the drive again")
+        raise InputError(f"{folder / 'data'}: contains no texts; unpack the drive again")
     rows = np.array([_numbers(file, len(stamps)) for file in files])
     times = stamps[rows[:, 0].astype(np.int64)]
     frame = pl.DataFrame({"stamp": times, **dict(zip(COLUMNS, rows.T[1:], strict=True))})
@@ -82,7 +82,7 @@ def _stamps(path: Path) -> np.ndarray:
     if not len(times):
         raise InputError(f"{path} is empty; unpack the drive again")
     if np.any(times.astype("datetime64[D]") != days, where=~np.isnat(days)):  # ns reach from 1678 to 2262
-        raise InputError(f"{path}: holds a date beyond what ns can count; unpack the drive again")
+        raise InputError(f"{path}: contains a date beyond what ns can count; unpack the drive again")
     return times.astype(np.int64)
 
 
@@ -95,7 +95,7 @@ def _numbers(path: Path, count: int) -> list[float]:
         numbers = []
     if len(numbers) != len(COLUMNS):
         raise InputError(
-            f"{path}: holds {len(cells)} cells, not {len(COLUMNS)} numbers; unpack the drive again"
+            f"{path}: contains {len(cells)} cells, not {len(COLUMNS)} numbers; unpack the drive again"
         )
     if not re.fullmatch(r"[0-9]{1,18}", path.stem) or int(path.stem) >= count:
         raise InputError(

@@ -64,11 +64,12 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if not frames:
         if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
             raise InputError(
-                f"{path}: holds MATLAB's own tables (timetable, table), which are not read; in MATLAB type for each: "
+                f"{path}: contains MATLAB's own tables (timetable, table), which are not read; in MATLAB type for "
+                "each: "
                 "writetimetable(NAME, 'NAME.csv')  (or writetable), and import the folder of these files"
             )
         raise InputError(
-            f"{path}: holds no struct of vectors and no vectors; --show lists tables, and there are none"
+            f"{path}: contains no struct of vectors and no vectors; --show lists tables, and there are none"
         )
     for name, frame in frames.items():
         limits.check_rows(len(frame), path, name)

@@ -77,7 +77,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     if not frames:
         raise InputError(
-            f"{path}: holds none of {', '.join(_TOPICS)}; enable them (SDLOG_PROFILE), and record again"
+            f"{path}: contains none of {', '.join(_TOPICS)}; enable them (SDLOG_PROFILE), and record again"
         )
     guess = _guess(frames)
     return of_frames(path, frames, "uORB topic", lambda _: guess)

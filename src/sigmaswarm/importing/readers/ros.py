@@ -36,7 +36,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
     paths = bag_paths(path)
     if not paths:
         raise InputError(
-            f"{path}: holds no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
+            f"{path}: contains no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
         )
     with whole(path):
         store = typesys.get_typestore(typesys.Stores.LATEST)

@@ -56,7 +56,7 @@ def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     z = [rows["z"].cast(pl.Float64, strict=False) for _, rows, _ in log.batches({_GRAVITY: ["z"]})]
     down = pl.concat(z).median() if z else None
     if not isinstance(down, float):
-        raise InputError(f"{log.path / _GRAVITY}: holds no numbers; export it again")
+        raise InputError(f"{log.path / _GRAVITY}: contains no numbers; export it again")
     turned = ", both with their signs turned, as iOS has them" if down < 0 else ""
     notes.append(f"gravity added to Accelerometer.csv{turned}")
     axes = {"ax": "-y", "ay": "x", "az": "-z"} if down < 0 else {"ax": "y", "ay": "-x", "az": "z"}

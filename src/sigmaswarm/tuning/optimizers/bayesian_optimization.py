@@ -114,11 +114,11 @@ def suggested(
     Parameters
     ----------
     points : ndarray, shape (n, d)
-        In the unit box.
+        Points of the unit cube.
     costs : ndarray, shape (n,)
     count : int
     effort : (int, int)
-        Places that are looked at, and searches from the best of them.
+        Number of random candidates, and of local searches from the best of them.
     rng : numpy.random.Generator
 
     Returns
