@@ -90,7 +90,7 @@ class Frame:
                 with ui.element("h1"):
                     ui.label(f"{title}: {about}")
                 ui.label(str(self.bench.folder)).classes("soft path")
-            self.pages[step].content()
+            self.pages[step].show()
 
     def _report(self, kind: str, name: str) -> Response:
         """The page of `sigmaswarm.report`; it holds everything and asks for nothing."""
