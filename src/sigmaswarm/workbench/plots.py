@@ -16,8 +16,8 @@ PIXELS = 600
 """Columns of a plot, each with two points."""
 EAST = "east, m"
 """Label of the axis of a map, whose axes have one scale."""
-MOST_PLACES = 3000
-"""Points of a track on a map."""
+MOST_PLACES, MOST_POINTS = 3000, 600
+"""Places of a line on a map, and points, each of which is an element of the page."""
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
 """Times (n,) and values (n,), or places east and north (n,), m."""
@@ -55,9 +55,9 @@ def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Ser
     return np.column_stack([time[edges], time[middle]]).ravel(), ends.ravel()
 
 
-def thinned(x: Array, y: Array) -> Series:
+def thinned(x: Array, y: Array, most: int = MOST_PLACES) -> Series:
     """Take every n-th place of a track."""
-    step = max(len(x) // MOST_PLACES, 1)
+    step = max(-(-len(x) // most), 1)
     return x[::step], y[::step]
 
 
@@ -175,7 +175,7 @@ def _shade(start: float, end: float) -> dict[str, Any]:
 def map_lines(drive: Drive, tracks: Mapping[str, Series] | None = None) -> Lines:
     """Return the fixes of a drive, its truth where known, and further tracks."""
     truth = {"truth": thinned(drive.truth.x, drive.truth.y)} if drive.truth else {}
-    shown = {"fixes": thinned(drive.gps.x, drive.gps.y)} | truth | {**(tracks or {})}
+    shown = {"fixes": thinned(drive.gps.x, drive.gps.y, MOST_POINTS)} | truth | {**(tracks or {})}
     return lines(shown, points=("fixes",))
 
 
