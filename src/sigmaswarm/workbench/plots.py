@@ -112,6 +112,7 @@ def time_plot(
     pale: Mapping[str, Series] | None = None,
     span: tuple[float, float] | None = None,
     on_select: Callable[[float, float], Any] | None = None,
+    **layout: Any,
 ) -> None:
     """Show series over time. Zooming in fetches the detail; with ``on_select`` the mouse selects a span instead.
 
@@ -120,7 +121,7 @@ def time_plot(
     title, unit : str
     series : mapping of label to `Series`
     dashed, pale : as of `lines`
-    span : from when to when to shade, s
+    span : from when to when to shade, s, if it is a part
     """
 
     def visible(start: float = -np.inf, end: float = np.inf) -> Lines:
@@ -139,9 +140,11 @@ def time_plot(
         if chosen and on_select:
             on_select(*sorted(map(float, chosen)))
 
-    shapes = [_shade(*span)] if span and np.isfinite(span).all() else []
-    more = {"shapes": shapes, "dragmode": "select" if on_select else "zoom"}
-    plot = show_plot(title, "time, s", unit, visible(), 220, **more)
+    ends = np.array([time[[0, -1]] for time, _ in series.values() if len(time)]).T
+    part = span and np.isfinite(span).all() and span[1] - span[0] < 0.95 * np.ptp(ends)
+    layout["shapes"] = [_shade(*span)] if span and part else []
+    layout["dragmode"] = "select" if on_select else "zoom"
+    plot = show_plot(title, "time, s", unit, visible(), 220, **layout)
     plot.on("plotly_relayout", zoomed, throttle=0.2)
     if on_select:
         plot.on("plotly_selected", selected)
@@ -155,12 +158,18 @@ def agreement_plot(
         not _same(found.measured.get(k), s) for k, s in after.measured.items()
     )
     shown = after if after and changed else found
+    both, pale = shown.measured | shown.expected, found.measured if changed else None
     with ui.element("figure"):
         with ui.element("figcaption"):
             ui.label(f"{found.title}{'; pale: before the repair' if changed else ''}")
-        pale = found.measured if changed else None
-        both = shown.measured | shown.expected
-        time_plot(found.title, found.unit, both, dashed=shown.expected, pale=pale, span=span)
+            with ui.element("div").classes("legend"):
+                for one in lines(
+                    {label: (x[:0], y[:0]) for label, (x, y) in both.items()}, dashed=shown.expected
+                ):
+                    ui.label(one["name"]).style(f"border-color: {one['line']['color']}")
+        time_plot(
+            found.title, found.unit, both, dashed=shown.expected, pale=pale, span=span, showlegend=False
+        )
 
 
 def _same(a: Series | None, b: Series) -> bool:
