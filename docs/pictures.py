@@ -39,13 +39,11 @@ def workbench(folder: Path) -> None:
     sys.path.insert(0, str(DOCS.parent / "tests"))
     from browsing import open_browser
 
-    drive = sigmaswarm.simulate("urban", gps="white-1m", duration=240.0)
-    names = ("ax", "ay", "az"), ("gx", "gy", "gz")
-    turn = parse_mount(MOUNT).T
-    axes = [(turn @ [getattr(drive.imu, name) for name in group]).round(6) for group in names]
-    turned = {
-        name: values for group, rows in zip(names, axes, strict=True) for name, values in zip(group, rows)
-    }
+    drive = sigmaswarm.simulate("urban", gps="f9p-rtk", duration=240.0)
+    turned = {}
+    for names in (("ax", "ay", "az"), ("gx", "gy", "gz")):
+        axes = parse_mount(MOUNT).T @ [getattr(drive.imu, name) for name in names]
+        turned |= dict(zip(names, axes, strict=True))
     log = sigmaswarm.write_drive(replace(drive, imu=replace(drive.imu, **turned)), folder / "log").resolve()
     (folder / "bench").mkdir()
     choices = {"logs": {str(log): {"mount": MOUNT}}}
@@ -55,7 +53,7 @@ def workbench(folder: Path) -> None:
     assert server.stdout is not None
     try:
         with open_browser() as browser:
-            page = browser.new_page(viewport={"width": 1228, "height": 1000})
+            page = browser.new_page(viewport={"width": 1228, "height": 1056})
             page.goto(server.stdout.readline().removeprefix("workbench: ").strip())
             page.get_by_text("Does it agree?").wait_for(timeout=120_000)
             page.add_style_tag(content=f"{HIDDEN} {{ display: none }}")
