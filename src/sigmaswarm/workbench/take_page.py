@@ -89,7 +89,8 @@ class TakePage(Page):
             select("Format", ENDINGS, ending, lambda chosen: self._choose("ending", chosen))
             box = ui.checkbox("smoothed", value=smooth)
             box.on_value_change(lambda event: self._choose("smooth", event.value))
-            button("Write", lambda: self._begin("track"), "timeline", main=True)
+            write = button("Write", lambda: self._begin("track"), "timeline", main=True)
+            write.set_enabled(not self.waiting)
         self._outcome("track", "")
 
     def _outcome(self, target: str, then: str) -> None:

@@ -30,6 +30,8 @@ MODELS = {
 SIZES = {"particles": 30, "generations": 50, "trials": 1, "seed": 0}
 REFRESH = 0.7
 """s between two looks at running tunings."""
+STARTING = "reading the drives, to tune on them"
+"""What no change of a choice may replace."""
 COMPARED = 6
 """Tunings, the newest, whose convergence is shown."""
 Update = Callable[[], None]
@@ -122,7 +124,8 @@ class TunePage(Page):
     def _choose(self, choices: dict[str, Any], key: str, value: Any) -> None:
         choices[key] = value
         self.bench.save()
-        self._explain()
+        if self.waiting != STARTING:
+            self._explain()
         self.refresh()
 
     def _sized(self, options: dict[str, Any], key: str, size: ui.number) -> None:
@@ -153,7 +156,7 @@ class TunePage(Page):
         ]
 
     def _begin(self) -> None:
-        self.start("reading the drives", self._drives, then=self._begun)
+        self.start(STARTING, self._drives, then=self._begun)
         self.refresh()
 
     def _begun(self, parts: tuple[list[Drive], list[Drive]] | None) -> None:
