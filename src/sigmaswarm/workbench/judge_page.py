@@ -37,14 +37,11 @@ class JudgePage(Page):
                 against = chosen.get("against", "")
                 select("Compare with", rivals, against, lambda name: self._choose(against=name))
             drives = self.bench.drive_names
-            on = select(
-                "On these drives",
-                drives,
-                [name for name in chosen["drives"] if name in drives],
-                lambda names: self._choose(drives=names),
-                multiple=True,
+            on = [name for name in chosen["drives"] if name in drives]
+            pick = select(
+                "On these drives", drives, on, lambda names: self._choose(drives=names), multiple=True
             )
-            on.props("use-chips")
+            pick.props("use-chips")
             self.messages()
             judge = button("Evaluate", self._begin, "speed", main=True)
             judge.set_enabled(bool(chosen["drives"]) and not self.waiting)

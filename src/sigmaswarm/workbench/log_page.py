@@ -135,10 +135,10 @@ class LogPage(Page):
         self.reread()
         self._status.refresh()
 
-    def assign(self, table: str, column: str, target: str) -> None:
+    def assign(self, table: str, column: str, target: str | None) -> None:
         """Use a column for something else."""
         if self.look:
-            columns.assign(self.bench.log_choices, self.look, table, column, target)
+            columns.assign(self.bench.log_choices, self.look, table, column, target or columns.UNUSED)
             self.choose()
 
     def express(self, target: str, expression: str) -> None:

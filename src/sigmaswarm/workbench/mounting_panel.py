@@ -50,7 +50,9 @@ class MountingPanel:
                 with ui.element("div"):
                     sliders = ui.element("div")
                     with line("end"):
-                        field = ui.input("As an option: 90, or 0,10,90, or x=-y,y=x", value=mount)
+                        field = ui.input("As an option", value=mount).props(
+                            'hint="90, or 0,10,90, or x=-y,y=x"'
+                        )
                         field.classes("grow").on("change", lambda: self._choose("mount", field.value))
                         with sliders:
                             self._angles(rotation, picture, field)

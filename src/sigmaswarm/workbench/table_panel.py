@@ -1,5 +1,6 @@
 """One table of a log: its columns with a plot, and what each is used for."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,13 +110,8 @@ class ColumnRow:
                 span = f"{number(about.low)} to {number(about.high)}"
                 ui.label(span if about.low is not None else about.example[:40] or "empty").classes("range")
             ui.html(self._spark(), sanitize=False)
-            use = select(
-                f"Use of {about.column}",
-                TARGETS,
-                target,
-                lambda value: page.assign(table_, about.column, value or UNUSED),
-                with_input=True,
-            )
+            choose = partial(page.assign, table_, about.column)
+            use = select(f"Use of {about.column}", TARGETS, target, choose, with_input=True)
             use.classes("field").props("dense options-dense")
             if target:
                 self._unit(target, expression)

@@ -1,6 +1,7 @@
 """Step 5: take the filter away, as C, for ROS, for Python, or its trajectories."""
 
 import shlex
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,8 @@ class TakePage(Page):
             if self.chosen.get(key) not in names:
                 self.chosen[key] = names[-1] if names else ""
         with line():
-            select("Filter", tunings, self.chosen["tuning"], lambda name: self._choose("tuning", name))
-            select("Drive to replay", drives, self.chosen["drive"], lambda name: self._choose("drive", name))
+            select("Filter", tunings, self.chosen["tuning"], partial(self._choose, "tuning"))
+            select("Drive to replay", drives, self.chosen["drive"], partial(self._choose, "drive"))
         message(self.waiting, "wait")
         for target, (title, needs, then) in TARGETS.items():
             with card():
@@ -76,7 +77,7 @@ class TakePage(Page):
         refused = "" if target == "c99" else attempt(sigmaswarm.export, tuning, target)[1]
         with line("between"):
             text("h2", title)
-            write = button(f"Write {title}", lambda: self._begin(target), "download", main=True)
+            write = button(f"Write {title}", partial(self._begin, target), "download", main=True)
             write.set_enabled(not self.waiting and not refused)
         text("p", (refused and f"Not for this filter: {refused}") or needs, "soft")
         self._outcome(target, f"cd {shlex.quote(str(self._folder(target)))} && {then}")
@@ -86,10 +87,10 @@ class TakePage(Page):
         text("p", "The filter's estimates over the drive. Maps need a drive with degrees.", "soft")
         with line("end"):
             ending, smooth = self.chosen.get("ending", ".csv"), self.chosen.get("smooth", False)
-            select("Format", ENDINGS, ending, lambda chosen: self._choose("ending", chosen))
+            select("Format", ENDINGS, ending, partial(self._choose, "ending"))
             box = ui.checkbox("smoothed", value=smooth)
             box.on_value_change(lambda event: self._choose("smooth", event.value))
-            write = button("Write", lambda: self._begin("track"), "timeline", main=True)
+            write = button("Write", partial(self._begin, "track"), "timeline", main=True)
             write.set_enabled(not self.waiting)
         self._outcome("track", "")
 
@@ -104,7 +105,7 @@ class TakePage(Page):
                 command(then)
 
     def _begin(self, target: str) -> None:
-        self.start("writing", self._write, target, then=lambda good: self._wrote(target, good))
+        self.start("writing", self._write, target, then=partial(self._wrote, target))
         self.refresh()
 
     def _wrote(self, target: str, good: str | None) -> None:

@@ -99,18 +99,11 @@ class TunePage(Page):
                 ways = [TRAIN, SPLIT, HOLD, LEFT_OUT]
                 select(name, ways, value, lambda way, name=name: self._choose(planned, name, way))
             with line():
-                select(
-                    "Filter", MODELS, options.get("model", ""), lambda v: self._choose(options, "model", v)
-                )
-                use = options.get("use") or []
-                names = "Measurements besides fixes (none: chosen by the log)"
-                select(
-                    names,
-                    list(get_args(Option)),
-                    use,
-                    lambda v: self._choose(options, "use", v),
-                    multiple=True,
-                )
+                choose = partial(self._choose, options)
+                select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
+                use, names = options.get("use") or [], list(get_args(Option))
+                more = select("Measurements", names, use, partial(choose, "use"), multiple=True)
+                more.props('hint="none: chosen by the log"')
             with line():
                 for key, usual in SIZES.items():
                     size = ui.number(key, value=options.get(key, usual), min=0, precision=0).classes("size")
