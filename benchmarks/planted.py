@@ -5,8 +5,9 @@
 
 faults: every fault of `tests/doctor/faults.py` is planted in each recording below a folder and in simulated drives.
 windows: 60 s of a drive whose fixes keep a clock with an offset, a drift, jitter, all of these or none; where the
-diagnosis offers a repair, it is applied as `sigmaswarm.repair` does, and forecasts of the fixes 1 s and 5 s ahead by
-another filter than that of the repair are compared before and after. Prints Markdown.
+diagnosis offers a repair, it is applied as `sigmaswarm.repair` does, and forecasts of the next fix and of fixes 3 to
+5 s ahead are compared before and after, by two untuned filters: planar5, and tilted12. (The preset ``datasheet`` is no
+judge: its forecasts of the next fix on these windows are off by 2 to 80 m before and after.) Prints Markdown.
 """
 
 import argparse
@@ -31,7 +32,7 @@ from sigmaswarm import (
     simulate,
 )
 from sigmaswarm.drives.split import clip
-from sigmaswarm.filters.presets import baseline
+from sigmaswarm.filters.presets import DEFAULTS, baseline
 from sigmaswarm.filters.run import run_innovations
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation import IMU_GRADES
@@ -40,6 +41,20 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from doctor.faults import FAULTS, MORE, THIRD_AXES, codes_of
 
 GPS = ("white-1m", "ublox-m8", "f9p-rtk")
+JUDGES = {
+    "planar5": DEFAULTS,
+    "tilted12": FilterParameters(
+        *(0.1, 2.0, 0.0, (1.0,) * 12, (1.0,) * 2),
+        **{
+            "model": "tilted12",
+            "kind": "ekf",
+            "lateral_noise": 1.0,
+            "standstill_noise": 1.0,
+            "robust_dof": 4.0,
+        },
+    ),
+}
+"""Models and options of the untuned filters that judge repairs of clocks."""
 LONGEST = 180.0
 """s, of a recording: its middle."""
 LENGTH = 60.0
@@ -75,7 +90,7 @@ def faults(drives: Iterator[Drive]) -> None:
             each = {**THIRD_AXES, **FAULTS, **MORE}[fault][1]  # a rotation may be named by its single signs
             if codes_of(fault, drive) <= found.codes or each <= found.codes:
                 named[fault] += 1
-            elif hidden(fault, sound):
+            elif hidden(fault, sound, found):
                 told[fault] += 1
             else:
                 missed[fault].append(drive.name)
@@ -91,13 +106,13 @@ def faults(drives: Iterator[Drive]) -> None:
     print(f"seen, {lost} missed; serious findings on the {count} sound drives: {', '.join(alarms) or 'none'}")
 
 
-def hidden(fault: str, sound: Diagnosis) -> bool:
-    """True where the diagnosis of the sound drive reports that such a fault would not be seen."""
+def hidden(fault: str, sound: Diagnosis, sick: Diagnosis) -> bool:
+    """True where the doctor reports that such a fault would not be seen, or that the statement can't be checked."""
     if "s late" in fault or "s early" in fault:
         visible = sound.visible_clock_offset
         return visible is None or visible > float(fault.split()[0])
     if "stated" in fault:
-        return "gps-correlated" in sound.codes  # errors that last: their size does not show
+        return "gps-correlated" in sick.codes  # errors that last: their size does not show
     return bool({c for c in sound.codes if c.startswith("unseen-") and c != "unseen-clock"})
 
 
@@ -130,8 +145,7 @@ def windows(drives: list[Drive], count: int) -> None:
         "repairs offered",
         "applied",
         "within 0.15 s",
-        "1 s or 5 s worse by 5%",
-        "worst",
+        *(f"{name} {head}" for name in JUDGES for head in ("worse by 5%", "worst")),
     )
     print(f"| clock | {' | '.join(heads)} |\n|---|{'---|' * len(heads)}")
     for kind, seen in table.items():
@@ -147,11 +161,12 @@ def judge(sick: Drive, found: Diagnosis, offset: float, seen: Counter[str]) -> N
         return
     seen["applied"] += 1
     seen["within 0.15 s"] += abs(moved + offset) < 0.15
-    before, after = (forecasts(drive, baseline(sick)) for drive in (sick, mended))
-    if before is not None and after is not None:
-        ratio = float(np.max(after / before))
-        seen["1 s or 5 s worse by 5%"] += ratio > 1.05
-        seen["worst"] = max(seen["worst"], round(ratio, 2))  # type: ignore[assignment]
+    for name, like in JUDGES.items():
+        before, after = (forecasts(drive, baseline(sick, like)) for drive in (sick, mended))
+        if before is not None and after is not None:
+            ratio = float(np.max(after / before))
+            seen[f"{name} worse by 5%"] += ratio > 1.05
+            seen[f"{name} worst"] = max(seen[f"{name} worst"], round(ratio, 2))  # type: ignore[assignment]
 
 
 def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np.random.Generator) -> Drive:

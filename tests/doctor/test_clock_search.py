@@ -37,6 +37,32 @@ def test_beyond_the_search_no_axis_is_blamed(offset: float):
     assert not {"accelerometer-axes", "accelerometer-sign", "gyro-sign", "mounting"} & found.codes
 
 
+def swaying(period: float) -> Drive:
+    """Turns left and right in turn, slower and slower; each sways a little further than the one before."""
+    rng, t = np.random.default_rng(1), np.arange(0, 90, 0.01)
+    speed = 8 + 2 * np.sin(2 * np.pi * t / 23)
+    phase = 2 * np.pi * (t / period - 0.00005 * t**2)
+    rate = (0.2 + 0.15 * np.sin(t / 9) ** 2) * np.sin(phase)
+    position = np.cumsum(speed * np.exp(1j * (0.7 + np.cumsum(rate) * 0.01))) * 0.01
+    noise = rng.standard_normal((3, len(t)))
+    force = np.gradient(speed, 0.01), speed * rate
+    imu = Imu(t, force[0] + 0.05 * noise[0], force[1] + 0.05 * noise[1], rate + 0.002 * noise[2])
+    k = slice(None, None, 20)
+    x, y = (part[k] + 0.5 * rng.standard_normal(len(t[k])) for part in (position.real, position.imag))
+    return Drive("swaying", imu, Gps(t[k], x, y))
+
+
+@pytest.mark.parametrize("period", [9.5, 11.0, 12.0])
+def test_turns_that_would_match_with_another_sign_or_a_smaller_offset(period: float):
+    """18 s are about one and a half periods, or two."""
+    sound = swaying(period)
+    late = replace(sound, gps=replace(sound.gps, time=sound.gps.time + 18.0))
+    found = {f.code: f for f in sigmaswarm.diagnose(late).findings if f.severity == "serious"}
+    assert found.keys() == {"clock-offset"}
+    assert "18.0 s late" in found["clock-offset"].what
+    assert not sigmaswarm.diagnose(sound).serious
+
+
 def robot(reverse: bool, seed: int) -> Drive:
     """Drive for 14 s, stop, and drive on with turns; exact kinematics and white noise."""
     rng, t = np.random.default_rng(seed), np.arange(0, 90, 0.01)

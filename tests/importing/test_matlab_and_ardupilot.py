@@ -134,6 +134,21 @@ def test_ardupilot(tmp_path: Path, options: dict[str, Any]):
     assert (got.gps.std_x is not None) == options.get("accuracy", True)
 
 
+@pytest.mark.parametrize("filler", [b"\0", b"\xff", b"\xa3"])
+def test_ardupilot_with_bytes_that_are_no_messages(tmp_path: Path, filler: bytes):
+    """A card's unwritten pages are skipped; a file that consists of them is refused before it takes seconds."""
+    log, path = dataflash(), tmp_path / "log.bin"
+    head = len(FORMATS) * 89
+    path.write_bytes(log[:head] + 4096 * filler + log[head:])
+    assert_close(imported(path).drive.imu, IMU, "ax gz", 1e-5)
+    path.write_bytes(log + 2_000_000 * filler)
+    with pytest.raises(
+        InputError, match="more than 1000000 bytes between its messages belong to none"
+    ) as error:
+        imported(path)
+    assert "\n" not in str(error.value)
+
+
 def test_ardupilot_without_a_fix_or_cut_short_is_one_line(tmp_path: Path):
     pytest.importorskip("pymavlink", reason="pymavlink is not installed")
     for content in (dataflash(status=1), dataflash()[:2000], b"\xa3\x95\x80" + bytes(99)):

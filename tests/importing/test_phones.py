@@ -65,6 +65,31 @@ def test_invalid_speeds_are_left_out(tmp_path: Path):
     assert got.gps.speed is None and len(got.gps) == len(GPS)
 
 
+@pytest.mark.parametrize(
+    ("missing", "left_out"),
+    [
+        (["horizontalAccuracy"], ["std_x", "std_y"]),
+        (["speed"], ["speed"]),
+        (["bearing"], ["course"]),
+        (["altitude"], ["alt"]),
+        (
+            ["horizontalAccuracy", "speed", "bearing", "altitude"],
+            ["std_x", "std_y", "speed", "course", "alt"],
+        ),
+    ],
+)
+@pytest.mark.parametrize("system", ["android", "ios"])
+def test_an_export_without_optional_columns(tmp_path: Path, system: str, missing: list, left_out: list):
+    folder = sensor_logger(tmp_path / "export", system)
+    table = pl.read_csv(folder / "Location.csv")
+    table.drop(missing).write_csv(folder / "Location.csv")
+    got = imported(folder).drive.gps
+    assert {name for name in ("alt", "std_x", "std_y", "speed", "course") if getattr(got, name) is None} == {
+        *left_out
+    }
+    assert_close(got, GPS, "time lat lon", 1e-9)
+
+
 def phyphox(folder: Path, separator: str = ",") -> Path:
     (folder / "meta").mkdir(parents=True)
     start = IMU.time[0]
@@ -179,7 +204,7 @@ def test_broken_export(tmp_path: Path, write, damage: str):
             lambda text: "\n".join(line for line in text.splitlines() if not line.startswith("UncalGyro")),
             "no IMU",
         ),
-        (lambda text: "\n".join(line for line in text.splitlines() if line[0] == "#"), "holds no lines"),
+        (lambda text: "\n".join(line for line in text.splitlines() if line[0] == "#"), "contains no lines"),
     ],
 )
 def test_broken_gnss_logger(tmp_path: Path, edit, said: str):

@@ -65,6 +65,30 @@ def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, togeth
     assert drive.gps.std_x == pytest.approx(np.full(len(drive.gps), 1.0), abs=1e-3)
 
 
+@pytest.mark.parametrize("rates", ["yaw_rate_dps_cw", "yaw_rate_ccw", "turn rate [deg/s]"])
+def test_an_imu_of_two_tables(tmp_path: Path, rates: str):
+    """Odd names in both, and both with a time of the same name; the proposal is pasted."""
+    folder = write_log(tmp_path / "log")
+    log = pl.read_csv(folder / "imu.csv")
+    (folder / "imu.csv").unlink()
+    turned = {"yaw_rate_ccw": DRIVE.imu.gz, "turn rate [deg/s]": np.degrees(DRIVE.imu.gz)}
+    log.select("stamp_us", "acc_fwd_g", "acc_right_g").write_csv(folder / "box_a.csv")
+    gyro = log.select("stamp_us", pl.Series(rates, turned.get(rates, log["yaw_rate_dps_cw"])))
+    gyro.write_csv(folder / "box_b.csv")
+    seen = look(Request(folder))
+    assert seen.works and "signs, axes and units agree" in seen.evidence
+    maps = shlex.split(seen.proposal.removeprefix("--map "))
+    drive = import_drive(Request(folder, maps=maps), "again").drive
+    for name in ("ax", "ay", "gz"):
+        np.testing.assert_allclose(getattr(drive.imu, name), getattr(DRIVE.imu, name), rtol=1e-9, atol=1e-12)
+    # A name that both tables have does not show whose it is.
+    for table in ("box_a.csv", "box_b.csv"):
+        pl.read_csv(folder / table).rename({rates: "yaw_rate"}, strict=False).with_columns(
+            yaw_rate=pl.lit(0.1)
+        ).write_csv(folder / table)
+    assert "box_b.csv" not in look(Request(folder)).proposal
+
+
 def test_names_that_lie_about_signs_are_corrected_by_how_the_fixes_move(tmp_path: Path):
     folder = write_log(tmp_path / "log", clockwise=1.0, right=1.0)
     seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
@@ -191,15 +215,15 @@ def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time
     asked = Request(folder / "imu.csv", gps=folder / "fixes.csv", maps=MAPS, time=time)
     with pytest.raises(InputError) as caught:
         import_drive(asked, "monday")
-    assert f"{time} in s would put" in str(caught.value)
-    assert 'in us it is 0.01 s: write --time "stamp_us*1e-6"' in str(caught.value)
+    assert f"with {time} in s, two rows of the imu are" in str(caught.value)
+    assert 'in us 0.01 s: write --time "stamp_us*1e-6"' in str(caught.value)
     drive = import_drive(replace(asked, time="stamp_us*1e-6"), "monday").drive
     assert (
         import_drive(replace(asked, time=None), "monday").drive.imu.time.tolist() == drive.imu.time.tolist()
     )
     wrong = replace(asked, time=None, maps=(*MAPS, "gps.t=stamp_us*1e-3"))
     with pytest.raises(
-        InputError, match=r"between two rows of the gps; in us it is 0\.2 s: write --map gps\.t="
+        InputError, match=r"two rows of the gps are .* s apart; in us 0\.2 s: write --map gps\.t="
     ):
         import_drive(wrong, "monday")
 

@@ -11,13 +11,17 @@ from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, turned
 from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
-from sigmaswarm.doctor.yaw_fit import YawFit, fit_yaw
+from sigmaswarm.doctor.yaw_fit import EXPLAINED, YawFit, fit_yaw
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
 
 SEARCHED = 2.3
 """s: an offset this close to the bounds of the fit is not used."""
+USUAL = 1.0
+"""s: receivers are no later. A larger offset is believed only where the search finds no other."""
+AS_RECORDED = Yaw(known=True)
+"""A yaw rate that needs no other column, sign or unit: others are believed only where no offset explains them."""
 FEWEST = 20
 """Fixes; with fewer, only checks without motion run."""
 
@@ -60,17 +64,21 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and read the fits.
 
-    Where the gyro does not follow the course, an offset of the clocks of up to 40 s is searched first, and the fixes'
-    times are moved by it before axes are read.
+    If the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first, up to
+    40 s. The times of the fixes are corrected by it before axes are checked.
     """
     evidence = _gather(drive)
     course, fit = evidence.course, evidence.yaw_fit
-    if course is None or fit is None or fit.course_change < LEAST_TURN:
+    if course is None or fit is None:
         return evidence
-    if evidence.yaw.known and abs(fit.late) < SEARCHED:
+    fits = evidence.yaw.known and abs(fit.late) < SEARCHED
+    if fit.share > EXPLAINED and evidence.yaw == AS_RECORDED and abs(fit.late) < USUAL:
         return evidence
     late = search_offset(drive, course)
-    if late is None:  # without the clock no axis can be read
+    if fits or fit.course_change < LEAST_TURN:  # only a large offset contradicts this reading
+        if late is None or abs(late) < SEARCHED:
+            return evidence
+    elif late is None:  # without the clock no axis can be read
         return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
     rest = 0.0
     for _ in range(2):  # the fits give the rest

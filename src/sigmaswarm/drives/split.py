@@ -20,11 +20,11 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 def split_drives(
     drives: Sequence[T], train_fraction: float = 0.7, *, rng: np.random.Generator
 ) -> tuple[list[T], list[T]]:
-    """Draw whole drives for training and leave the rest for testing, each part in the given order.
+    """Draw whole drives for training; the rest is for testing. Each part is in the given order.
 
     Parameters
     ----------
-    drives : sequence of Drive, or of what stands for drives, as their paths
+    drives : sequence of Drive, or of objects that represent drives, such as paths
         At least two, so that each part gets one.
     train_fraction : float
         Of the number of drives, in (0, 1).

@@ -12,7 +12,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import placed_fixes
 from sigmaswarm.importing.convert import Request, complete_recipe, opened
 from sigmaswarm.importing.dates import LONG_AGO, SECOND, Nanoseconds
-from sigmaswarm.importing.gather import complete_part, gather
+from sigmaswarm.importing.gather import complete_parts, gather
 from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.places import Say, Values
 from sigmaswarm.wording import names_shown
@@ -66,7 +66,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Times, columns, and which of the rows the receiver is sure of."""
+    """Times, columns, and a mask of the rows with fixed ambiguities."""
     request = Request(source=path)
     with opened(request) as (logs, guesses):
         log, guess = logs[path], guesses[path]
@@ -77,7 +77,7 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
                 f"{path}: no position fixes found in {there}; name the receiver's own log, or make a drive of it with "
                 "sigmaswarm import and name that"
             )
-        parts = [complete_part(part, log, "gps") for part in parts]
+        parts = [one for part in parts for one in complete_parts(part, log, "gps")]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []
         read = gather(log, [*parts, *fixed], lambda done: None, request.limits)
         for note in (*guess.notes, *log.remarks):

@@ -125,15 +125,25 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     return ((numbers - middle).abs() > FAR * (high - low) + 1e-9).fill_null(False)
 
 
-def complete_part(part: Part, log: Log, role: Role) -> Part:
-    """A part with its table and time: the only table where none is named, and the column that looks like a time.
+def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
+    """Complete a part: one that names no table becomes one for each table whose columns it uses.
+
+    Raises
+    ------
+    InputError
+        As of `_complete`, or several tables have the columns.
+    """
+    return [_complete(one, log, role) for one in _with_tables(part, log, role)]
+
+
+def _complete(part: Part, log: Log, role: Role) -> Part:
+    """A part with its time: by default the column that looks like one.
 
     Raises
     ------
     InputError
         The log has no such table or column, or the time has another unit.
     """
-    part = _with_table(part, log, role)
     columns = log.tables[part.table].columns
     batches = log.batches({part.table: columns})
     rows = next((rows.head(SAMPLE) for _, rows, _ in batches if len(rows)), None)
@@ -155,19 +165,28 @@ def complete_part(part: Part, log: Log, role: Role) -> Part:
     return part
 
 
-def _with_table(part: Part, log: Log, role: Role) -> Part:
-    """The table of a part that names none, or that names a file, of another day's log: the only one."""
+def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
+    """The tables of a part that names none, or a file of another log: the only table."""
     if part.table in log.tables:
-        return part
+        return [part]
     if len(log.tables) == 1:
         ((name, table),) = log.tables.items()
         if not part.table or table.kind == FILES:
-            return replace(part, table=name)
+            return [replace(part, table=name)]
     if part.table:
         there = names_shown(log.tables)
         raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; there are {there}")
-    columns = part.columns.values()
-    fitting = [n for n, table in log.tables.items() if all(fits(text, table.columns) for text in columns)]
+    homes = {
+        name: [n for n, table in log.tables.items() if fits(text, table.columns)]
+        for name, text in part.columns.items()
+    }
+    fitting = [n for n in log.tables if all(n in tables for tables in homes.values())]
+    apart = {tables[0]: None for name, tables in homes.items() if name != "t" and len(tables) == 1}
+    if not fitting and all(len(tables) == 1 for name, tables in homes.items() if name != "t"):
+        return [
+            Part(table, {name: text for name, text in part.columns.items() if table in homes[name]})
+            for table in apart
+        ]
     chosen = quote(fitting[0]) if len(fitting) == 1 else "TABLE"
     raise InputError(
         f"{log.path}: none of its tables {names_shown(log.tables)} was chosen for {', '.join(part.columns)}; "

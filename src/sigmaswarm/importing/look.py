@@ -29,12 +29,12 @@ from sigmaswarm.importing.times import numbers_of, time_of
 SAMPLE = 5000
 """Rows of a table from which ranges are computed."""
 LOOKED_AT = 25_000
-"""Rows of all tables together, where they come mixed: one that is not met by then is shown without values."""
+"""Rows of all tables together if they are mixed; a table that does not occur among them is shown without values."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """A column's values over the rows looked at: smallest, median, largest; None where it holds no numbers."""
+    """A column's values over the rows looked at: smallest, median, largest; None where it contains no numbers."""
 
     column: str
     low: float | None
@@ -152,13 +152,25 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         parts = recipe.roles.get(role, ())
         known = {name: text for part in parts for name, text in part.columns.items()}
         chosen = [part.table for part in parts if part.table in there] or list(there)
-        if (one := proposed({table: there[table].columns for table in chosen}, role, known)) is not None:
-            table, columns = one
-            time = time_of(there[table]) if "t" not in known and len(there[table]) else None
-            found[role] = ({"t": time} if time else {}) | columns
-            if not parts and len(there) > 1:
-                tables[role] = table
+        names = {table: there[table].columns for table in chosen}
+        if (one := proposed(names, role, known)) is None:
+            continue
+        table, columns = one
+        time = time_of(there[table]) if "t" not in known and len(there[table]) else None
+        rest = _elsewhere(names, table, {**known, **columns}) if role == "imu" and not parts else {}
+        found[role] = ({"t": time} if time else {}) | columns | rest
+        if not parts and len(there) > 1 and not rest:
+            tables[role] = table
     return Proposal(tables, found) if found else None
+
+
+def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
+    """What an IMU lacks in one table, from another: only where no column has the same name in both."""
+    others = {other: columns for other, columns in names.items() if other != table}
+    if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
+        return {}
+    own = [columns for other, columns in names.items() if other != one[0]]
+    return {} if any(fits(text, columns) for text in one[1].values() for columns in own) else one[1]
 
 
 def beginnings(log: Log) -> dict[str, pl.DataFrame]:

@@ -9,14 +9,17 @@ import numpy as np
 from sigmaswarm.doctor import repairs
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.sensors import stated_std, white_noise
+from sigmaswarm.drives.sensors import has_attitude, stated_std, white_noise
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_innovations
 from sigmaswarm.scoring.batch import Replayer
 
-VERIFIED = {"shift-clock", "rotate", "gyro", "accelerometer", "turn", "level", "shift-fixes"}
-"""Repairs that change the motion that a filter sees: axes, signs, units and clocks."""
+CLOCKS = {"shift-clock", "shift-fixes"}
+VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
+"""Repairs that change the motion of a filter: axes, signs, units and clocks."""
 WORSE = 1.05
 """A forecast error that is larger by more contradicts a repair."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
@@ -26,7 +29,7 @@ LEAST_STD = 0.5
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
-    """Return the filter whose forecasts judge repairs: planar8 with the lateral constraint, by hand."""
+    """Return the filter whose forecasts verify every repair: planar8 with the lateral constraint, without tuning."""
     dt = drive.nominal_interval
     std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
     return FilterParameters(
@@ -43,11 +46,26 @@ def checking_filter(drive: Drive) -> FilterParameters:
     )
 
 
+def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
+    """Return the baseline of the mended drive's default filter, which verifies repairs of clocks too."""
+    model = "tilted12" if has_attitude(mended) else "planar8"
+    like = FilterParameters(
+        *(0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0, 1.0)),
+        model=model,
+        kind="ekf",
+        lateral_noise=1.0,
+        standstill_noise=1.0,
+        robust_dof=4.0,
+    )
+    return baseline(drive, like)
+
+
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all faults repaired that can be.
 
-    A filter runs over the log before and after. Where its forecasts of the next fix, or of fixes hidden for 3
-    to 5 s, get worse by more than 5%, the repair of axes or clocks that is to blame is withheld.
+    A filter without tuning runs over the log before and after; for a repair of clocks, so does the default filter's
+    baseline. Where the forecasts of either, of the next fix or of fixes hidden for 3 to 5 s, get worse by more than 5%,
+    the responsible repair of axes or clocks is withheld.
 
     Parameters
     ----------
@@ -73,17 +91,20 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
         diagnosis = replace(diagnosis, findings=findings)
     kept = diagnosis
     doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
-    before = _forecasts(drive) if doubtful else None
+    judges = [checking_filter(drive)] if doubtful else []
+    if any(f.repair and f.repair.action in CLOCKS for f in diagnosis.findings):
+        judges.append(_default_filter(drive, repairs.repair(drive, diagnosis)))
+    before = _forecasts(drive, judges)
     withheld: list[str] = []
-    while doubtful and before is not None:
-        after = _forecasts(repairs.repair(drive, kept))
-        if after is not None and np.all(after <= WORSE * before):
+    while doubtful and np.isfinite(before).any():
+        after = _forecasts(repairs.repair(drive, kept), judges)
+        if np.all((after <= WORSE * before) | np.isnan(before)):
             break
         # Leave out the one without which the forecasts are best.
         errors: dict[str, float] = {}
         for code in sorted(doubtful):
-            found = _forecasts(repairs.repair(drive, _without(kept, code)))
-            errors[code] = np.inf if found is None else float(np.prod(found))
+            found = _forecasts(repairs.repair(drive, _without(kept, code)), judges)
+            errors[code] = float(np.nan_to_num(np.prod(found[np.isfinite(before)]), nan=np.inf))
         code = min(errors, key=lambda code: errors[code])
         kept, doubtful = _without(kept, code), doubtful - {code}
         withheld.append(code)
@@ -102,14 +123,18 @@ def _without(diagnosis: Diagnosis, code: str) -> Diagnosis:
     return replace(diagnosis, findings=findings)
 
 
-def _forecasts(drive: Drive) -> Array | None:
-    """RMS errors of forecasts, m: of the next fix, and of fixes hidden for 3 to 5 s; None if the filter can't run."""
-    try:
-        parameters = checking_filter(drive)
-        innovation = run_innovations(drive, parameters).innovation
-        hidden = Replayer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
-    except SigmaswarmError:
-        return None
-    size = np.sort(np.hypot(*innovation.T))[: max(int(0.95 * len(innovation)), 1)]
-    found = np.array([np.sqrt(np.mean(size**2)), hidden])
-    return found[np.isfinite(found)] if np.isfinite(found[0]) else None
+def _forecasts(drive: Drive, judges: list[FilterParameters]) -> Array:
+    """RMS errors (2 n,), m, of each filter's forecasts: of the next fix, and of fixes hidden for 3 to 5 s.
+
+    NaN where a filter can't run, or no fix can be hidden.
+    """
+    errors = np.full((len(judges), 2), np.nan)
+    for row, parameters in zip(errors, judges, strict=True):
+        try:
+            size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
+            row[1] = Replayer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
+        except SigmaswarmError:
+            continue
+        row[0] = np.sqrt(np.mean(size[: max(int(0.95 * len(size)), 1)] ** 2))
+    errors[~np.isfinite(errors)] = np.nan
+    return errors.ravel()

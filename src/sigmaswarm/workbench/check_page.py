@@ -1,4 +1,4 @@
-"""Step 2: the findings on a drive, each with the plot that shows it; repairs and cuts, and the way back."""
+"""Step 2: the findings on a drive, each with the plot that shows it; repairs and cuts, and how to undo them."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,7 +14,7 @@ from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
 SHORTEST = 30.0
-"""s: no shorter part is offered."""
+"""s: length of the shortest part that can be kept."""
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
 Agreements = dict[str, Agreement]
@@ -181,7 +181,7 @@ class CheckPage(Page):
                 agreement_plot(shown, finding.span, after.get(shown.key))
 
     def _ways(self, finding: Finding) -> None:
-        """The buttons that mend a finding."""
+        """The buttons that repair a finding."""
         first, last = (float(t) for t in self.stages[-1].imu.time[[0, -1]])
         steps: dict[str, Step] = {"Mend": {"repair": [finding.code]}} if finding.repair else {}
         if (at := finding.cut) is not None:

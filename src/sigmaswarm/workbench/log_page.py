@@ -1,4 +1,4 @@
-"""Step 1: what is in a log, and how it becomes a drive."""
+"""Step 1: the content of a log, and its conversion to a drive."""
 
 from dataclasses import replace
 from functools import partial
@@ -158,7 +158,7 @@ class LogPage(Page):
 
     @ui.refreshable_method
     def _notes(self) -> None:
-        """Assumptions of the import, and a proposal for what was not recognized."""
+        """Assumptions of the import, and a proposal for the rest."""
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
@@ -167,7 +167,7 @@ class LogPage(Page):
                 text("p", note, "soft")
             if look.proposal:
                 with card("warning"):
-                    text("p", f"Not recognized by itself, but the names suggest: {look.proposal}")
+                    text("p", f"Not recognized automatically, but the names suggest: {look.proposal}")
                     text("p", look.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
 
@@ -184,7 +184,7 @@ class LogPage(Page):
 
     @ui.refreshable_method
     def _agreement(self) -> None:
-        """Gravity, course and gyro, and what they should follow."""
+        """Gravity, course and gyro, and their expected values."""
         if (drive := self.drive) is None:
             return
         with ui.element("div").classes("section"):

@@ -1,4 +1,4 @@
-"""How the IMU sits in the vehicle: three angles, and a sketch that turns with them."""
+"""Mounting of the IMU in the vehicle: three angles, and a sketch that rotates with them."""
 
 import math
 from functools import partial
@@ -23,7 +23,7 @@ SETTLED = 0.6
 
 
 class MountingPanel:
-    """The choice of the mounting. The sketch follows at once, the plots when the angles rest."""
+    """The choice of the mounting. The sketch follows at once, the plots after a pause."""
 
     def __init__(self, page: "LogPage") -> None:
         self.page = page
@@ -43,7 +43,7 @@ class MountingPanel:
         rotation, wrong = attempt(parse_mount, mount) if mount else (None, "")
         rotation = np.eye(3) if rotation is None else rotation
         with card():
-            text("h2", "How the IMU sits in the vehicle")
+            text("h2", "Mounting of the IMU in the vehicle")
             message(wrong, "bad")
             with ui.element("div").classes("grid"):
                 picture = ui.html(sketch(rotation), sanitize=False)

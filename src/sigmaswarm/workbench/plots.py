@@ -1,4 +1,4 @@
-"""Plots of any length: the server sends the smallest and largest value per pixel of what is visible."""
+"""Plots of any length: the server sends the smallest and largest value per pixel of the visible part."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, cast
@@ -43,7 +43,7 @@ LAYOUT: dict[str, Any] = {
 
 
 def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Series:
-    """Reduce what lies between two times to the smallest and the largest value of each of `PIXELS` columns."""
+    """Reduce values between two times to the smallest and the largest value of each of `PIXELS` columns."""
     time, values = series
     first, last = np.searchsorted(time, start), np.searchsorted(time, end, side="right")
     time, values = time[max(first - 1, 0) : last + 1], values[max(first - 1, 0) : last + 1]

@@ -1,4 +1,4 @@
-"""Tunings that run in threads of the server. Their folders hold all that a killed one needs to go on."""
+"""Tunings that run in threads of the server. A killed one can be resumed from its folder."""
 
 import threading
 import time
@@ -43,7 +43,7 @@ class Run:
 
     @property
     def state(self) -> str:
-        """What it is doing."""
+        """The present state, as a sentence."""
         if self.error or self.ended:
             return "failed" if self.error else "done"
         if self.stopping:

@@ -1,4 +1,4 @@
-"""Step 5: take the filter away, as C, for ROS, for Python, or its trajectories."""
+"""Step 5: export the filter as C, for ROS or for Python, or its trajectories."""
 
 import shlex
 from functools import partial
@@ -25,7 +25,7 @@ TARGETS = {
     "filterpy": ("Python", PYTHON_NEEDS, "python run_filter.py DRIVE estimate.csv"),
     "robot_localization": ("ROS robot_localization", ROS_NEEDS, "ros2 launch ekf.launch.py"),
 }
-"""By target: its name, what it needs, and the next command."""
+"""For each target its name, its requirements, and the next command."""
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",
            ".mat": "MATLAB", ".geojson": "GeoJSON map", ".gpx": "GPX map", ".kml": "KML map",
            ".ros2": "ROS 2 bag"}  # fmt: skip

@@ -76,7 +76,7 @@ class TunePage(Page):
 
     @property
     def plan(self) -> dict[str, str]:
-        """What to do with each drive: as chosen, or one to tune on and one to hold back."""
+        """The use of each drive: as chosen, or one to tune on and one to hold back."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
         chosen = self.bench.choices.get("plan", {})
         used = [name for name in names if chosen.get(name) != LEFT_OUT]

@@ -15,14 +15,16 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""rad: a rotation about z from the first on is a warning, from the second on serious."""
+"""rad: a rotation about z of at least the first is a warning, of at least the second serious."""
 TILT = (0.5, 1.2)
 """m/s2: the same for what is left over in ax, ay. Roads and cheap sensors' biases stay below the second."""
 SIZE = (0.3, 1.0)
-"""m/s2 by which the usual specific force differs from gravity: from the first on a note, from the second on a warning.
-Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050)."""
-CLEAR = 3.5
-"""Deviations."""
+"""m/s2 by which the usual specific force differs from gravity: at least the first is a note, the second a warning.
+
+Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050).
+"""
+LIKELY, CLEAR = 2.5, 3.5
+"""Standard deviations: a rotation of at least the first is a note, of at least the second is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
 """m/s2: acceleration below which the scale is unknown."""
@@ -71,18 +73,20 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     """The angle about the vertical, and the scale of each axis."""
     angle, std, imu, span = mount.angle, mount.angle_std, evidence.drive.imu, evidence.span
-    if abs(angle) >= max(MOUNTING[0], CLEAR * std):
-        severity = "serious" if abs(angle) > MOUNTING[1] else "warning"
+    if abs(angle) >= max(MOUNTING[0], LIKELY * std):
+        clear = abs(angle) >= CLEAR * std
+        severity = ("serious" if abs(angle) > MOUNTING[1] else "warning") if clear else "note"
         degrees, side = (
             math.degrees(angle),
             "left" if angle > 0 else "right",
         )  # a = R(angle) u: where x points
         what = (
-            f"the IMU is turned by {abs(degrees):.0f} deg (deviation {math.degrees(std):.0f}) to the {side} "
-            "about the vertical"
+            f"the IMU {'is' if clear else 'may be'} turned by {abs(degrees):.0f} deg (deviation "
+            f"{math.degrees(std):.0f}) to the {side} about the vertical"
         )
-        confidence, remedy = confidence_of(angle / std), f"turn (ax, ay) and (gx, gy) by {degrees:+.0f} deg"
-        yield Finding("mounting", severity, what, WHERE, span, confidence, remedy, Repair("turn", (angle,)))
+        remedy = f"turn (ax, ay) and (gx, gy) by {degrees:+.0f} deg{'' if clear else ' if other drives show it too'}"
+        repair = Repair("turn", (angle,)) if clear else None
+        yield Finding("mounting", severity, what, WHERE, span, confidence_of(angle / std), remedy, repair)
     second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
     force = mount.matrix @ np.array([imu.ax, imu.ay])
     for name, (scale, std), row in zip(("forward", "left"), mount.scale, force, strict=True):

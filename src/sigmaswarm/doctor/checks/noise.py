@@ -54,13 +54,13 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     elif white and stated > TOO_LARGE * scatter:
         how, confidence = "larger", confidence_of(2 * stated / TOO_LARGE / scatter)
     else:
-        if stated > LASTS * max(scatter, LEAST_NOISE):
+        if stated > LASTS * max(scatter, LEAST_NOISE) or (noise < WHITE * scatter and scatter > LEAST_NOISE):
             what = (
-                f"the fixes scatter by {scatter:.2g} m per axis about a path of ten seconds, and the receiver states "
-                f"{stated:.2g} m: their errors last, so that many fixes are worth hardly more than one, and a filter "
-                "without truth can't know how far off it is"
+                f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
+                f"of ten seconds, and the receiver states {stated:.2g} m: their errors last, so that many fixes are "
+                "hardly better than one; without truth neither the stated deviation nor a filter's error can be checked"
             )
-            remedy = "take a filter's own position deviation for the scatter alone"
+            remedy = "read a filter's own position deviation as the scatter alone"
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )

@@ -16,6 +16,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Guess, Log, Role, first_bytes, library, of_frames, roles_of, whole
 
+MOST_SKIPPED = 1_000_000
+"""Bytes that are no messages; a second is lost with so many."""
 MAGIC = b"\xa3\x95\x80"
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}
@@ -37,6 +39,18 @@ _COLUMNS = {
 }
 
 
+class _Skipped(StringIO):
+    """Where pymavlink prints each byte that it skips: nothing is kept, and a long file of other bytes is refused."""
+
+    count = 0
+
+    def write(self, text: str, /) -> int:
+        self.count += text.startswith("bad header")
+        if self.count > MOST_SKIPPED:
+            raise ValueError(f"more than {MOST_SKIPPED} bytes between its messages belong to none")
+        return len(text)
+
+
 def recognizes(path: Path) -> bool:
     """Return True if it begins as a dataflash log does."""
     return first_bytes(path, 3) == MAGIC
@@ -48,7 +62,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     log = kind.__new__(kind)  # so that its files can be closed where its own beginning fails
     log.init_arrays_fast = log.init_arrays  # the compiled one prints skipped data, which cannot be caught
     try:
-        with whole(path), redirect_stderr(StringIO()), redirect_stdout(StringIO()):  # it prints skipped data
+        with whole(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # it prints skipped data
             log.__init__(str(path), zero_time_base=True)
             rows = _rows(log, path, limits)
     finally:
@@ -63,7 +77,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     if not frames:
         raise InputError(
-            f"{path}: holds none of {', '.join(_COLUMNS)}; log them (LOG_BITMASK), and drive again"
+            f"{path}: contains none of {', '.join(_COLUMNS)}; enable them (LOG_BITMASK), and record again"
         )
     parts = [part for part in PARTS if part[1] != "GPA" or "GPS" in frames]
     guess = Guess(

@@ -19,11 +19,13 @@ FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope
 _TOTAL, _MOVED, _GRAVITY, _RATES, _PLACES = FILES
 _T = {"t": "time*1e-9"}
 _DEVIATION = f"where(horizontalAccuracy > 0, horizontalAccuracy/{RADIUS_68}, 0/0)"
-_FIX = {
-    **{"lat": "latitude", "lon": "longitude", "alt": "altitude", "std_x": _DEVIATION, "std_y": _DEVIATION},
-    "speed": "where(speed >= 0, speed, 0/0)",
-    "course": "where(bearing >= 0, radians(90 - bearing), 0/0)",
+_FIX: dict[str, str | tuple[str, ...]] = {
+    **{"lat": "latitude", "lon": "longitude", "alt": ("altitude",)},
+    **{"std_x": (_DEVIATION,), "std_y": (_DEVIATION,)},
+    "speed": ("where(speed >= 0, speed, 0/0)",),
+    "course": ("where(bearing >= 0, radians(90 - bearing), 0/0)",),
 }
+"""A tuple: left out where the export lacks the column."""
 
 
 def recognizes(path: Path) -> bool:
@@ -36,16 +38,16 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open an export."""
     log = phone_files(path, FILES, limits, stack)
     notes = [FLAT]
-    parts: list[tuple[Role, str, dict[str, str]]] = [("gps", _PLACES, _T | _FIX)]
+    parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [("gps", _PLACES, {**_T, **_FIX})]
     if _RATES in log.tables and (acceleration := _acceleration(log, notes)):
         imu = {**acceleration, _RATES: {"gx": "y", "gy": "-x", "gz": "z"}}
-        parts.extend(("imu", table, _T | columns) for table, columns in imu.items())
+        parts.extend(("imu", table, {**_T, **columns}) for table, columns in imu.items())
     guess = Guess(roles_of(parts, {name: table.columns for name, table in log.tables.items()}), tuple(notes))
     return log.guessed(guess)
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
-    """Specific force: with gravity as logged, or without it and gravity added (iOS has both with its own sign)."""
+    """Specific force: as logged with gravity, or the sum of acceleration and gravity (with opposite signs on iOS)."""
     if _TOTAL in log.tables:
         return {_TOTAL: {"ax": "y", "ay": "-x", "az": "z"}}
     if not {_MOVED, _GRAVITY} <= log.tables.keys():
@@ -54,7 +56,7 @@ def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     z = [rows["z"].cast(pl.Float64, strict=False) for _, rows, _ in log.batches({_GRAVITY: ["z"]})]
     down = pl.concat(z).median() if z else None
     if not isinstance(down, float):
-        raise InputError(f"{log.path / _GRAVITY}: holds no numbers; export it again")
+        raise InputError(f"{log.path / _GRAVITY}: contains no numbers; export it again")
     turned = ", both with their signs turned, as iOS has them" if down < 0 else ""
     notes.append(f"gravity added to Accelerometer.csv{turned}")
     axes = {"ax": "-y", "ay": "x", "az": "-z"} if down < 0 else {"ax": "y", "ay": "-x", "az": "z"}
