@@ -110,7 +110,7 @@ def test_a_clip_with_nothing_in_it(start: float, end: float):
         clip(DRIVE, start, end)
 
 
-@pytest.mark.filterwarnings("ignore:.*can't be used by itself")
+@pytest.mark.filterwarnings("ignore:.*can't be used alone")
 def test_the_part_between_two_times_is_left_out():
     before, after = split_time(DRIVE, at=(3.0, 7.0))
     assert (before.name, after.name) == ("synthetic-before", "synthetic-after")

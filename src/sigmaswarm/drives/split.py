@@ -50,7 +50,7 @@ def split_time(
     drive : Drive
         Stays as it is.
     train_fraction : float
-        Of the drive's duration, in (0, 1).
+        Share of the drive's duration, in (0, 1).
     at : float or (float, float), optional
         s on the drive's clock: split there instead, as where a logger paused. Of two times, the part between them is
         left out; the parts are ``<name>-before`` and ``<name>-after``.
@@ -79,7 +79,7 @@ def split_time(
     sha256 = fingerprint(drive)
     for part in parts:
         if isinstance(found := find_start(part), NoStart):
-            message = f"{part.name} can't be used by itself: {found.what}; split elsewhere, or {found.remedy}"
+            message = f"{part.name} can't be used alone: {found.what}; split elsewhere, or {found.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256}

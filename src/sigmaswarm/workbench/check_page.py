@@ -23,7 +23,7 @@ Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 
 
 class CheckPage(Page):
-    """The drive that is checked: the original, the steps done to it, and the findings that are left."""
+    """The drive that is checked: the original, the steps applied to it, and the remaining findings."""
 
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
@@ -114,7 +114,7 @@ class CheckPage(Page):
             self._findings.refresh()
 
     def _checked(self, name: str, steps: list[Step] | None) -> Checked:
-        """Do the steps to a drive, by default those saved, write the result, and check it."""
+        """Apply the steps to a drive, by default those saved, write the result, and check it."""
         stages, known, target = self.stages, self.steps, name + CHECKED
         if steps is None:
             saved = self.bench.read(target).metadata if target in self.bench.drive_names else {}
@@ -133,7 +133,7 @@ class CheckPage(Page):
         return stages, steps, sigmaswarm.diagnose(stages[-1]), _agreements(stages[-1])
 
     def _steps(self) -> None:
-        """The steps done so far, each with its way back."""
+        """The applied steps, each with a button to undo it."""
         for number, step in enumerate(self.steps):
             said = f"repaired: {', '.join(step['repair'])}" if "repair" in step else _kept(step["keep"])
             rest = [*self.steps[:number], *self.steps[number + 1 :]]
@@ -195,7 +195,7 @@ class CheckPage(Page):
                 mend.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
-        """Select a span with the mouse or by numbers; keep it alone, or leave it out."""
+        """Select a span with the mouse or by numbers; keep only it, or leave it out."""
         drive = self.stages[-1]
         time = drive.imu.time
         low, high = float(time[0]), float(time[-1])
@@ -211,7 +211,7 @@ class CheckPage(Page):
 
         with card():
             text("h2", "Cut")
-            text("p", "Drag over a part, or type its ends.", "soft")
+            text("p", "Drag over a part, or enter its ends.", "soft")
             with ui.element("div").classes("grid"):
                 with ui.element("div"):
                     with line():

@@ -91,7 +91,7 @@ class Frame:
             self.pages[step].show()
 
     def _report(self, kind: str, name: str) -> Response:
-        """The page of `sigmaswarm.report`; it holds everything and asks for nothing."""
+        """The page of `sigmaswarm.report`, which loads nothing else."""
         page, wrong = attempt(self._page_of, kind, name)
         return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 

@@ -26,7 +26,7 @@ Reading = tuple[Look | None, Drive | None, tuple[Agreement, ...], str]
 
 
 class LogPage(Page):
-    """The open log: a look at it, the choices made, and the drive that they give."""
+    """The open log: its content, the choices made, and the resulting drive."""
 
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
@@ -51,7 +51,7 @@ class LogPage(Page):
         self._finish()
 
     def refresh(self) -> None:
-        """Show what has changed; a row of a table that stays keeps its place and focus."""
+        """Show changes; a row of a table that stays keeps its place and focus."""
         shown = [panel.glance.table for panel in self.panels]
         if self.look and shown == [glance.table for glance in self.look.tables]:
             uses = columns.uses_of(self.look)
@@ -136,7 +136,7 @@ class LogPage(Page):
         self._status.refresh()
 
     def assign(self, table: str, column: str, target: str | None) -> None:
-        """Use a column for something else."""
+        """Use a column for another quantity."""
         if self.look:
             columns.assign(self.bench.log_choices, self.look, table, column, target or columns.UNUSED)
             self.choose()
@@ -189,7 +189,7 @@ class LogPage(Page):
             return
         with ui.element("div").classes("section"):
             text("h2", "Does it agree?")
-            about = "Solid: what the IMU measured. Dashed: what it should follow. Zoom with the mouse."
+            about = "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse."
             text("p", about, "soft")
             with ui.element("div").classes("grid"):
                 for found in self.found:

@@ -57,7 +57,7 @@ class MountingPanel:
                         with sliders:
                             self._angles(rotation, picture, field)
                         button("Find it in the log", self.page.find_mounting, "explore")
-                    about = "The arrows are the sensor's axes: x forward, y left and z up need no turning."
+                    about = "The arrows are the sensor's axes: x forward, y left and z up need no rotation."
                     text("p", about, "soft")
                     with ui.expansion("More settings").classes("soft"):
                         self._settings()
@@ -91,7 +91,7 @@ class MountingPanel:
                 sliders.append(slider)
 
     def _settings(self) -> None:
-        """Settings that few logs need."""
+        """Settings for few logs."""
         chosen = self.page.bench.log_choices.get
         offset = ui.number("Added to the times of the fixes, s", value=chosen("gps_offset_s"), step=0.01)
         arm = ui.input("From the IMU to the antenna, m forward,left,up", value=chosen("gps_lever_arm_m", ""))

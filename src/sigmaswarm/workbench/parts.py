@@ -1,4 +1,4 @@
-"""What the steps share: a page with work in the background, and small pieces of a page."""
+"""Common elements of the steps: a page with work in the background, and small pieces of a page."""
 
 import asyncio
 import json
@@ -32,7 +32,7 @@ class Page:
         """Make the content of the step."""
 
     def refresh(self) -> None:
-        """Show what has changed, in all tabs."""
+        """Show changes in all tabs."""
         self.show.refresh()
 
     def start(

@@ -56,7 +56,7 @@ def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Ser
 
 
 def thinned(x: Array, y: Array, most: int = MOST_PLACES) -> Series:
-    """Take every n-th place of a track."""
+    """Take every n-th point of a track."""
     step = max(-(-len(x) // most), 1)
     return x[::step], y[::step]
 
@@ -153,7 +153,7 @@ def time_plot(
 def agreement_plot(
     found: Agreement, span: tuple[float, float] | None = None, after: Agreement | None = None
 ) -> None:
-    """Plot what was measured next to what it should follow; ``after``: the same after a repair."""
+    """Plot measured values next to expected ones; ``after``: the same after a repair."""
     changed = after is not None and any(
         not _same(found.measured.get(k), s) for k, s in after.measured.items()
     )

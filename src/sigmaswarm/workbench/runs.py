@@ -102,7 +102,7 @@ class Runs:
         self._threads[-1].start()
 
     def resume(self, name: str) -> None:
-        """Go on with a stopped or killed tuning, begun here or on the command line."""
+        """Resume a stopped or killed tuning, begun here or on the command line."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]

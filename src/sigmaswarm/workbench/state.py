@@ -77,7 +77,7 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Drives to work with: the checked copy stands for its original."""
+        """Drives to work with: a checked copy replaces its original."""
         names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
 

@@ -61,7 +61,7 @@ class TakePage(Page):
             self._trajectories()
         with card():
             text("h2", "The filter itself")
-            about = "tuning.toml holds the parameters with units, data and versions; FilterParameters.load reads it."
+            about = "tuning.toml has the parameters with units, data and versions; FilterParameters.load reads it."
             text("p", about)
             link("Download the tuning", f"download/tunings/{self.chosen['tuning']}", download=True)
 
@@ -95,7 +95,7 @@ class TakePage(Page):
         self._outcome("track", "")
 
     def _outcome(self, target: str, then: str) -> None:
-        """What was written, the download, and the next command."""
+        """The written files, the download, and the next command."""
         good, wrong = self.outcomes.get(target, ("", ""))
         message(wrong, "bad")
         message(good, "good")

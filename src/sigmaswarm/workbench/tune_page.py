@@ -29,7 +29,7 @@ MODELS = {
 }
 SIZES = {"particles": 30, "generations": 50, "trials": 1, "seed": 0}
 REFRESH = 0.7
-"""s between two looks at running tunings."""
+"""s between two updates of running tunings."""
 STARTING = "reading the drives, to tune on them"
 """What no change of a choice may replace."""
 COMPARED = 6
@@ -71,7 +71,7 @@ class TunePage(Page):
         ui.timer(REFRESH, look)
 
     def refresh(self) -> None:
-        """Show what has changed of the choices."""
+        """Show the changed choices."""
         self._setup.refresh()
 
     @property
@@ -129,7 +129,7 @@ class TunePage(Page):
         return {k: v for k, v in self.bench.choices.get("options", {}).items() if v not in ("", [])}
 
     def _explain(self) -> None:
-        """State what will be tuned, and why."""
+        """Show the filter to be tuned, and why."""
         self.start("reading the drives", self._reasons, then=self._explained)
 
     def _explained(self, why: list[str] | None) -> None:
@@ -194,7 +194,7 @@ class TunePage(Page):
         self.refresh()
 
     def _run_card(self, run: Run) -> Update:
-        """Show a tuning; return what brings the card up to date."""
+        """Show a tuning; return a function that updates the card."""
         with card("warning" if run.error else ""):
             with line("between"):
                 with ui.element("h2"):
