@@ -20,7 +20,8 @@ LEAST_SHARE = 0.2
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
-"""Of chi-square: how much better than the log as it stands another reading must be."""
+"""Of chi-square: how much better than the log as it stands another reading must be, and the most that one in g may
+have itself. In steady circles forces are no more than what windows leave of them, and no unit shows. (Logs in g: 4.)"""
 ALIKE = 0.05
 """Tolerance of M's entries off the axes, for other reasons: tilt that follows the maneuvers, slip."""
 SCALE = 0.12
@@ -102,7 +103,8 @@ def mount_of(fit: AccelerationFit) -> Mount:
         axes = np.diag(signs) @ order
         price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
         turned = min(misfit(axes, unit, angle) + 6.0 * (abs(angle) > MOUNTED / 8) for angle in ANGLES)
-        readings.append((turned + price, axes, unit))
+        if unit == 1 or turned < CLEARLY:
+            readings.append((turned + price, axes, unit))
     best, axes, unit = min(readings, key=lambda reading: reading[0])
     if plain - best < CLEARLY:
         axes, unit = as_recorded, 1.0
