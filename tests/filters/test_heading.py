@@ -142,7 +142,9 @@ def test_live_filter_gives_the_estimates_of_a_run(model: str, kind: str, option:
         if is_imu:
             live.predict(t, [getattr(imu, axis)[i] for axis in MODELS[model].imu])
             continue
-        heading = None if gps.std_heading[i] >= np.pi else (gps.heading[i], gps.std_heading[i])
+        heading = (gps.heading[i], gps.std_heading[i])
+        if gps.std_heading[i] >= np.pi:
+            heading = [None, (np.nan, 0.1), (1.0, np.inf), (1.0, np.pi)][i % 4]
         fix = gps.time[i], (gps.x[i], gps.y[i]), None, (gps.std_x[i], gps.std_y[i]), heading
         taken = live.update(*fix)
         assert not (taken and live.update(*fix))  # the same again
