@@ -51,7 +51,7 @@ def filter_of(
 
 
 def with_heading(drive: Drive) -> Drive:
-    """A drive whose receiver tells the heading to 1 degree; four are 57 degrees off, ten are not found."""
+    """a drive whose receiver reports the heading to 1 degree; four are 57 degrees off, ten are not found."""
     gps, truth, rng = drive.gps, drive.truth, np.random.default_rng(0)
     assert truth is not None
     theta = np.interp(gps.time, truth.time, np.unwrap(truth.theta)) + rng.normal(0, np.radians(1.0), len(gps))
