@@ -18,6 +18,7 @@ from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.targets import export_texts, write_texts
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.bank.run import run_bank
+from sigmaswarm.filters.compiled import live, watch
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.presets import baseline
@@ -133,23 +134,27 @@ def test_live_filter_gives_the_estimates_of_a_run(model: str, kind: str, option:
     drive, p = driven("weighed"), filter_of(model, kind, option, velocity_noise=None)
     whole, gps, imu = run_filter(drive, p, recover=False), drive.gps, drive.imu
     lever = [*drive.lever_arm, drive.antenna_height]
-    live = LiveFilter(
+    ours = LiveFilter(
         p, whole.initial, nominal_interval=drive.nominal_interval, lever_arm=lever, recover=False
     )
     events = [(t, 1, i) for i, t in enumerate(imu.time)]
     events += [(t + (late if i % 3 else 0.0), 0, i) for i, t in enumerate(gps.time)]
     for t, is_imu, i in sorted(events):
         if is_imu:
-            live.predict(t, [getattr(imu, axis)[i] for axis in MODELS[model].imu])
+            ours.predict(t, [getattr(imu, axis)[i] for axis in MODELS[model].imu])
             continue
         heading = (gps.heading[i], gps.std_heading[i])
         if gps.std_heading[i] >= np.pi:
             heading = [None, (np.nan, 0.1), (1.0, np.inf), (1.0, np.pi)][i % 4]
         fix = gps.time[i], (gps.x[i], gps.y[i]), None, (gps.std_x[i], gps.std_y[i]), heading
-        taken = live.update(*fix)
-        assert not (taken and live.update(*fix))  # the same again
-    np.testing.assert_allclose(wrap_angle(live.state.mean - whole.mean[-1]), 0.0, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(live.state.covariance, whole.covariance[-1], rtol=1e-6, atol=1e-12)
+        taken = ours.update(*fix)
+        assert not (taken and ours.update(*fix))  # the same again
+    np.testing.assert_allclose(wrap_angle(ours.state.mean - whole.mean[-1]), 0.0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ours.state.covariance, whole.covariance[-1], rtol=1e-6, atol=1e-12)
+
+
+def test_the_watch_reads_the_kind_of_a_fix_where_live_filters_keep_it():
+    assert watch._KIND == live.KIND
 
 
 def test_lane_zero_of_a_bank_takes_headings_and_its_searches_replay_them():

@@ -224,7 +224,10 @@ def test_ublox_6(tmp_path: Path, velocity: bool, week: bool):
 def test_ubx_without_fixes_names_what_it_holds_and_the_way(tmp_path: Path):
     clock = pyubx2.UBXMessage("NAV", "NAV-CLOCK", pyubx2.GET, iTOW=0, clkB=1).serialize()
     raw = pyubx2.UBXMessage("RXM", "RXM-RAWX", pyubx2.GET, numMeas=0).serialize()
-    for stream, said in ((clock, "contains NAV-CLOCK, .* send NAV-PVT"), (raw, "contains RXM-RAWX, .* RTKLIB")):
+    for stream, said in (
+        (clock, "contains NAV-CLOCK, .* send NAV-PVT"),
+        (raw, "contains RXM-RAWX, .* RTKLIB"),
+    ):
         (tmp_path / "log.ubx").write_bytes(stream)
         with pytest.raises(InputError, match=said):
             imported(imu_csv(tmp_path), gps=tmp_path / "log.ubx")

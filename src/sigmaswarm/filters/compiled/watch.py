@@ -21,7 +21,7 @@ LATEST_LOOK = 0.25
 WATCHED = MAX_DURATION + 1.0
 """s of samples and fixes that a live filter stores for it."""
 
-_T, _X, _Y, _KIND = 0, 1, 2, 8  # of a row of fixes
+_T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
 
 _plain = njit(**OPTIONS)
 
