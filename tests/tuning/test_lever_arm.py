@@ -12,7 +12,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.lever_arm import LeverArmEstimate, estimate_lever_arm
-from support import make_drive
+from support import DRIVES, make_drive, needs_shared
 
 
 def planted(drive: Drive, forward: float, left: float) -> Drive:
@@ -149,6 +149,14 @@ def test_outliers_do_not_move_it():
     x = drive.gps.x.copy()
     x[100::50] += 20.0
     found = estimate_lever_arm(replace(drive, gps=replace(drive.gps, x=x)), parameters)
+    assert np.all(np.abs(np.array([found.forward + 1.5, found.left - 0.6])) < 3 * np.array(found.std))
+
+
+@needs_shared
+def test_a_real_drive_shows_a_planted_arm_within_its_standard_deviation():
+    drive = planted(sigmaswarm.read_drive(DRIVES / "kitti-09-30-0018"), -1.5, 0.6)
+    found = estimate_lever_arm(drive)
+    assert max(found.std) < 0.3
     assert np.all(np.abs(np.array([found.forward + 1.5, found.left - 0.6])) < 3 * np.array(found.std))
 
 
