@@ -1,13 +1,15 @@
-"""How reliable the doctor is: planted faults that it names, false alarms, and repairs of clocks on short windows.
+"""How reliable the doctor is: planted faults, false alarms, repairs of clocks on short windows, and the mounting.
 
     python benchmarks/planted.py faults drives --simulated 20
+    python benchmarks/planted.py mounting drives --simulated 40
     python benchmarks/planted.py windows drives --count 3000
 
 faults: every fault of `tests/doctor/faults.py` is planted in each recording below a folder and in simulated drives.
 windows: 60 s of a drive whose fixes keep a clock with an offset, a drift, jitter, all of these or none; where the
 diagnosis offers a repair, it is applied as `sigmaswarm.repair` does, and forecasts of the next fix and of fixes 3 to
 5 s ahead are compared before and after, by two untuned filters: planar5, and tilted12. (The preset ``datasheet`` is no
-judge: its forecasts of the next fix on these windows are off by 2 to 80 m before and after.) Prints Markdown.
+judge: its forecasts of the next fix on these windows are off by 2 to 80 m before and after.)
+mounting: each log with six axes is turned by three random rotations; whole, and its windows of 60 s. Prints Markdown.
 """
 
 import argparse
@@ -19,6 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sigmaswarm import (
     Diagnosis,
@@ -31,6 +34,8 @@ from sigmaswarm import (
     repair,
     simulate,
 )
+from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.doctor.mounting import angle_of, mounting_of, turned
 from sigmaswarm.drives.split import clip
 from sigmaswarm.filters.presets import DEFAULTS, baseline
 from sigmaswarm.filters.run import run_innovations
@@ -169,6 +174,39 @@ def judge(sick: Drive, found: Diagnosis, offset: float, seen: Counter[str]) -> N
             seen[f"{name} worst"] = max(seen[f"{name} worst"], round(ratio, 2))  # type: ignore[assignment]
 
 
+def mountings(drives: Iterator[Drive]) -> None:
+    """Print, for whole drives and for windows, how far the mounting found is off the drive's own axes."""
+    errors: dict[tuple[str, str], list[float]] = defaultdict(list)
+    apart: list[float] = []
+    for number, drive in enumerate(drives):
+        if drive.imu.az is None or drive.imu.gx is None:
+            continue
+        cuts = np.arange(drive.imu.time[0], drive.imu.time[-1] - LENGTH + 1, LENGTH)
+        pieces = {"whole": [drive], "60 s": [clip(drive, cut, cut + LENGTH) for cut in cuts]}
+        for what, some in pieces.items():
+            for piece in some:
+                course = gather(piece).course
+                own = course and mounting_of(piece, course)
+                for seed in range(3) if what == "whole" else [number % 3]:
+                    rotation = Rotation.random(random_state=1000 * number + seed).as_matrix()
+                    found = course and mounting_of(replace(piece, imu=turned(piece.imu, rotation)), course)
+                    if not found or not own:
+                        errors[what, "none"].append(np.nan)
+                        continue
+                    errors[what, found.confidence].append(np.degrees(angle_of(found.rotation @ rotation)))
+                    if found.confidence != "no":
+                        off = found.rotation @ rotation @ own.rotation.T
+                        apart.append(float(np.degrees(angle_of(off))))
+        print(
+            drive.name, {k: np.round(v, 1).tolist() for k, v in errors.items()}, file=sys.stderr, flush=True
+        )
+    print("| log | confidence | count | median, deg | 90% | 95% | largest |\n|---|---|---|---|---|---|---|")
+    for (what, confidence), each in sorted(errors.items(), reverse=True):
+        quantiles = np.quantile(each, [0.5, 0.9, 0.95, 1.0])
+        print(f"| {what} | {confidence} | {len(each)} | {' | '.join(f'{q:.1f}' for q in quantiles)} |")
+    print(f"\nestimates of a turned log against the turned estimate: {np.max(apart):.2g} deg apart at most")
+
+
 def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np.random.Generator) -> Drive:
     """The drive with fixes on another clock: s late, s per s, and a deviation of each time in s."""
     time = drive.gps.time
@@ -196,7 +234,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["faults", "windows"])
+    parser.add_argument("what", choices=["faults", "windows", "mounting"])
     parser.add_argument("drives", type=Path)
     parser.add_argument("--simulated", type=int, default=20)
     parser.add_argument("--count", type=int, default=3000)
@@ -205,6 +243,8 @@ def main() -> None:
     drives = sound_drives(options.drives, options.simulated)
     if options.what == "faults":
         faults(drives)
+    elif options.what == "mounting":
+        mountings(drives)
     else:
         windows(list(drives), options.count)
 

@@ -20,7 +20,10 @@ LEAST_SHARE = 0.2
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
-"""Chi-square by which another interpretation must be better than the log as it is."""
+"""Chi-square by which another interpretation must be better than the log as it is, and the most that one in g may have.
+
+In steady circles forces are hardly more than their windows' noise, and show no unit. Logs in g have 4.
+"""
 ALIKE = 0.05
 """Tolerance of M's entries off the diagonal, for slip and for tilt in maneuvers."""
 SCALE = 0.12
@@ -103,8 +106,9 @@ def mount_of(fit: AccelerationFit) -> Mount:
     ):
         axes = np.diag(signs) @ order
         price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
-        turned = np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MOUNTED / 8))
-        readings.append((float(turned) + price, axes, unit))
+        turned = float(np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MOUNTED / 8)))
+        if unit == 1 or turned < CLEARLY:
+            readings.append((turned + price, axes, unit))
     best, axes, unit = min(readings, key=lambda reading: reading[0])
     if plain - best < CLEARLY:
         axes, unit = as_recorded, 1.0
