@@ -2,7 +2,8 @@
 
     python benchmarks/compare_optimizers.py OUT [--drives ../shared/drives] [--seeds 20] [--only "KITTI, truth-rmse"]
 
-Every comparison is kept in a folder of OUT, with all measures, and resumed if it is there. `--write` needs all cases.
+Every comparison is kept in a folder of OUT, with all measures, and resumed if it is there. With all cases the tables
+are printed.
 
     python benchmarks/compare_optimizers.py OUT --budgets
 
@@ -259,8 +260,8 @@ def raced(found: Found) -> str:
     )
 
 
-def write(section: str, text: str) -> None:
-    begin, end = f"<!-- written by benchmarks/compare_optimizers.py: {section} -->", "<!-- end -->"
+def write(text: str) -> None:
+    begin, end = "<!-- written by benchmarks/compare_optimizers.py -->", "<!-- end -->"
     before, rest = PAGE.read_text().split(begin)
     after = rest.split(end, 1)[1]
     PAGE.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}")
@@ -274,24 +275,21 @@ def main() -> None:
     parser.add_argument("--drives", type=Path, default=Path("../shared/drives"))
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--only", nargs="+")
-    parser.add_argument("--write", action="store_true", help="write docs/optimizers.md")
     parser.add_argument("--budgets", action="store_true", help="training costs at three budgets")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     if options.budgets:
         costs = run_budgets(options.drives, options.out / "budgets.jsonl", options.seeds)
-        write("budgets", budget_table(costs, options.seeds))
+        write(budget_table(costs, options.seeds))
         return
     settings = cases(options.drives)
     chosen = {case: settings[case] for case in options.only or settings}
-    if options.write and not settings.keys() <= chosen.keys() >= HELD_OUT:
-        parser.error("--write needs all cases, with the real drives of --drives")
     found = {
         case: dict(comparisons(case, setting, options.out, options.seeds)) for case, setting in chosen.items()
     }
-    if options.write:
-        print(held_out(found, "linear"), ways(found["simulated, truth-rmse"]), raced(found), sep="\n\n")
-        write("log10", held_out(found, "log10"))
+    if settings.keys() <= chosen.keys() >= HELD_OUT:
+        scales = (held_out(found, scale) for scale in BOTH)
+        print(*scales, ways(found["simulated, truth-rmse"]), raced(found), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from exported import build, distance, replay, run_script, tuned, twin
+from exported import OPTIMIZED, build, distance, replay, run_script, tuned, twin
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate
 from sigmaswarm.filters.models import MODELS
 
@@ -88,7 +88,7 @@ def cost(p: FilterParameters, folder: Path, *flags: str) -> list[int]:
     """ns per predict and per update, bytes of state and of code."""
     more = "(ins_gps_real)9.8, (ins_gps_real)0.01, (ins_gps_real)0.02, " if p.model == "tilted12" else ""
     main = TIMER.replace("@DT@", repr(p.nominal_interval)).replace("@MORE@", more)
-    program = build(folder, p, *flags, main=main)
+    program = build(folder, p, *OPTIMIZED, *flags, main=main)
     ns_predict, ns_update, state = map(int, subprocess.check_output([program], text=True).split())
     command = ["gcc", "-std=c99", "-Os", *flags, "-c", folder / "ins_gps.c", "-o", folder / "ins_gps.o"]
     subprocess.run(command, check=True)

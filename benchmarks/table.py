@@ -77,7 +77,7 @@ def per_unit(record: dict) -> float:
 def ratio(rival: list[dict], ours: list[dict], measure) -> str:
     """Within each turn, so that both sides had the same machine; the median and the lowest."""
     ratios = [measure(a) / measure(b) for a, b in zip(rival, ours, strict=True)]
-    return f"{rounded(statistics.median(ratios))} (lowest turn {rounded(min(ratios))})"
+    return f"{rounded(statistics.median(ratios))}; {rounded(min(ratios))}"
 
 
 def render(measured: dict[str, list[dict]]) -> str:
@@ -93,7 +93,10 @@ def render(measured: dict[str, list[dict]]) -> str:
 
 
 def filters(measured: dict, labels: dict[str, str], ours: str) -> Iterator[str]:
-    yield "| filter | ns per parameter set and IMU sample (or call), median | fastest turn | times the batch's |"
+    yield (
+        "| filter | ns per parameter set and IMU sample (or call), median | fastest turn "
+        "| times the batch's; lowest turn |"
+    )
     yield "|---|---:|---:|---:|"
     for name, label in labels.items():
         if name not in measured:
@@ -120,7 +123,10 @@ def spread(records: list[dict], ours: list[dict]) -> str:
 
 
 def tunings(measured: dict) -> Iterator[str]:
-    yield "| one tuning: 30 particles, 50 generations, 10 minutes at 100 Hz | measured | whole tuning | times ours |"
+    yield (
+        "| one tuning: 30 particles, 50 generations, 10 minutes at 100 Hz | measured | whole tuning "
+        "| times ours; lowest turn |"
+    )
     yield "|---|---:|---:|---:|"
     ours = measured["test_tuning_sigmaswarm"]
     for name, label in TUNINGS.items():
@@ -148,7 +154,7 @@ def cores(measured: dict) -> Iterator[str]:
 
 def live(measured: dict) -> Iterator[str]:
     yield (
-        "| one call at a time, us | predict | update | a sample with its fix "
+        "| one call at a time, us: median; 99.9% | predict | update | a sample with its fix "
         "| times faster than FilterPy's same filter | than FilterPy's planar5 ukf |"
     )
     yield "|---|---:|---:|---:|---:|---:|"
@@ -160,9 +166,7 @@ def live(measured: dict) -> Iterator[str]:
     rows["test_swarm planar8 ukf, lateral and standstill"] = "LiveFilterBank, sixteen of the one above"
     for name, label in rows.items():
         cells = [
-            "{:.2f} (99.9%: {:.1f})".format(
-                *(middle(measured[name], f"{c}_{k}") / 1e3 for k in ("median", "tail"))
-            )
+            "{:.2f}; {:.1f}".format(*(middle(measured[name], f"{c}_{k}") / 1e3 for k in ("median", "tail")))
             for c in ("predict", "update", "both")
         ]
         rival = measured.get(theirs + name.removeprefix(ours)) if name.startswith(ours) else None

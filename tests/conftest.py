@@ -47,8 +47,11 @@ def pytest_collection_finish() -> None:
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures are not drawn, which takes half a second each: where a test is about something else."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
+    empty = '<svg height="1pt" width="1pt"></svg>'
     monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda _, file, **__: file.write(b"a picture"))
+    monkeypatch.setattr(FigureCanvasSVG, "print_svg", lambda _, file, **__: file.write(empty))
 
 
 @pytest.fixture(scope="session")

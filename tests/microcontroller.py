@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from exported import write
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.exports.c99 import replay_events
 from sigmaswarm.exports.features import features_of
-from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -69,7 +69,7 @@ def build_for(
     lanes: int = 1,
 ) -> Path:
     """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``."""
-    export_filter(parameters, "c99", folder, lanes=lanes)
+    write(folder, parameters, lanes=lanes)
     common = (
         *machine.flags,
         *has(parameters),

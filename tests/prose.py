@@ -1,17 +1,21 @@
 """Check the prose of README, docs, docstrings, messages and the changelog's first version: `make check` runs it.
 
     python tests/prose.py                  # print what breaks a rule; exit code 1 if anything does
-    python tests/prose.py --sample 3000 --seed 1   # draw words to read as an editor, from docs and docstrings
+    python tests/prose.py --sample 3000 --seed 1   # draw words to read as an editor
 
-Rules are constructions, sentence length and headings. An option or a file may be called anything: code is skipped.
+A sample has equal parts of README, docs, help and messages, and docstrings. Rules are constructions, sentence length
+and headings. An option or a file may be called anything: code is skipped.
 """
 
 import argparse
 import ast
+import inspect
 import random
 import re
 import sys
+import textwrap
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -84,14 +88,23 @@ def faults(text: str) -> Iterator[str]:
             yield f"a sentence of {n} words: {sentence[:50]}..."
 
 
-def docstrings() -> Iterator[Text]:
-    """Yield the paragraphs of the docstrings of src."""
-    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+def docstrings(cli: bool) -> Iterator[Text]:
+    """Yield the paragraphs of the docstrings of the command line, or of the rest of src; of attributes too."""
     for path in sorted((ROOT / "src").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, documented) and (text := ast.get_docstring(node)):
-                text = re.sub(r"(?m)^(\s*)\w+(?= : |$)", r"\1", text)  # names of parameters are code
-                yield from paragraphs(text, str(path.relative_to(ROOT)), getattr(node, "lineno", 1))
+        if ("cli" in path.parts) == cli:
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Expr) and isinstance(text := getattr(node.value, "value", None), str):
+                    yield from paragraphs(described(text), str(path.relative_to(ROOT)), node.lineno)
+
+
+def described(docstring: str) -> str:
+    """Return a docstring with the descriptions of parameters as paragraphs; their names are code."""
+    body, *sections = re.split(r"(?m)^(\w[\w ]+\n-{3,})$", inspect.cleandoc(docstring))
+    for head, section in zip(sections[::2], sections[1::2], strict=True):
+        if head.startswith(("Attributes", "Parameters", "Raises", "Returns", "Warns", "Yields")):
+            section = textwrap.dedent(re.sub(r"(?m)^\S.*$", "", section))
+        body += f"\n\n{section}"
+    return body
 
 
 def messages() -> Iterator[Text]:
@@ -120,16 +133,21 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     changes = (ROOT / "CHANGELOG.md").read_text().split("\n## ")[1]
-    texts = [*paragraphs(changes, "CHANGELOG.md", 3)]
-    texts += [text for page in pages() for text in paragraphs(page.read_text(), str(page.relative_to(ROOT)))]
-    texts += [*docstrings(), *messages()]
+    readme, *docs = ([*paragraphs(page.read_text(), str(page.relative_to(ROOT)))] for page in pages())
+    parts = [readme, [*chain(*docs)], [*docstrings(cli=True), *messages()], [*docstrings(cli=False)]]
     if options.sample:
-        random.Random(options.seed).shuffle(texts)
-        while options.sample > 0:
-            file, line, text = texts.pop()
-            options.sample -= len(text.split())
-            print(f"{file}:{line}: {text}")
+        for part in parts:
+            part = [
+                text for text in part if len(re.findall(r"[a-z]{2,}", plain(text[2]))) > 3
+            ]  # no bare code
+            random.Random(options.seed).shuffle(part)
+            left = options.sample / len(parts)
+            while left > 0 and part:
+                file, line, text = part.pop()
+                left -= len(text.split())
+                print(f"{file}:{line}: {text}")
         return
+    texts = [*paragraphs(changes, "CHANGELOG.md", 3), *chain(*parts)]
     found = [f"{file}:{line}: {fault}" for file, line, text in texts for fault in faults(text)]
     print(*found, sep="\n") if found else print("prose: no fault")
     sys.exit(bool(found))

@@ -116,8 +116,8 @@ class CompiledCars:
             t.steps[i : i + 1].copy(),
             t.sample[i : i + 1].copy(),
             t.driving,
-            np.array([happens], dtype=np.uint8),
-            np.empty((0, 6)) if fix is None else fix[None].copy(),
+            np.array([happens], dtype=np.uint16),
+            np.empty((0, 8)) if fix is None else fix[None].copy(),
             self.wheels[i : i + 1].copy(),
             t.lever,
             run.NO_TARGETS,
@@ -131,7 +131,7 @@ class CompiledCars:
         self.rows[part, : layout.N_KEPT] = rows.T
 
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
-        t, z = self.line, np.zeros(6) if fix is None else fix
+        t, z = self.line, np.zeros(8) if fix is None else fix
         u = np.zeros(N_STEP)
         u[: 3 + t.driving.shape[1]] = *t.steps[i], *t.driving[t.sample[i]]
         for row in self.rows[part]:

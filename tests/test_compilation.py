@@ -101,7 +101,7 @@ def test_the_second_process_compiles_nothing(first: tuple[Path, dict[str, object
 
 def test_that_something_is_compiled_is_told_once(first: tuple[Path, dict[str, object]]):
     folder, told = first
-    said = f"compiling filters, once on this machine: ten seconds or so (kept in {folder / 'cache'}/sigmaswarm)\n"
+    said = f"compiling filters, once on this machine: about ten seconds (cached in {folder / 'cache'}/sigmaswarm)\n"
     assert told["logged"] == said
 
 

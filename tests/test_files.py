@@ -82,7 +82,7 @@ def test_something_else_in_the_way_is_named(tmp_path: Path):
     (tmp_path / "file").touch()
     for path, said in (
         (tmp_path, "is a folder; name a file"),
-        (tmp_path / "pipe", "is no regular file"),
+        (tmp_path / "pipe", "is not a regular file"),
         (tmp_path / "file" / "x", "can't be written (Not a directory); name another place"),
         (tmp_path / "none" / "x", "can't be written (No such file or directory)"),
     ):
@@ -231,7 +231,7 @@ def test_a_folder_is_held_by_one_run(tmp_path: Path):
     out = tmp_path / "out"
     with (
         files.held_folder(out),
-        pytest.raises(InputError, match=r"out: another run is filling it"),
+        pytest.raises(InputError, match=r"out: another run is writing to it"),
         files.held_folder(out),
     ):
         pass

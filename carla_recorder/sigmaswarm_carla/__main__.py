@@ -26,7 +26,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"sigmaswarm: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nsigmaswarm: interrupted; repeat the command with --resume to go on", file=sys.stderr)
+        print("\nsigmaswarm: interrupted; repeat the command with --resume to continue", file=sys.stderr)
         return 130
     except OSError as error:
         print(f"sigmaswarm: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)

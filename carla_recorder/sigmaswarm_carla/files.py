@@ -22,7 +22,7 @@ class Journal:
         there = sorted(path.parent.name for path in options.out.glob("*/imu.csv"))
         if there and not options.resume:
             raise RecorderError(
-                f"{options.out}: holds {there[0]} already; name another folder, or keep what is there with --resume"
+                f"{options.out}: contains {there[0]} already; name another folder, or keep what is there with --resume"
             )
         if self._file.exists():
             self._read(options, there)

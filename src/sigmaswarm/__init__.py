@@ -3,14 +3,14 @@
 The road of the data
 --------------------
 A `Drive` is read, recorded or simulated; filters run over it; scores measure their errors; an objective
-turns scores into a cost; a swarm searches the parameters with the lowest cost; a `Tuning` contains what it found.
+turns scores into a cost; a swarm searches the parameters with the lowest cost; the result is a `Tuning`.
 
 Conventions
 -----------
-- SI units and radians inside; degrees only in text for people and in columns named so.
+- SI units and radians inside; degrees only in text for people and in columns whose names end in ``deg``.
 - Local frame: east-north-up; x east, y north. Heading ``theta`` counter-clockwise from east, in (-pi, pi].
 - Body frame: x forward, y left, z up (REP-103). The IMU gives specific force and angular rate in it.
-- Attitude, where it is more than a heading: R = Rz(theta) Ry(pitch) Rx(roll) turns body into local axes, so that
+- Attitude of models with roll and pitch: R = Rz(theta) Ry(pitch) Rx(roll) turns body into local axes, so that
   ``roll`` is positive left side up and ``pitch`` nose down.
 - Time: float64 seconds, strictly increasing within a sensor; sensors keep their own clocks and rates.
 - State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad). ``process_noise`` is the diagonal of Q, the variance
@@ -121,6 +121,8 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.batch import BatchResult as BatchResult
     from sigmaswarm.tuning.batch import run_batch
     from sigmaswarm.tuning.config import TuneConfig as TuneConfig
+    from sigmaswarm.tuning.lever_arm import LeverArmEstimate as LeverArmEstimate
+    from sigmaswarm.tuning.lever_arm import estimate_lever_arm as estimate_lever_arm
     from sigmaswarm.tuning.result import Tuning
     from sigmaswarm.tuning.tune import tune
 
@@ -162,11 +164,15 @@ _HOMES = {
     "simulation.scenarios": "simulate",
     "tuning.batch": "BatchResult run_batch",
     "tuning.config": "TuneConfig",
+    "tuning.lever_arm": "LeverArmEstimate estimate_lever_arm",
     "tuning.result": "Tuning",
     "tuning.tune": "tune",
 }
-"""Modules and the names that they define. Those in ``__all__`` are public; the others are types of results, parts of
-the public functions, experiments and the filters of textbooks, which ``dir`` does not list."""
+"""Modules and the names that they define.
+
+Those in ``__all__`` are public. The others (types of results, parts of the public functions, experiments, textbook
+filters) can be imported, but ``dir`` does not list them.
+"""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
 """Names of 0.3.0, kept for one release."""

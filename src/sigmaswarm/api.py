@@ -27,24 +27,24 @@ Filter = FilterParameters | Tuning[Any] | str | Path
 
 
 def filter_of(given: Filter) -> FilterParameters:
-    """Return the parameters of a filter that is given in any form."""
+    """Return the parameters of a filter, given in any of these forms."""
     if isinstance(given, str | Path):
         return FilterParameters.load(given)
     parameters = given.parameters if isinstance(given, Tuning) else given
     if not isinstance(parameters, FilterParameters):
-        raise InputError(f"got a {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
+        raise InputError(f"got {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
     return parameters
 
 
 def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> Drive:
-    """Make a drive of a log of another format, as `sigmaswarm import` does.
+    """Make a drive from a log of another format, as `sigmaswarm import` does.
 
     Parameters
     ----------
     log : str or Path
-        A file or folder; it holds the IMU.
+        A file or folder; it contains the IMU.
     name : str, optional
-        Of the drive; by default that of the log.
+        Name of the drive; by default that of the log.
     **settings
         ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ("ax=acc_x*g"), ``time``, ``recipe`` (a
         file) and settings of a recipe, such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
@@ -156,7 +156,7 @@ def evaluate(
     drives : Drive or sequence of Drive
         Without truth only the drift over outages and the consistency are scored, against the fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
-        A `Tuning` also states which drives it saw: the evaluation warns where they overlap.
+        A `Tuning` also contains the names of its drives: the evaluation warns where they overlap.
     against : the same, optional
         A second filter, of any model; also the path of an ekf.yaml of robot_localization.
     **options
@@ -172,7 +172,7 @@ def evaluate(
     Raises
     ------
     InputError
-        There are no drives, or ``parameters`` is no filter.
+        There are no drives, or ``parameters`` is not a filter.
     AlignmentError
         A drive never moves far enough to start a filter.
     """
@@ -219,7 +219,7 @@ def export(
 
 
 def report(results: Any, out: str | Path | None = None) -> str:
-    """Make one HTML page of results.
+    """Write results as one HTML page.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     ----------
     what : Drive, Evaluation, Tuning or Comparison
     drive : str, optional
-        Of an evaluation: the drive whose track to draw; by default the scores of all methods are compared.
+        For an evaluation: the drive whose track is drawn; by default the scores of all methods are compared.
 
     Returns
     -------

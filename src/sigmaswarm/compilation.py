@@ -1,8 +1,8 @@
 """Compile functions with Numba, and cache the machine code between processes where that is safe.
 
-Numba caches machine code in pickles, so a user who can write them can run code as the reader. The cache is therefore in
-a folder that only its owner can write. Without a writable folder, or with a damaged file, Numba itself would fail; here
-both cost only another compilation.
+Numba caches machine code in pickles, so a user who can write them can run code with the rights of the user who reads
+them. The cache is therefore in a folder that only its owner can write. Without a writable folder, or with a damaged
+file, Numba itself would fail; here both cost only another compilation.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def once(make: Callable[P, T]) -> Callable[P, T]:
-    """As `functools.cache`, but threads wait while another one makes the same thing."""
+    """As `functools.cache`, but threads wait while another one computes the same value."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)
@@ -49,7 +49,7 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A function that is made only if its machine code is not cached: to write a kernel out takes half a second.
+    """A function that is generated only if its machine code is not cached: generating a kernel takes half a second.
 
     ``like`` has its name and parameters; ``key`` identifies it among those of this name, as its source text would.
     """
@@ -110,7 +110,7 @@ def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
 
 
 def _write(recipe: Recipe, compiled: Any) -> None:
-    """Make the function of a recipe, and have it compiled in place of its stand-in."""
+    """Generate the function of a recipe, and compile it in place of its placeholder."""
     compiled.py_func = compiled._compiler.py_func = recipe.make()
 
 
@@ -134,7 +134,7 @@ def _folder() -> tuple[Path | None, str]:
     except OSError:
         return None, f"{folder} can't be made"
     if not private:
-        return None, f"{folder} is open to others, who could put code into it (mode 700 is private)"
+        return None, f"{folder} can be written by other users, who could put code into it (use mode 700)"
     return folder, ""
 
 
@@ -157,12 +157,12 @@ class _Checked(CompileResultCacheImpl):
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         digest, kept = payload
         if hashlib.sha256(kept).digest() != digest:
-            raise ValueError("the machine code is garbled")
+            raise ValueError("the machine code is damaged")
         return super().rebuild(target_context, pickle.loads(kept))
 
 
 class _Cache(FunctionCache):
-    """A cache whose faults cost a compilation, never the run; damaged files are written again."""
+    """A cache whose faults cost a compilation but never end the run; damaged files are written again."""
 
     _impl_class = _Checked
     recipe: Recipe | None = None
@@ -209,13 +209,13 @@ class _NoCache(NullCache):
 @cache
 def _log_once(folder: str) -> None:
     """Log the first compilation, which commands show on a terminal."""
-    _log.info("compiling filters, once on this machine: ten seconds or so (kept in %s)", folder)
+    _log.info("compiling filters, once on this machine: about ten seconds (cached in %s)", folder)
 
 
 @cache
 def _warn_once(trouble: str) -> None:
     warnings.warn(
-        f"compiled filters are not kept, since {trouble}: each start compiles them again, for ten seconds or so; "
+        f"compiled filters are not kept, since {trouble}: each start compiles them again, for about ten seconds; "
         "set NUMBA_CACHE_DIR to a folder of your own",
         SigmaswarmWarning,
         stacklevel=2,

@@ -62,7 +62,7 @@ def finite(content: Any) -> Any:
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
-    """Make a folder and its missing parents; an `InputError` names what is in the way, and ``remedy``."""
+    """Make a folder and its missing parents; an `InputError` names the obstacle, and ``remedy``."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -78,7 +78,7 @@ def held_folder(path: Path) -> Generator[Path]:
         lock = _lock(file, wait=False)
     except TimeoutError:
         raise InputError(
-            f"{path}: another run is filling it; wait for its end, or choose another --out"
+            f"{path}: another run is writing to it; wait for its end, or choose another --out"
         ) from None
     # A run that was killed just after its last file of a folder within left a lock file that no write would find. No
     # run makes folders deeper than this; all of a large tree that a user named would take long.
@@ -99,7 +99,7 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if path.exists() and not path.is_file():  # as root, /dev/null could be replaced
-        raise InputError(f"{path}: is no regular file; name another")
+        raise InputError(f"{path}: is not a regular file; name another")
     with _staging(path) as new:
         part = _Part(str(new), "xb")
         try:
@@ -162,7 +162,7 @@ def _exchange(hidden: Path, folder: Path) -> None:
     files = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
     for name in files:
         if (place := folder / name).exists() and not place.is_file():
-            raise InputError(f"{place}: is no regular file; move it, or choose another --out")
+            raise InputError(f"{place}: is not a regular file; move it, or choose another --out")
     try:
         for name in files:
             make_folder((folder / name).parent)
@@ -195,7 +195,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 class _Part(io.FileIO):
-    """A file that remembers a failed write, which some writers bury under other errors."""
+    """A file that remembers a failed write, which some writers replace by other errors."""
 
     failure: OSError | None = None
 
@@ -210,7 +210,7 @@ class _Part(io.FileIO):
 
 @contextmanager
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
-    """Yield a free, hidden path next to ``path`` with a locked lock file; remove what is left there at the end.
+    """Yield a free, hidden path next to ``path`` with a locked lock file; remove its remains at the end.
 
     An error of the hidden path, or of none, becomes one of ``named``, by default ``path``.
     """

@@ -1,4 +1,4 @@
-"""Bounds on what is read, checked before it is read: a small or damaged file can claim any size.
+"""Limits of files, checked before they are read: a small or damaged file can claim any size.
 
 Within these bounds a file that is refused takes at most 1.5 GB of memory and 10 s.
 """
@@ -43,13 +43,13 @@ _LONG_KEY = re.compile(rb"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
 
 
 def require_regular(path: Path) -> None:
-    """Refuse what is neither a file nor a folder: reading a pipe, a socket or a device may never end."""
+    """Refuse anything but files and folders: reading a pipe, a socket or a device may never end."""
     try:
         mode = path.stat().st_mode
     except OSError:
         return  # reading it gives the reason
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise InputError(f"{path}: is no regular file; copy what it holds into a file, and name that")
+        raise InputError(f"{path}: is not a regular file; copy its content into a file, and name that")
 
 
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
@@ -112,6 +112,6 @@ def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
     unpacked = sum(member.file_size for member in members)
     if len(members) > MOST_MEMBERS or unpacked > MOST_UNPACKED:
         raise InputError(
-            f"{path}: holds {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MOST_MEMBERS} or "
+            f"{path}: contains {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MOST_MEMBERS} or "
             f"{MOST_UNPACKED / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
         )

@@ -21,7 +21,7 @@ WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0
 MOST_POINTS = 400
 """Largest number of points of a line; a notebook stores its pictures."""
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
-"""As in all other pictures; distinguishable with color blindness too."""
+"""Colors of all pictures, distinguishable with color blindness too."""
 
 
 def number(value: float | None) -> str:

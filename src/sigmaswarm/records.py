@@ -19,7 +19,7 @@ from sigmaswarm.wording import first_mistake, shown
 
 R = TypeVar("R")
 ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")
-"""Of a record of an npz file."""
+"""Configuration of a record of an npz file."""
 DAMAGED = "not a result of sigmaswarm, or a damaged one"
 MISSING = "repeat the command that made the folder"
 

@@ -49,7 +49,7 @@ class Column:
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """A table; a notebook shows it as it is.
+    """A table, which a notebook shows as HTML.
 
     The rows whose indices are in ``strong`` are emphasized; ``note`` explains the figures.
     """
@@ -167,7 +167,7 @@ def numbers_of(cell: Cell) -> list[float] | None:
 
 
 def _short(digits: int, value: float) -> str:
-    """Format with so many significant digits; whole numbers in full."""
+    """Format with a number of significant digits; integers in full."""
     whole = value == int(value) or abs(value) >= 10**digits
     return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
 

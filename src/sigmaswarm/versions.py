@@ -2,7 +2,7 @@
 
 __version__ = "0.4.0"
 SAME_RESULTS = {"0.3.0", "0.4.0"}
-"""Versions that compute the same bits: what one of them began, the other continues."""
+"""Versions that compute the same bits, so that one continues the work of the other."""
 
 
 def versions() -> dict[str, str]:

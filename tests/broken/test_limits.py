@@ -178,5 +178,5 @@ def test_a_socket_is_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)  # a socket's path is short
     with socket.socket(socket.AF_UNIX) as it:
         it.bind("log.csv")
-        with pytest.raises(InputError, match=r"log\.csv: is no regular file"), open_log(Path("log.csv")):
+        with pytest.raises(InputError, match=r"log\.csv: is not a regular file"), open_log(Path("log.csv")):
             pass

@@ -373,7 +373,7 @@ NESTED = {
 @pytest.mark.parametrize("how", NESTED)
 def test_a_damaged_scheduler_file_is_one_line(how: str, tmp_path: Path):
     (tmp_path / "scheduler").write_bytes(NESTED[how])
-    with pytest.raises(InputError, match="is no scheduler file"):
+    with pytest.raises(InputError, match="is not a scheduler file"):
         _scheduler(str(tmp_path / "scheduler"))
 
 
@@ -395,5 +395,5 @@ DRIVES = {
 @pytest.mark.parametrize("how", DRIVES)
 def test_simulate_into_a_damaged_drive_is_one_line(how: str, tmp_path: Path):
     (tmp_path / "drive.toml").write_bytes(DRIVES[how])
-    with limited(2), pytest.raises(InputError, match="is no drive that simulate wrote"):
+    with limited(2), pytest.raises(InputError, match="is not a drive that simulate wrote"):
         _require_made_with(tmp_path / "drive.toml", {"duration": None})

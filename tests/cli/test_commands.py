@@ -173,7 +173,7 @@ def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
         "--json",
     )
     assert ended.code == 0
-    assert "warning: gps-rmse scores the filter against the GPS" in ended.err
+    assert "warning: gps-rmse compares the filter with the fix of the last update" in ended.err
     json.loads(ended.out)
     assert "Warning" not in ended.err  # one sentence, without a place in the source
     assert "warning" not in sigmaswarm("tune", drives, "--out", "u", "--particles", 2, "--generations", 1).err
@@ -392,7 +392,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     assert (
         f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 20 m of" in said
     )
-    assert f"wrote the {len(pl.read_csv('f.csv'))} fixes before to f.csv" in said
+    assert f"wrote the {len(pl.read_csv('f.csv'))} earlier fixes to f.csv" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
 
 
@@ -407,7 +407,9 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
 
 
 @pytest.mark.usefixtures("painted")
-def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_demo_is_the_quick_study(
+    sigmaswarm, here: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+):
     """With a smaller swarm and fewer drives than at home; a second demo continues the first."""
     small = {"maneuvers": ("turns", "brake"), "environments": ("clear",), "particles": 6, "generations": 3}
     monkeypatch.setattr(study_config, "QUICK", study_config.QUICK | small)
@@ -440,6 +442,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
         assert f"{mean(*figures):.2f} m" in why
     assert all(is_picture(Path(f"show/figures/{name}.png")) for name in ("convergence", "trajectory"))
     assert "Why there are two objectives" in Path("show/page.html").read_text()
+    request.getfixturevalue("unpainted")
     again = sigmaswarm("demo", "--out", "show")
     assert again.code == 0
     assert json.loads(Path("show/results.json").read_text()) == results
@@ -488,7 +491,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
 
 
 def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
-    """Also where a folder was named that holds the drive, and where names have blanks."""
+    """Also where a folder was named that contains the drive, and where names have blanks."""
     drive = replace(read_drive(min(drives.iterdir())), name="it's monday")
     write_drive(drive, Path("my logs/monday"))
     told = sigmaswarm("tune", "my logs", "--out", "my filter", *QUICK).out

@@ -92,7 +92,7 @@ def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path
     before = {file.name: file.read_bytes() for file in sick.iterdir()}
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
     assert ended.code == 0  # nothing serious is left
-    assert "mended: gyro-sign. What is left:" in ended.out
+    assert "mended: gyro-sign. Remaining findings:" in ended.out
     assert {file.name: file.read_bytes() for file in sick.iterdir()} == before
     copy = read_drive(here / "mended" / good.name)
     assert copy.imu.gz.tobytes() == good.imu.gz.tobytes()
@@ -148,3 +148,25 @@ def test_mistakes(sigmaswarm, sick: Path, here: Path, arguments: list[str], expe
     assert expected in ended.err
     assert (ended.err.count("\n"), "Traceback" in ended.err) == (1, False)
     assert not (here / "mended").exists()
+
+
+def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here: Path):
+    place = write_drive(good, here / "fine")
+    ended = sigmaswarm("doctor", place, "--lever-arm-within", 3.0, "--fix", "mended")
+    assert (ended.code, ended.err) == (0, "")
+    (line,) = [said for said in ended.out.splitlines() if said.startswith("lever arm: ")]
+    copy = read_drive(here / "mended" / good.name)
+    forward, left = (f"{abs(v):.2f}" for v in copy.lever_arm)
+    assert line.startswith(f"lever arm: antenna {forward} m ")
+    assert f" and {left} m " in line
+    assert copy.metadata["repaired"] == ["lever-arm"]
+    assert "mended: lever-arm. What is left" in ended.out
+
+
+def test_a_lever_arm_that_the_turns_do_not_show_changes_no_copy(sigmaswarm, good, here: Path):
+    place = write_drive(good, here / "fine")
+    ended = sigmaswarm("doctor", place, "--lever-arm-within", 0.01, "--fix", "mended", "--json")
+    found = json.loads(ended.out)
+    assert found["lever_arm"]["observable"] is False
+    assert found["drives"][0]["copy"]["mended"] == []
+    assert "gps_lever_arm_m" not in read_drive(here / "mended" / good.name).metadata

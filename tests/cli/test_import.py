@@ -40,7 +40,7 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
 
     write_ros(here / "monday", messages(simulated()), "mcap")
     assert sigmaswarm("import", "monday", "--out", "drive").code == 0
-    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.ros2", "--beside", "monday")
+    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.ros2", "--merge", "monday")
     assert (ended.code, ended.err) == (0, "")
     assert "Foxglove: import estimate.ros2/foxglove-layout.json as a layout" in ended.out
     with AnyReader([here / "monday"]) as before, AnyReader([here / "estimate.ros2"]) as after:
@@ -53,9 +53,9 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
         assert min(own.values()) > 100
         assert counts == {topic: info.msgcount for topic, info in before.topics.items()}
         assert before.start_time <= after.start_time and after.end_time <= before.end_time
-    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.tum", "--beside", "monday")
+    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.tum", "--merge", "monday")
     assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
-    ended = sigmaswarm("run", tuned, "drive", "--out", "e.ros2", "--beside", "tuesday")
+    ended = sigmaswarm("run", tuned, "drive", "--out", "e.ros2", "--beside", "tuesday")  # the name of 0.3.0
     assert ended.code == 2
     assert "tuesday: no such bag" in ended.err
 
@@ -70,7 +70,9 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "importing" in ended.err  # progress
     then = ended.out.splitlines()[-2]
     # Its speeds are drawn by chance, which no repair mends.
-    assert "next: sigmaswarm doctor drives/monday    (then what it can't mend, mend in the log)" in ended.out
+    assert (
+        "next: sigmaswarm doctor drives/monday    (then correct in the log what it can't repair)" in ended.out
+    )
     assert then == "then: sigmaswarm tune drives/monday --out tuned"
     app.parse_args(
         shlex.split(then)[2:], exit_on_error=False, print_error=False
@@ -161,7 +163,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
         (("log.mcap",), "--out is missing: name the drive's folder"),
         (("log.mcap", "--out", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
         (("log.mcap", "--out", "out", "--format", "ros"), "log.mcap"),
-        (("notes.md", "--out", "out"), "of no format that is known"),
+        (("notes.md", "--out", "out"), "has an unknown format"),
         (("log.mcap", "--out", "out", "--imu-topic", "/imu7"), "no topic '/imu7'"),
         (("log.mcap", "--out", "out", "--mount", "sideways"), "mount 'sideways'"),
         (("log.mcap", "--out", "out", "--origin", "1,2"), "--origin '1,2' is not 3 numbers"),

@@ -153,7 +153,11 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "no-out": (nothing, "tune good", ["--out is missing: name a folder for the result"]),
     "misspelt-out": (nothing, "tune good --ouy t", ["--out", "Did you mean"]),
     "empty-out": (nothing, "tune good --out", ["--out", "requires an argument"]),
-    "folder-without-drives": (folder("empty"), "tune empty --out t", ["empty", "holds no drive", "imu.csv"]),
+    "folder-without-drives": (
+        folder("empty"),
+        "tune empty --out t",
+        ["empty", "contains no drive", "imu.csv"],
+    ),
     "unknown-objective": (
         nothing,
         "tune good --out t --objective rmse",
@@ -185,7 +189,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "out-exists": (
         results,
         "tune good --out t --particles 2 --generations 1",
-        ["t", "already holds", "--resume"],
+        ["t", "already contains", "--resume"],
     ),
     "out-of-another": (
         results,
@@ -226,8 +230,12 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     ),
     "compare-out-is-a-file": (file("c"), "compare good --out c", ["c:", "folder", "--out"]),
     "no-tuning": (nothing, "evaluate nowhere good", ["nowhere", "no such file"]),
-    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "tuning comes first"]),
-    "run-swapped": (nothing, "run good tuning.toml --out x.csv", ["good: is a drive", "tuning comes first"]),
+    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "give the tuning first"]),
+    "run-swapped": (
+        nothing,
+        "run good tuning.toml --out x.csv",
+        ["good: is a drive", "give the tuning first"],
+    ),
     "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
     "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not readable"]),
     "evaluate-no-drive": (nothing, "evaluate tuning.toml", ["DRIVE"]),
@@ -289,11 +297,11 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "simulate-resume-something-else": (
         folder("s/cruise-clear-00"),
         "simulate --out s --resume",
-        ["s/cruise-clear-00", "no drive that simulate wrote"],
+        ["s/cruise-clear-00", "not a drive that simulate wrote"],
     ),
     "report-no-folder": (nothing, "report", ["FOLDER"]),
     "report-nowhere": (nothing, "report nowhere", ["nowhere", "no such folder", "evaluate"]),
-    "report-of-a-drive": (nothing, "report good", ["good", "holds no results", "evaluate"]),
+    "report-of-a-drive": (nothing, "report good", ["good", "contains no results", "evaluate"]),
     "report-of-a-file": (nothing, "report good/imu.csv --out x.html", ["good/imu.csv", "is a file"]),
     "report-unknown-suffix": (nothing, "report t --out x.pdf", ["x.pdf", ".html"]),
     "report-no-such-folder": (nothing, "report t --out no/x.html", ["no:", "make it first"]),

@@ -47,7 +47,8 @@ def test_a_mistake_is_one_line_and_exit_code_2():
     done = sigmaswarm("evaluate", "nowhere", "nowhere")
     assert (done.returncode, done.stdout) == (2, "")
     assert (
-        done.stderr == "sigmaswarm: nowhere: no such file; give a tuning.toml or the folder that holds it\n"
+        done.stderr
+        == "sigmaswarm: nowhere: no such file; give a tuning.toml or the folder that contains it\n"
     )
 
 
@@ -98,5 +99,5 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.splitlines()[-1] == "sigmaswarm: interrupted; repeat the command with --resume to go on"
+    assert err.splitlines()[-1] == "sigmaswarm: interrupted; repeat the command with --resume to continue"
     assert "Traceback" not in err

@@ -142,7 +142,7 @@ def test_labels_of_one_physics_are_said_to_be_so(sigmaswarm, here: Path):
     shared = sigmaswarm(
         "simulate", "--out", "a", "--maneuver", "brake", "--environment", "clear", "fog", "--runs", 1
     )
-    assert "clear, night and fog share one physics" in shared.out
+    assert "clear, night and fog have the same physics" in shared.out
     apart = sigmaswarm(
         "simulate", "--out", "b", "--maneuver", "brake", "--environment", "clear", "rain", "--runs", 1
     )

@@ -104,7 +104,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
                 running.kill("worker-1")  # nobody is left, and one comes while the tuning waits
                 threading.Timer(6.0, running.add).start()
 
-        with pytest.warns(match="no worker is left at tcp://127.0.0.1:.*: waiting for one to come"):
+        with pytest.warns(match="no worker is left at tcp://127.0.0.1:.*: waiting for one"):
             asked = {"validation": folders[3:], "out": tmp_path / "out", "progress": disturb}
             tune(folders[:3], cluster=client, **asked, **SMALL)
         assert tree(tmp_path / "out") == on_threads
@@ -116,7 +116,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
 
         began = time.monotonic()
         with pytest.raises(
-            ClusterError, match=r"^the scheduler at tcp://.* is gone; .* go on with --resume"
+            ClusterError, match=r"^the scheduler at tcp://.* is gone; .* continue with --resume"
         ) as caught:
             tune(
                 folders[:3],
@@ -249,7 +249,7 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
         ("tcp://127.0.0.1:1", "no scheduler answers there"),
         ("tcp://127.0.0.1", "write it as tcp://host:8786"),
         ("tls://127.0.0.1:8786", "make a Client in Python"),
-        ("nowhere.json", "is no address like tcp://host:8786, no scheduler file"),
+        ("nowhere.json", "is neither an address like tcp://host:8786 nor an existing scheduler file"),
         ("local:none", "give the number of processes, for example local:4"),
     ],
 )
@@ -266,7 +266,7 @@ def test_a_scheduler_file_that_is_none_is_one_line(tmp_path: Path):
     file = tmp_path / "scheduler.json"
     for content in ("{}", "no json", "[1]"):
         file.write_text(content)
-        with pytest.raises(InputError, match="is no scheduler file"), connected(str(file)):
+        with pytest.raises(InputError, match="is not a scheduler file"), connected(str(file)):
             pass
 
 

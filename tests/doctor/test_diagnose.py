@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from itertools import product
 
 import numpy as np
@@ -199,7 +200,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, 
             continue
         (note,) = [f for f in clean.findings if f.code == "unseen-clock"]
         if size is None:
-            assert "of any size could hide here" in note.what
+            assert "of any size could be invisible here" in note.what
             continue
         assert f"below {size:.2f} s" in note.what
         for sign in (1, -1):
@@ -401,7 +402,7 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
             for t in (drive.imu, drive.gps)
         )
         for found in clock_jumps(imu.time, gps):
-            unsure = "does not show which" in found.what
+            unsure = "does not distinguish the two" in found.what
             named += not unsure
             wrong += not unsure and (found.code == "clock-jump") != jumped
     assert wrong == 0
@@ -428,3 +429,18 @@ def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float
         imu = Imu(t, noise[0], 5.0 * rate + noise[1], gz + 0.1 * noise[2])
         found = found_of(Drive("circles", imu, Gps(t[::10], fixes.real, fixes.imag)), "gyro-scale")
         assert bool(found) == faulty, found
+
+
+def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
+    module = import_module("sigmaswarm.doctor.diagnose")
+    drive = make_drive(duration=40.0)
+    found = sigmaswarm.diagnose(drive)
+    assert sigmaswarm.diagnose(drive) is found
+    assert sigmaswarm.diagnose(replace(drive, name="other")).drive == "other"
+    turned = replace(drive, imu=replace(drive.imu, gz=-drive.imu.gz))
+    assert "gyro-sign" in sigmaswarm.diagnose(turned).codes - found.codes
+    assert sigmaswarm.diagnose(drive) == found
+    module._kept.update({("filler", str(k)): found for k in range(module.KEPT)})
+    sigmaswarm.diagnose(replace(drive, name="last"))
+    assert len(module._kept) == module.KEPT
+    assert ("filler", str(module.KEPT - 1)) in module._kept  # the oldest ones go

@@ -142,7 +142,7 @@ def test_a_drive_s_gaps_are_told_in_one_sentence():
     )
     for file in ("imu", "gps", "truth"):
         assert message.count(f"{file}.csv: 1 gap") == 1
-    assert message.endswith("if it maneuvered, split the drive")
+    assert message.endswith("if the car maneuvered there, split the drive")
 
 
 @pytest.mark.parametrize(("table", "length"), [("imu", 0.085), ("gps", 1.7), ("truth", 1.9)])

@@ -49,7 +49,7 @@ def test_fingerprint():
         ("t,v\n0.1,3\n", "no column speed"),
         ("t,speed\n0.1,3\n0.1,4\n", "row 3, column t: '0.1' is not after 0.1 in row 2"),
         ("t,speed\n0.1,3\n0.2,nan\n", "row 3, column speed: 'nan' is not a finite number"),
-        ("t,speed\n", "holds no rows"),
+        ("t,speed\n", "contains no rows"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(tmp_path: Path, text: str, said: str):

@@ -59,7 +59,7 @@ BROKEN = {
     "range": (cell("gps.parquet", 3, "x", 2e7), "gps.parquet, row 3, column x: '20000000.0' is outside"),
     "late": (cell("imu.parquet", 5, "t", 0.0), "imu.parquet, row 5, column t: '0.0' is not after 0.03 in row 4"),
     "no column": (edited("imu.parquet", lambda f: f.drop("ay")), "imu.parquet: no column ay, only t, ax"),
-    "no rows": (edited("gps.parquet", lambda f: f.head(0)), "gps.parquet holds no rows"),
+    "no rows": (edited("gps.parquet", lambda f: f.head(0)), "gps.parquet contains no rows"),
     "few fixes": (edited("gps.parquet", lambda f: f.head(2)), "gps.parquet: 2 fixes within"),
     "words": (
         edited("imu.parquet", lambda f: f.with_columns(ax=pl.lit("0.1"))),
@@ -70,7 +70,7 @@ BROKEN = {
         "imu.parquet, column t: holds Datetime",
     ),
     "no parquet": (lambda folder: (folder / "gps.parquet").write_text("t,x,y\n"), "gps.parquet is no Parquet file"),
-    "both": (lambda folder: (folder / "imu.csv").write_text("t\n"), "holds both imu.csv and imu.parquet"),
+    "both": (lambda folder: (folder / "imu.csv").write_text("t\n"), "contains both imu.csv and imu.parquet"),
     "missing": (lambda folder: (folder / "gps.parquet").unlink(), "gps.csv is missing"),
 }  # fmt: skip
 

@@ -117,8 +117,8 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     ),
     "std-zero": (text("drive.toml", "gps_std_m = 0"), ["drive.toml", "gps_std_m = 0", "positive"]),
     "name-with-slash": (text("drive.toml", 'name = "../up"'), ["drive.toml", "'../up'", "slashes"]),
-    "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "holds no rows", "one row per sample"]),
-    "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "holds no rows"]),
+    "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "contains no rows", "one row per sample"]),
+    "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "contains no rows"]),
     "not-utf8": (
         lambda f: (f / "imu.csv").write_bytes(b"t,ax\n1,\xff\xfe\n"),
         ["imu.csv", "UTF-8", "export"],
@@ -246,7 +246,9 @@ def test_a_stated_deviation_is_positive(folder: Path, value: str):
 def test_the_truth_s_deviations_are_positive_and_whole(folder: Path):
     table = rows(folder / "truth.csv")
     save(folder / "truth.csv", [[*row, "std_x" if i == 0 else "0.5"] for i, row in enumerate(table)])
-    with pytest.raises(DriveError, match=r"truth.csv: Truth states std_x and std_y both, .*; add what lacks"):
+    with pytest.raises(
+        DriveError, match=r"truth.csv: Truth states std_x and std_y both, .*; add the missing ones"
+    ):
         read_drive(folder)
     both = rows(folder / "truth.csv")
     save(folder / "truth.csv", [[*row, "std_y" if i == 0 else "0.5"] for i, row in enumerate(both)])

@@ -11,13 +11,16 @@ import pytest
 from processes import Process
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import FEWEST_SEEDS, Comparison
 from sigmaswarm.experiments.statistics import holm, signed_rank
+from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.reports.compare import comparison_table, save_comparison
+from sigmaswarm.scoring.evaluation import score_fixes_alone
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
@@ -156,6 +159,14 @@ def test_the_tables_say_what_the_runs_were(whole):
     assert len((folder / "runs.csv").read_text().splitlines()) == 1 + 24
 
 
+def test_the_fixes_alone_are_fitted_to_the_training_drives(whole):
+    comparison, folder = whole
+    noise = MotionNoise.typical(noise_of(PreparedDrive(drive)) for drive in DRIVES)
+    scores = [score_fixes_alone(PreparedDrive(drive), noise, 5.0, 0) for drive in HELD_OUT]
+    assert comparison.fixes_alone_rmse == scores[0].position_rmse
+    assert f"held-out RMSE of {comparison.fixes_alone_rmse:.4g} m" in (folder / "comparison.md").read_text()
+
+
 def test_with_enough_seeds_the_table_has_tests(whole):
     few = whole[0]
     enough = replace(few, runs={label: runs * 2 for label, runs in few.runs.items()})
@@ -201,8 +212,8 @@ def test_each_drive_is_aligned_once(monkeypatch: pytest.MonkeyPatch):
         ({"optimizers": []}, "at least one optimizer"),
         ({"optimizers": ["pso", "pso"]}, "named twice"),
         ({"optimizers": ["pso", "pso:particles=9"]}, "27 evaluations"),
-        ({"optimizers": ["pso:wings=2"]}, "'wings=2' is no setting"),
-        ({"optimizers": ["pso:polish"]}, "'polish' is no setting"),
+        ({"optimizers": ["pso:wings=2"]}, "'wings=2' is not a setting"),
+        ({"optimizers": ["pso:polish"]}, "'polish' is not a setting"),
         ({"optimizers": ["pso:polish=many"]}, "polish = 'many'"),
         ({"optimizers": ["pso:polish=24"]}, "polish = 24 must be less"),
         ({"optimizers": ["de:inertia=0.5"]}, "inertia is an option of the optimizer pso"),

@@ -153,7 +153,7 @@ def test_a_fork_ends_with_its_parent(tmp_path: Path):
 
 def test_a_folder_is_free_when_the_forks_have_ended(tmp_path: Path):
     def look(*_: int) -> None:
-        with pytest.raises(InputError, match="another run is filling it"), held_folder(tmp_path):
+        with pytest.raises(InputError, match="another run is writing to it"), held_folder(tmp_path):
             pass
         raise InterruptedError
 

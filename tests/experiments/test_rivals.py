@@ -28,8 +28,9 @@ from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS
+from sigmaswarm.reports import study as reports
 from sigmaswarm.reports.folders import read_report
-from sigmaswarm.reports.study import save_study
+from sigmaswarm.reports.study import save_study, study_figures
 from sigmaswarm.reports.study_tables import study_tables
 from sigmaswarm.scoring.targets import outage_windows, tracking_replay
 from sigmaswarm.simulation.scenarios import simulate
@@ -69,7 +70,11 @@ def quick() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
     study = run_study(TINY, tmp_path_factory.mktemp("rivals") / "whole")
-    save_study(study, study.folder)
+    with pytest.MonkeyPatch.context() as patch:  # only the figure of rivals; test_study has the others
+        patch.setattr(
+            reports, "study_figures", lambda of: {"learning-curve": study_figures(of)["learning-curve"]}
+        )
+        save_study(study, study.folder)
     return study
 
 

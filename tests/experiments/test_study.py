@@ -23,7 +23,10 @@ from sigmaswarm.experiments.study import study as study_run
 from sigmaswarm.experiments.study.config import BY_DEFAULT, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.study import Study, run_study
+from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.reports.study import save_study
+from sigmaswarm.scoring.evaluation import score_fixes_alone
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH
 from sigmaswarm.tuning.racing import MANY
 from sigmaswarm.tuning.search import Search
 from sigmaswarm.tuning.space import SearchSpace, search_space
@@ -195,6 +198,21 @@ def test_raw_gps_is_perfect_by_the_paper_s_measure(whole: Study):
     raw = whole.results.summary("untuned", "raw-gps", "gps_rmse_m")
     assert raw is not None
     assert raw.mean == 0.0
+
+
+def test_the_fixes_alone_are_a_row_without_tuning(whole: Study):
+    design = whole.design
+    noise = MotionNoise.typical(map(noise_of, design.prepared))
+    scores = [score_fixes_alone(ready, noise, OUTAGE_LENGTH, design.config.seed) for ready in design.prepared]
+    for measure, each in (
+        ("position_rmse_m", [score.position_rmse for score in scores]),
+        ("outage_drift_m", [score.outage_drift for score in scores]),
+    ):
+        of_trials = [np.mean([each[i] for i in design.split(trial)[1]]) for trial in range(2)]
+        row = whole.results.summary("untuned", "fixes-alone", measure)
+        assert row is not None
+        assert row.mean == pytest.approx(np.mean(of_trials))
+    assert whole.results.summary("untuned", "fixes-alone", "nis") is None
 
 
 def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):

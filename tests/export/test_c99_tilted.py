@@ -8,7 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import SANITIZERS, STRICT, build, distance, needs_clang, needs_gcc, replay, tuned
+from exported import (
+    OPTIMIZED,
+    SANITIZERS,
+    STRICT,
+    build,
+    distance,
+    needs_clang,
+    needs_gcc,
+    replay,
+    tuned,
+    write,
+)
 from sigmaswarm import InputError, clip, read_drive, simulate
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.exports.c99 import replay_rows
@@ -59,7 +70,7 @@ def hills() -> Drive:
 def test_it_is_the_run(tmp_path: Path, option: str):
     p = given(option)
     ours = run_filter(hills(), p, recover=False)
-    theirs = replay(build(tmp_path, p), hills(), "tilted12")
+    theirs = replay(build(tmp_path, p, *(OPTIMIZED if option == "all" else ())), hills(), "tilted12")
     np.testing.assert_array_equal(theirs.time, ours.time)
     assert distance(theirs.mean, ours.mean) < 1e-11
     np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
@@ -120,7 +131,7 @@ def test_the_start_that_it_finds_itself_takes_an_antenna_of_three_numbers(tmp_pa
 @needs_gcc
 def test_float_is_off_by_little(tmp_path: Path):
     p = given("all")
-    off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT"), hills(), "tilted12").mean
+    off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT", *OPTIMIZED), hills(), "tilted12").mean
     off = off - run_filter(hills(), p, recover=False).mean
     assert 1e-9 < np.max(np.abs(off[:, :2])) < 2e-2
 
@@ -138,7 +149,7 @@ def test_the_sanitizers_find_nothing_over_a_drive(tmp_path: Path):
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0")], ids=str)
 def test_compilers_have_nothing_to_say(tmp_path: Path, compiler: str, flags: tuple[str, ...]):
     for option in OPTIONS:
-        export_filter(given(option), "c99", tmp_path)
+        write(tmp_path, given(option))
         command = [compiler, *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")

@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 import yaml
 
-from exported import needs_gcc, tuned
+from exported import needs_gcc, tuned, write
 from filter_cases import WEIGHED, equipped, parameters, straying
 from microcontroller import COMPILER, M4F, WARNINGS, needs_arm
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports import check
 from sigmaswarm.exports.check import check_export
-from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import geodetic_to_enu
 from support import quickly
@@ -75,7 +74,7 @@ def run(*command: str | Path) -> None:
 @pytest.mark.parametrize("installed", [False, True])
 def test_a_cmake_project_builds_on_it(tmp_path: Path, installed: bool):
     export, consumer, prefix = tmp_path / "export", tmp_path / "consumer", tmp_path / "prefix"
-    export_filter(EVERY[0], "c99", export)
+    write(export, EVERY[0])
     options = ("-DINS_GPS_FLOAT=ON", "-DINS_GPS_FIXES=32")
     consumer.mkdir()
     (consumer / "CMakeLists.txt").write_text(CONSUMER)
@@ -119,7 +118,7 @@ MANIFEST = {
 @needs_gcc
 @pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
 def test_platformio_builds_what_the_manifest_says(tmp_path: Path, p: FilterParameters):
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     manifest = json.loads((tmp_path / "library.json").read_text())
     jsonschema.validate(manifest, MANIFEST)
     sources = set[Path]()
@@ -140,7 +139,7 @@ def test_platformio_builds_what_the_manifest_says(tmp_path: Path, p: FilterParam
 
 def test_the_zephyr_module_names_what_is_there(tmp_path: Path):
     """Zephyr itself is not run: its tree is too large for a test."""
-    export_filter(EVERY[0], "c99", tmp_path)
+    write(tmp_path, EVERY[0])
     module = yaml.safe_load((tmp_path / "zephyr" / "module.yml").read_text())
     assert set(module) == {"name", "build"}
     assert (tmp_path / module["build"]["kconfig"]).is_file()
@@ -155,7 +154,7 @@ def test_the_zephyr_module_names_what_is_there(tmp_path: Path):
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=str)
 @pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
 def test_cpp_takes_the_headers_and_links(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     (tmp_path / "main.cpp").write_text(
         '#include "ins_gps.h"\n#include "ins_gps_align.h"\n'
         "int main() { static InsGps f; static InsGpsAlign a; InsGpsState s; ins_gps_state(&f, &s);\n"
@@ -175,7 +174,7 @@ def test_cpp_takes_the_headers_and_links(tmp_path: Path, p: FilterParameters, fl
 )
 @pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
 def test_an_arm_compiler_has_nothing_to_say(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     for source in ("ins_gps.c", "ins_gps_align.c"):
         command = (COMPILER, *M4F.flags, *WARNINGS, "-O2", *flags, "-c", tmp_path / source)
         run(*command, "-o", tmp_path / "object.o")
@@ -184,7 +183,7 @@ def test_an_arm_compiler_has_nothing_to_say(tmp_path: Path, p: FilterParameters,
 @needs_gcc
 @pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
 def test_the_readme_shows_c_that_compiles(tmp_path: Path, p: FilterParameters):
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     (code,) = re.findall(r"```c\n(.*?)```", (tmp_path / "README.md").read_text(), re.DOTALL)
     (tmp_path / "loop.c").write_text(code)
     flags = [flag for flag in WARNINGS if flag != "-pedantic"]
@@ -193,7 +192,7 @@ def test_the_readme_shows_c_that_compiles(tmp_path: Path, p: FilterParameters):
 
 @needs_gcc
 def test_the_readme_s_metres_are_ours(tmp_path: Path):
-    export_filter(EVERY[0], "c99", tmp_path)
+    write(tmp_path, EVERY[0])
     (code,) = re.findall(r"```c\n(.*?)```", (tmp_path / "README.md").read_text(), re.DOTALL)
     asked = [(44.25, -76.5), (44.2, -76.3), (44.31, -76.61)]
     lines = "".join(
@@ -224,7 +223,7 @@ CHECKED: dict[str, tuple[FilterParameters, Drive]] = {
 @pytest.mark.parametrize("case", CHECKED)
 def test_python_calls_the_same_c(tmp_path: Path, case: str):
     p, drive = CHECKED[case]
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     (found,) = check_export(tmp_path, p, [drive])
     assert found.drive == drive.name
     assert found.double.state < 1e-11
@@ -238,7 +237,7 @@ def test_python_calls_the_same_c(tmp_path: Path, case: str):
 @needs_gcc
 def test_its_module_needs_no_sigmaswarm(tmp_path: Path):
     p, _ = CHECKED["every option"]
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     check_export(tmp_path, p, [])
     code = "import sys; sys.modules['sigmaswarm'] = sys.modules['numpy'] = None; import ins_gps\n"
     code += "f = ins_gps.Filter(0.0, [0, 0, 10, 0, 0], [1.0 if i % 6 == 0 else 0.0 for i in range(25)])\n"
@@ -253,7 +252,7 @@ def test_a_compiler_that_is_not_there_or_refuses_is_told_in_a_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     p, drive = CHECKED["every option"]
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     for compiler, said in (("no-such-cc", "no-such-cc does not run"), ("false", "false could not build")):
         monkeypatch.setenv("CC", compiler)
         with pytest.raises(InputError, match=said):

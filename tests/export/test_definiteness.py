@@ -12,20 +12,23 @@ from filter_cases import OPTIONS, WEIGHED, parameters
 
 MAIN = """
 #include <stdio.h>
+#include <stdlib.h>
 #include "ins_gps.h"
 static InsGps filter;
 static InsGpsState state;
-int main(void)
+int main(int argc, char **argv)
 {
     ins_gps_real mean[5] = {0, 0, 8, 0, 0}, covariance[25];
     double value;
+    if (argc != 3) return 1;
+    const int samples = atoi(argv[1]), fixes = atoi(argv[2]);
     for (int i = 0; i < 25; i++) {
         if (scanf("%lf", &value) != 1) return 1;
         covariance[i] = (ins_gps_real)value;
     }
     ins_gps_init(&filter, 0.0, mean, covariance, NULL);
-    for (int i = 1; i <= SAMPLES; i++) {
-        if (FIXES && i % 20 == 0) (void)ins_gps_update(&filter, 0.01 * i - 0.004, 0.08 * i, 0.5, NULL STD);
+    for (int i = 1; i <= samples; i++) {
+        if (fixes && i % 20 == 0) (void)ins_gps_update(&filter, 0.01 * i - 0.004, 0.08 * i, 0.5, NULL STD);
         (void)ins_gps_predict(&filter, 0.01 * i, IMU);
     }
     ins_gps_state(&filter, &state);
@@ -50,11 +53,12 @@ def run(
     p = replace(CASES[name], **more)
     std = ", (const ins_gps_real[2]){1, 1}" if p.accuracy_scale is not None else ""
     imu = "0.3, -0.2, 9.81, 0.01, -0.02, 0.1" if name == "tilted12" else "0.3, -0.2, 0.1"
-    main = MAIN.replace("SAMPLES", str(samples)).replace("FIXES", str(fixes))
     folder.mkdir(exist_ok=True)
-    program = build(folder, p, *flags, "-w", main=main.replace(" STD", std).replace("IMU", imu))
+    program = build(folder, p, *flags, "-w", main=MAIN.replace(" STD", std).replace("IMU", imu))
     told = " ".join(map(str, covariance.ravel()))
-    done = subprocess.run([program], input=told, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [program, str(samples), str(fixes)], input=told, capture_output=True, text=True, check=True
+    )
     failed, *numbers = map(float, done.stdout.split())
     p_end = np.array(numbers).reshape(p.n_states, p.n_states)
     if not (np.isfinite(p_end).all() and (np.diag(p_end) > 0).all()):

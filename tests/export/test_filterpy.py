@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import distance, jumping, run_script, tuned, twin
+from exported import distance, jumping, run_alone, run_script, tuned, twin
 from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, rough, straying
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -112,11 +112,10 @@ def test_a_drive_without_a_start_ends_in_one_line(tmp_path: Path):
     still = replace(drive, gps=replace(drive.gps, x=0 * drive.gps.x, y=0 * drive.gps.y))
     folder = write_drive(still, tmp_path / "still")
     (tmp_path / "s.py").write_text(filterpy(tuned("planar5", "ukf", 0.01), 0.01)["run_filter.py"])
-    command = [sys.executable, tmp_path / "s.py", folder, tmp_path / "e.csv"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run_alone(tmp_path / "s.py", folder, tmp_path / "e.csv")
     assert done.returncode == 2
     assert done.stderr.startswith("synthetic: never travels 20 m") and done.stderr.count("\n") == 1
-    done = subprocess.run(command[:-1], capture_output=True, text=True, check=False)
+    done = run_alone(tmp_path / "s.py", folder)
     assert done.stderr == "usage: python run_filter.py DRIVE estimate.csv\n"
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from exported import STRICT, needs_gcc, tuned
+from exported import STRICT, needs_gcc, tuned, write
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.targets import TARGETS, export_filter
 
@@ -43,7 +43,7 @@ def numbers_in_c(folder: Path) -> list[float]:
 @needs_gcc
 @pytest.mark.parametrize("change", EXPORTABLE, ids=str)
 def test_c_keeps_every_bit_and_compiles(tmp_path: Path, change: dict[str, Any]):
-    export_filter(replace(P, **change), "c99", tmp_path)
+    write(tmp_path, replace(P, **change))
     stated = numbers_in_c(tmp_path)
     for name in change.keys() - {"model", "alpha", "beta", "kappa"}:
         for number in np.atleast_1d(change[name]):
@@ -57,7 +57,7 @@ def test_c_keeps_every_bit_and_compiles(tmp_path: Path, change: dict[str, Any]):
 @pytest.mark.parametrize("change", EXPORTABLE, ids=str)
 def test_a_build_in_float_is_refused_where_float_is_too_small(tmp_path: Path, change: dict[str, Any]):
     p = replace(P, **change)
-    export_filter(p, "c99", tmp_path)
+    write(tmp_path, p)
     command = ["gcc", *STRICT, "-DINS_GPS_FLOAT", "-c", tmp_path / "ins_gps.c", "-o", tmp_path / "o"]
     done = subprocess.run(command, capture_output=True, text=True)
     with np.errstate(all="ignore"):

@@ -323,5 +323,5 @@ def test_the_fixes_before_a_start_are_written_as_fixes(tmp_path: Path, suffix: s
     else:
         assert len(places(tmp_path / f"f{suffix}")) == count
         assert f"{drive.name}: fixes before" in (tmp_path / f"f{suffix}").read_text()
-    with pytest.raises(InputError, match=r"f.tum: fixes are no poses; end the name in .csv, .geojson"):
+    with pytest.raises(InputError, match=r"f.tum: fixes are not poses; end the name in .csv, .geojson"):
         write_fixes(drive, 5.0, tmp_path / "f.tum")

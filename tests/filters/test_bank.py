@@ -38,7 +38,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import replay_of, run_filter, run_innovations
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.scenarios import simulate
-from support import make_drive
+from support import make_drive, quickly
 
 ALL = OPTIONS["all"]
 
@@ -89,16 +89,22 @@ def everything(of: LiveFilterBank) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("model", "option"),
-    [
-        ("planar8", ALL),
-        ("planar8", WEIGHED["both"]),
-        ("planar5", OPTIONS["velocity"]),
-        ("tilted12", ALL),
-        ("tilted12", {**ALL, "kind": "ukf"}),
-    ],
+    ("model", "option", "late"),
+    quickly(
+        [
+            (model, option, late)
+            for model, option in (
+                ("planar8", ALL),
+                ("planar8", WEIGHED["both"]),
+                ("planar5", OPTIONS["velocity"]),
+                ("tilted12", ALL),
+                ("tilted12", {**ALL, "kind": "ukf"}),
+            )
+            for late in (0.0, 0.23)
+        ],
+        lambda model, option, late: late > 0 or (option is ALL and model == "planar8"),
+    ),
 )
-@pytest.mark.parametrize("late", [0.0, 0.23])
 def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], late: float):
     if model == "tilted12" and drive().imu.az is None:
         pytest.skip("the drive has three axes")

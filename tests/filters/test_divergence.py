@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from sigmaswarm.filters.run import Estimate, run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.score import score_estimate
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, make_drive, needs_shared, quickly
 
 SET = FilterParameters(
     0.67, 1.2, 2.5, (5e-11, 5e-11, 2e-3, 2e-3, 3.4e-7, 6e-5, 3.4e-13, 1.5e-12), (0.95, 0.95), "planar8",
@@ -132,8 +133,17 @@ def test_what_is_planted_in_a_recording_is_found(name: str, plant: str):
     check_planted(name, plant, SET)
 
 
-@pytest.mark.parametrize("gps", ["white-1m", "ublox-m8", "f9p-rtk", "carla", "gnss-ins-sim"])
-@pytest.mark.parametrize("maneuver", ["urban", "turns", "cruise", "brake", "outages"])
+RECEIVERS = ["white-1m", "ublox-m8", "f9p-rtk", "carla", "gnss-ins-sim"]
+ROADS = ["urban", "turns", "cruise", "brake", "outages"]
+
+
+@pytest.mark.parametrize(
+    ("maneuver", "gps"),
+    quickly(
+        product(ROADS, RECEIVERS),
+        lambda maneuver, gps: (ROADS.index(maneuver) + RECEIVERS.index(gps)) % 5 in (0, 2),
+    ),
+)
 def test_no_sound_filter_starts_anew_on_a_simulated_drive(maneuver: str, gps: str):
     drive = sigmaswarm.simulate(maneuver, run=2, gps=gps)
     for p in (SET, TRUSTING):

@@ -26,6 +26,7 @@ from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, flags_of, star
 from sigmaswarm.filters.smoothing import smooth, smooth_textbook
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
+from support import quickly
 
 ERROR: dict[str, Any] = {"fix_error": 1.3, "fix_error_time": 2.0, "fix_std": 0.8}
 ALONG: dict[str, Any] = {"lateral_noise": 0.05, "rear_axle": 1.2, "standstill_noise": 1e-3}
@@ -117,7 +118,10 @@ def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option:
     assert relative(compiled, textbook) < 1e-9
 
 
-@pytest.mark.parametrize(("model", "kind", "option"), CASES[1::2])
+@pytest.mark.parametrize(
+    ("model", "kind", "option"),
+    quickly(CASES[1::2], lambda model, kind, option: (model, kind) != ("planar5", "ekf")),
+)
 def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
     drive = straying() if option == "weighed" else rough()
     p = filter_of(model, kind, option)
@@ -177,7 +181,7 @@ def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alon
 
 @pytest.mark.parametrize("kind", ["adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"])
 def test_filters_that_adapt_their_noise_refuse_it(kind: str):
-    with pytest.raises(ValueError, match=f"fix-error does not go with {kind}"):
+    with pytest.raises(ValueError, match=f"fix-error can't be combined with {kind}"):
         filter_of(kind=kind)
 
 
@@ -218,7 +222,10 @@ def test_it_is_consistent_where_errors_last_and_white_noise_is_far_too_sure():
     assert 0.5 < np.mean(nees[True]) < 4.0
 
 
-@pytest.mark.parametrize(("model", "kind", "option"), [CASES[0], CASES[2], CASES[4], CASES[7]])
+@pytest.mark.parametrize(
+    ("model", "kind", "option"),
+    quickly([CASES[0], CASES[2], CASES[4], CASES[7]], lambda *case: case in CASES[4:]),
+)
 def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: str, tmp_path: Path):
     p = filter_of(model, kind, option, nominal_interval=0.01)
     write_texts(export_texts(p, "c99"), tmp_path)

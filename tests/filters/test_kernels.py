@@ -1,5 +1,6 @@
 """What the compiled kernel promises beside parity: its sine, its vector instructions, and lanes on their own."""
 
+import pickle
 import platform
 import re
 import shutil
@@ -9,6 +10,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import llvmlite.binding as llvm
 import numba
@@ -121,8 +123,8 @@ def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarr
         np.tile([1.0, 1.0, 0.0], (n, 1)),  # dt, Q's scale, gap
         np.arange(n, dtype=np.int32),
         np.array(driving),
-        np.full(n, schedule.IMU, dtype=np.uint8),
-        np.empty((0, 4)),
+        np.full(n, schedule.IMU, dtype=np.uint16),
+        np.empty((0, 8)),
         np.empty((0, 3)),
         np.zeros(3),
         run.NO_TARGETS,
@@ -154,12 +156,21 @@ def test_a_kernel_that_is_kept_is_not_written_out():
 # --- The machine code --------------------------------------------------------------------------------------
 
 
+def object_code(kernel: Any, signature: Any) -> bytes:
+    """The machine code in the cache; empty where there is none."""
+    if kernel._cache.cache_path is None:
+        return b""
+    kept = kernel._cache._cache_file.load(kernel._cache._index_key(signature, kernel.targetctx.codegen()))
+    (_, _, (code, _)), *_ = pickle.loads(kept[1])
+    return code
+
+
 @cache  # where it is not to be had from the cache, it is compiled
 def machine_code(model: ModelName) -> str:
     """A kernel's instructions. Numba itself reads none of code that came from the cache: it would compile once more."""
     kernel = run.run_kernel(model)
     signature = kernel.signatures[0]
-    code = getattr(kernel.overloads[signature].library, "_compiled_object", None)
+    code = object_code(kernel, signature)
     if not code or not shutil.which("objdump"):
         options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
         kernel._cache.load_overload("", kernel.targetctx)  # what is not there is written out

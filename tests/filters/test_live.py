@@ -5,6 +5,7 @@ import tracemalloc
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from multiprocessing import get_context
 
 import numba
@@ -19,6 +20,7 @@ from filter_cases import (
     equipped,
     parameters,
     rough,
+    stands_for_all,
     straying,
     two_receivers,
 )
@@ -32,7 +34,7 @@ from sigmaswarm.filters.compiled.live import live_calls
 from sigmaswarm.filters.live import MOST_WAITING, LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
-from support import DRIVES, needs_shared
+from support import DRIVES, needs_shared, quickly
 
 
 @cache
@@ -64,9 +66,9 @@ def live(drive: Drive, p: FilterParameters, initial: InitialState, late: float =
     return np.array(means), np.array(covariances), filter
 
 
-@pytest.mark.parametrize("option", OPTIONS)
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("model", ["planar5", "planar8"])
+@pytest.mark.parametrize(
+    ("model", "kind", "option"), quickly(product(("planar5", "planar8"), KINDS, OPTIONS), stands_for_all)
+)
 def test_live_is_the_run(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
     run = run_filter(equipped(), p, initial=start())
@@ -75,9 +77,13 @@ def test_live_is_the_run(model: str, kind: str, option: str):
     np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.31])
-@pytest.mark.parametrize(("kind", "option"), WEIGHED_CASES)
-@pytest.mark.parametrize("model", ["planar5", "planar8"])
+@pytest.mark.parametrize(
+    ("model", "kind", "option", "late"),
+    quickly(
+        [(m, *case, late) for m in ("planar5", "planar8") for case in WEIGHED_CASES for late in (0.0, 0.31)],
+        lambda model, kind, option, late: (model == "planar5") == (late == 0.0),
+    ),
+)
 def test_live_weighs_fixes_as_the_run_does(model: str, kind: str, option: str, late: float):
     p = parameters(model, kind=kind, **WEIGHED[option])
     run = run_filter(straying(), p, initial=start())

@@ -170,8 +170,11 @@ def test_a_record_can_not_be_changed():
         ({"accuracy_scale": 0.0}, "accuracy_scale"),
         ({"robust_dof": -1.0}, "robust_dof"),
         ({"robust_dof": 4.0, "gate": 9.2}, "robust and gate exclude each other"),
-        ({"robust_dof": 4.0, "kind": "strong-tracking-ukf"}, "robust does not go with strong-tracking-ukf"),
-        ({"accuracy_scale": 1.0, "kind": "adaptive-ukf"}, "accuracy does not go with adaptive-ukf"),
+        (
+            {"robust_dof": 4.0, "kind": "strong-tracking-ukf"},
+            "robust can't be combined with strong-tracking-ukf",
+        ),
+        ({"accuracy_scale": 1.0, "kind": "adaptive-ukf"}, "accuracy can't be combined with adaptive-ukf"),
     ],
     ids=str,
 )

@@ -25,12 +25,12 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.robot_localization import NAME, TextbookRobotLocalization
 from sigmaswarm.filters.run import replay_of, run_filter, run_textbook
-from sigmaswarm.filters.schedule import FIX, IMU, LATERAL, ODOMETER, flags_of, switches
+from sigmaswarm.filters.schedule import FIX, HEADING, IMU, LATERAL, ODOMETER, flags_of, switches
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.space import search_space
-from support import make_drive
+from support import make_drive, quickly
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "robot_localization"
 ORDER = [0, 1, 6, 7, 5, 12, 13, 11]  # of its 15 states: x, y, vx, vy, yaw, ax, ay, yaw rate
@@ -41,6 +41,7 @@ RUNS = [
     for drive in ("kitti-09-26-0022", "colorado-1", "kingston-1")
     for name in ("default", "tuned")
 ]
+QUICK = quickly(RUNS, lambda drive, name: (drive == "colorado-1") == (name == "tuned"))
 
 
 class Messages:
@@ -93,9 +94,8 @@ class Messages:
         i, j = np.array([(i, j) for j in range(8) for i in range(j + 1)]).T
         rows[state_rows(NAME)] = np.concatenate([self.mean, self.covariance[i, j]])[:, np.newaxis]
         both = (USES_AY if self.uses_ay else 0) | (USES_VY if self.uses_vy else 0)
-        flags = np.where(self.is_imu, IMU | both, FIX).astype(np.uint8)
-        fixes = np.insert(self.numbers[~self.is_imu], 2, 0.0, axis=1)
-        fixes = np.insert(fixes, 3, 0.0, axis=1)
+        flags = np.where(self.is_imu, IMU | both, FIX).astype(np.uint16)
+        fixes = np.insert(self.numbers[~self.is_imu], [2, 2, 4, 4], [0.0, 0.0, 0.0, np.inf], axis=1)
         record = np.empty((k, 8 + 36 + 1, 1))
         run.run_lanes(
             NAME, np.column_stack([self.dt, self.dt, 0 * self.dt]), np.arange(k, dtype=np.int32),
@@ -149,7 +149,7 @@ def difference(a: Array, b: Array) -> float:
     return float(np.abs(apart).max())
 
 
-@pytest.mark.parametrize(("drive", "name"), RUNS)
+@pytest.mark.parametrize(("drive", "name"), QUICK)
 def test_both_forms_agree_with_its_own_core_over_a_minute(drive: str, name: str):
     messages, table = reference(drive, name), columns_of(f"{drive}_ekf_{name}")
     means, covariances = messages.textbook()
@@ -167,7 +167,7 @@ def test_both_forms_agree_with_its_own_core_over_a_minute(drive: str, name: str)
         np.testing.assert_allclose(found[0], wanted, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("drive", "name"), RUNS)
+@pytest.mark.parametrize(("drive", "name"), QUICK)
 def test_the_first_steps_agree_with_its_own_core(drive: str, name: str, monkeypatch: pytest.MonkeyPatch):
     messages, moments = reference(drive, name), columns_of(f"{drive}_ekf_{name}")["t_ns"]
     after = dict[tuple[int, str], tuple[Array, Array]]()
@@ -217,7 +217,9 @@ def test_compiled_agrees_with_the_textbook(uses_ay: bool):
 
 @pytest.mark.parametrize("imu_noise", [(1e-3, 0.5), (1e-3, 0.5, 0.3)], ids=["ax", "ax and ay"])
 @pytest.mark.parametrize(
-    "changes", [{}, {"odometer_noise": 0.04, "imu_gate": (1e-5, 1e-4)}], ids=["usual", "all"]
+    "changes",
+    [{}, {"odometer_noise": 0.04, "imu_gate": (1e-5, 1e-4), "heading_noise": 1e-4}],
+    ids=["usual", "all"],
 )
 def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...], changes: dict[str, Any]):
     drive, rng = equipped(), np.random.default_rng(4)
@@ -225,9 +227,13 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
     time = np.arange(0.003, 20.0, 0.02)
     speed = np.interp(time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
     drive = replace(drive, odometer=Odometer(time, speed + rng.normal(scale=0.2, size=len(time))))
+    start = initial_state(drive)
+    yaw, n = np.interp(drive.gps.time, drive.truth.time, np.unwrap(drive.truth.theta)), len(drive.gps)
+    yaw, std = yaw + rng.normal(scale=0.05, size=n) + 2 * np.pi * rng.integers(-2, 3, n), np.full(n, 0.03)
+    drive = replace(drive, gps=replace(drive.gps, heading=yaw, std_heading=std))
     p = replace(P, imu_noise=imu_noise, gate=1.0, **changes)
-    found = run_filter(drive, p, recover=False)
-    replay = replay_of(drive)
+    found = run_filter(drive, p, initial=start, recover=False)
+    replay = replay_of(drive, start)
     line, array = replay.timeline, KernelArray((p,))
     mean, covariance = unpack_states(
         array.start([replay.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
@@ -253,15 +259,17 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
         if happens & FIX:
             before, fix, turn = filter.mean, next(fixes), np.exp(1j * filter.mean[YAW])
             arm = turn * complex(*line.lever[:2])
-            filter.fix(fix[:2] - [arm.real, arm.imag], fix[4:])
+            filter.fix(fix[:2] - [arm.real, arm.imag], fix[4:6])
             used += before is not filter.mean
+            if happens & HEADING:
+                filter.heading(fix[6], fix[7])
         if happens & IMU:
             moves = (filter.mean[2] + 1j * filter.mean[3]) * np.exp(1j * filter.mean[YAW])
             means.append(np.array([*filter.mean[:2], moves.real, moves.imag, filter.mean[YAW]]))
     assert difference(np.array(means), found.mean) < 1e-9
     assert 0 < used < len(line.fixes)  # the thresholds have rejected some
-    assert ("odometer_noise" in changes) == bool((flags & ODOMETER).any())
-    free = run_filter(drive, replace(p, imu_gate=(np.inf, np.inf)), recover=False)
+    assert ("odometer_noise" in changes) == bool((flags & ODOMETER).any()) == bool((flags & HEADING).any())
+    free = run_filter(drive, replace(p, imu_gate=(np.inf, np.inf)), initial=start, recover=False)
     assert (difference(free.mean, found.mean.copy()) > 1e-3) == ("imu_gate" in changes)
 
 
@@ -314,7 +322,8 @@ def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):
     with pytest.raises(ValueError, match=said):
         replace(P, **change)
     with pytest.raises(
-        InputError, match="robot-localization can't use 'velocity'; choose from lateral, odometer, gate"
+        InputError,
+        match="robot-localization can't use 'velocity'; choose from lateral, odometer, heading, gate",
     ):
         search_space(NAME, "log10", kind="ekf", use=("velocity",))
 

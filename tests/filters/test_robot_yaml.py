@@ -81,7 +81,9 @@ def test_inputs_are_those_that_it_fuses(tmp_path: Path):
         + "1e-3, " * 14
         + "1e-3]"
     )
-    with pytest.warns(SigmaswarmWarning, match="in two_d_mode, which it does not set; imu0: yaw left out"):
+    with pytest.warns(
+        SigmaswarmWarning, match="in two_d_mode, which it does not set; imu0: yaw is that of the fixes"
+    ):
         assert load(tmp_path, None, text).process_noise == (1e-3,) * 8  # which YAML 1.1 takes for text
 
 

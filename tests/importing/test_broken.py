@@ -516,7 +516,7 @@ def test_tables_without_a_time_in_common(tmp_path: Path):
     sensor_logger(tmp_path / "export", "android")
     late = pl.read_csv(tmp_path / "export" / "Gyroscope.csv").with_columns(pl.col("time") + 10**12)
     late.write_csv(tmp_path / "export" / "Gyroscope.csv")
-    refused("no time in common", lambda: imported(tmp_path / "export"))
+    refused("do not overlap in time", lambda: imported(tmp_path / "export"))
 
 
 @pytest.mark.parametrize("row", [150, 299])
@@ -556,7 +556,7 @@ def test_categories_are_read_by_their_names(tmp_path: Path):
     frame.write_parquet(tmp_path / "log.parquet")
     got = imported(tmp_path / "log.parquet").drive
     np.testing.assert_array_equal(got.imu.az[:4], [3, 7, 3, 7])
-    refused("can't be made numbers", lambda: imported(tmp_path / "log.parquet", maps=["gx=tags"]))
+    refused("can't be converted to numbers", lambda: imported(tmp_path / "log.parquet", maps=["gx=tags"]))
     assert look(Request(tmp_path / "log.parquet")).tables
 
 

@@ -100,7 +100,7 @@ def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
     said = [note for note in imported(tmp_path).notes if "is taken for the" in note]
     assert said == [
         f"{role}_tuesday.csv has the columns of {role}_monday.csv, and only {role}_monday.csv is taken for the {name}; "
-        f"choose with --{name}-table, and import each log into a drive of its own"
+        f"choose with --{name}-table, and import each log as a separate drive"
         for role, name in (("imu", "imu"), ("gnss", "gps"))
     ]
 

@@ -91,7 +91,7 @@ def test_longitude_across_180(circle: Path):
 def test_what_is_no_degrees_stays_so_and_is_refused(circle: Path):
     write(circle, "lonlat.csv", t=BESIDE, lat=0 * BESIDE, lon=86_000_000 + 100 * BESIDE)
     recipe = 'alt = "alt"\n[[gps]]\ntable = "lonlat.csv"\nt = "t"\nlat = "lat"\nlon = "lon"\n'
-    with pytest.raises(ValueError, match=r"lon = 8\.6e\+07 is no degrees"):
+    with pytest.raises(ValueError, match=r"lon = 8\.6e\+07 is not in degrees"):
         joined(circle, recipe)
 
 

@@ -204,7 +204,7 @@ def test_broken_export(tmp_path: Path, write, damage: str):
             lambda text: "\n".join(line for line in text.splitlines() if not line.startswith("UncalGyro")),
             "no IMU",
         ),
-        (lambda text: "\n".join(line for line in text.splitlines() if line[0] == "#"), "holds no lines"),
+        (lambda text: "\n".join(line for line in text.splitlines() if line[0] == "#"), "contains no lines"),
     ],
 )
 def test_broken_gnss_logger(tmp_path: Path, edit, said: str):

@@ -95,7 +95,7 @@ def test_a_real_flight_has_no_truth(tmp_path: Path):
         (lambda content: b"", "is empty"),
         (lambda content: b"no ulog" * 99, "cut short or broken"),
         (lambda content: content[:60], "cut short or broken"),
-        (lambda content: content[:20], "cut short or broken|holds none of"),
+        (lambda content: content[:20], "cut short or broken|contains none of"),
         (lambda content: content.replace(b"sensor_combined", b"sensor_elsewhere"[:15]), "no IMU"),
         (lambda content: content[: len(content) // 20], "no IMU|no position|too few|usable"),
     ],

@@ -157,7 +157,7 @@ def test_nmea_damaged(tmp_path: Path):
     [
         ("log.ubx", b"", "is empty"),
         ("log.ubx", b"no ubx here", "no UBX messages"),
-        ("log.ubx", ubx(0)[:50], "holds no whole message"),
+        ("log.ubx", ubx(0)[:50], "contains no whole message"),
         ("log.ubx", b"".join(ubx(i, fixType=0) for i in range(20)), "no usable row"),
         ("log.nmea", b"", "is empty"),
         ("log.nmea", b"\xff\x00\n" * 9, "no whole NMEA sentence"),

@@ -20,7 +20,7 @@ AT = Recipe(origin=ORIGIN)
 
 
 def write(folder: Path, kind: str, **options) -> Path:
-    """A bag of some kind that holds the drive."""
+    """A bag of some kind that contains the drive."""
     if kind in ("cdr", "json"):
         return write_mcap(folder / "log.mcap", messages(DRIVE, **options), kind)
     path = folder / ("log.bag" if kind == "ros1" else "bag")

@@ -118,7 +118,7 @@ def test_a_column_of_another_encoding_in_the_header(tmp_path: Path):
             [",".join(HEAD), *joined(ROWS[:60]), ",".join([*ROWS[60], "7"]), *joined(ROWS[61:])],
             "row 62: has 8 cells and the header 7",
         ),
-        ([",".join(HEAD[:5]), *joined(ROWS)], "row 2: has 7 cells and the header above it 5"),
+        ([",".join(HEAD[:5]), *joined(ROWS)], "row 2: has 7 cells and the header 5"),
     ],
 )
 def test_the_first_fault_is_named_and_always_the_same(tmp_path: Path, lines: list[str], said: str):
@@ -299,7 +299,7 @@ def test_raw_counts_are_refused_and_the_remedy_helps(tmp_path: Path, letter: str
     head = ["t", *(a + unit if a in mine else a for a in AXES)]
     (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(whole)]))
     write_fixes(tmp_path)
-    with pytest.raises(InputError, match=r"hold raw counts.*usual 16-bit sensors") as caught:
+    with pytest.raises(InputError, match=r"contain raw counts.*usual 16-bit sensors") as caught:
         imported(tmp_path)
     got = imported(tmp_path, maps=maps_in(str(caught.value)))
     assert_close(got.drive.imu, IMU, "time " + " ".join(mine), 1 / per)

@@ -180,7 +180,7 @@ def test_a_unit_that_can_not_be_known_is_refused_and_the_remedy_helps(tmp_path: 
 def test_stated_times_pass_the_same_check(tmp_path: Path, time: str):
     write(tmp_path, "t", lambda t: repr(t))
     if "1e-6" in time:
-        with pytest.raises(InputError, match="between two rows of the imu"):
+        with pytest.raises(InputError, match="two rows of the imu are"):
             imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", time=time)
     else:
         imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", time=time, maps=["gps.t=t-5"])
@@ -286,4 +286,4 @@ def test_rows_in_another_order_are_one_recording(tmp_path: Path):
     (tmp_path / "imu.csv").write_text("\n".join([lines[0], *lines[601:], *lines[1:601]]))
     got = imported(tmp_path)
     assert_close(got.drive.imu, IMU, "time ax gz", 1e-12)
-    assert any(f"{len(IMU)} rows came out of order" in note for note in got.notes)
+    assert any(f"{len(IMU)} rows were out of order" in note for note in got.notes)

@@ -93,10 +93,10 @@ def test_matlab():
 def test_comments_name_remarks_and_unknown_axes():
     text = text_of("kalibr")
     assert "# a remark\n" in text
-    assert "# gx is not known: as the other axes\n" in text
+    assert "# gx is not known: the value of the other axes\n" in text
     assert "# az is not" not in text
     assert "ICM-20602" not in text
-    assert "# an axis without a bias has the walk of an ICM-20602's\n" in text_of("kalibr", walk=0.0)
+    assert "# an axis without a measured bias has the walk of an ICM-20602\n" in text_of("kalibr", walk=0.0)
 
 
 @pytest.mark.parametrize(

@@ -246,7 +246,7 @@ ERRORS = {
     "dead": (lambda log: Imu(log.time, 0 * log.ax, 0 * log.ax, 0 * log.ax), "no axis shows its noise"),
     "nan": (
         lambda log: replace(log, ay=np.where(log.time < 1, np.nan, log.ay)),
-        "ay has values that are no numbers",
+        "ay has values that are not numbers",
     ),
     "backwards": (lambda log: replace(log, time=log.time[::-1]), "increasing"),
 }

@@ -170,7 +170,7 @@ class ExtendedCar:
         self.prior = self.covariance
         self.since += scale
         if happens & FIX and z is not None:
-            self._absorb_fix(self.car.fix(z[:2], line.lever, self.latency), z[4:].astype(Extended))
+            self._absorb_fix(self.car.fix(z[:2], line.lever, self.latency), z[4:6].astype(Extended))
             self.since = Extended(0)
             if happens & VELOCITY:
                 self._absorb(self.car.linear(z[2:4], [2, 3]), self.velocity_noise)

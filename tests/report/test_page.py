@@ -505,7 +505,7 @@ def test_a_damaged_folder_gets_one_clear_line(copy: Path, mistake: str):
 
 
 def test_a_folder_of_something_else(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
-    with pytest.raises(InputError, match="holds no results"):
+    with pytest.raises(InputError, match="contains no results"):
         read_report(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
         read_report(tmp_path / "nowhere")

@@ -3,8 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade, degrade, measure_gps
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.simulation.gps import GPS_GRADES, HEADING_GRADES, GpsGrade, degrade, measure_gps
 from sigmaswarm.simulation.motion import Motion
+from sigmaswarm.simulation.scenarios import simulate
 
 COUNT = 50_000
 
@@ -72,3 +74,24 @@ def test_degradation_multiplies_all_errors():
     worse = degrade(GPS_GRADES["ublox-m8"], 2.0)
     assert worse.std == pytest.approx(4.2)
     assert worse.velocity_std == pytest.approx(0.1)
+
+
+def test_a_receiver_with_two_antennas_tells_the_heading_as_its_grade_says():
+    mounted = replace(HEADING_GRADES["dual-antenna"], mounting=0.1)
+    drives = {of: simulate("turns", heading=of) for of in (None, "ideal", "dual-antenna", mounted)}
+    plain = drives[None]
+    for of, drive in drives.items():
+        assert plain.truth is not None
+        np.testing.assert_array_equal(drive.gps.x, plain.gps.x)
+        np.testing.assert_array_equal(drive.imu.gz, plain.imu.gz)
+        if of is None:
+            assert drive.gps.heading is None and "heading" not in drive.metadata
+            continue
+        assert drive.gps.heading is not None
+        theta = np.interp(drive.gps.time, plain.truth.time, plain.truth.theta)
+        off = np.degrees(wrap_angle(drive.gps.heading - theta))
+        if of == "ideal":
+            assert np.abs(off).max() < 0.05 and drive.gps.std_heading is None
+        else:
+            assert 0.2 < off.std() < 0.5 and abs(off.mean() - (of is mounted) * np.degrees(0.1)) < 0.6
+            np.testing.assert_allclose(drive.gps.std_heading, np.radians(0.4))

@@ -35,13 +35,13 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_number_of_workers(tmp_p
     def write_to(where):
         return lambda drive: write_drive(drive, where / drive.name)
 
-    conditions = {"maneuvers": ("turns", "outages"), "environments": ("rain", "slippery"), "runs": 2}
+    conditions = {"maneuvers": ("turns",), "environments": ("rain", "slippery"), "runs": 2}
     first, second = (
         list(simulate_many(**conditions, workers=workers, use=write_to(tmp_path / str(workers)), seed=5))
         for workers in (1, 3)
     )
     assert [f.name for f in first] == [f.name for f in second]
-    assert len(set(first)) == 8
+    assert len(set(first)) == 4
     for a, b in zip(first, second, strict=True):
         assert digest(a) == digest(b)
 

@@ -23,7 +23,7 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
     off = (gps.time >= 60) & (gps.time < 100)
     aside = replace(DRIVE, name="aside", gps=replace(gps, x=gps.x + 120.0 * off, y=gps.y + 160.0 * off))
     problem = car_problem([DRIVE, aside], CONFIG)
-    rng, seen = np.random.default_rng(0), set[bool]()
+    rng, seen = np.random.default_rng(0), list[bool]()
     space = problem.space
     for point in space.low + rng.random((12, len(space.low))) * (space.high - space.low):
         p = problem.parameters(point)
@@ -36,8 +36,10 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
         assert all(
             (f"diverged on {name} and" in said[0]) == bool(times) for name, times in lost.items() if said
         )
-        seen.add(bool(said))
-    assert seen == {True, False}
+        seen.append(bool(said))
+        if len(seen) >= 3 and set(seen) == {True, False}:
+            break
+    assert set(seen) == {True, False}
 
 
 def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():

@@ -43,7 +43,7 @@ def test_the_time_constant_is_searched_with_truth():
 
 
 def test_filter_types_that_adapt_their_noise_are_refused():
-    with pytest.raises(InputError, match="fix-error does not go with fuzzy-ukf"):
+    with pytest.raises(InputError, match="fix-error can't be combined with fuzzy-ukf"):
         search_space("planar8", "log10", kind="fuzzy-ukf", use=USE)
 
 

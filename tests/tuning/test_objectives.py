@@ -109,7 +109,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones():
         ("truth-rmse - nees", "no objective is called 'truth-rmse - nees'"),
         ("-1 nees", "no objective is called '-1 nees'"),
         ("0 nees", "the weight of nees must be positive"),
-        ("1.2.3 nees", "'1.2.3' is no weight"),
+        ("1.2.3 nees", "'1.2.3' is not a weight"),
         ("1e999 nees", "must be positive"),
     ],
 )

@@ -50,7 +50,7 @@ def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNo
 def test_a_stated_accuracy_that_plays_no_part_is_named(scale: float | None, said: bool):
     filters = replace(with_r(1.0), accuracy_scale=scale)
     found = accuracy_warnings(filters, [1.0])
-    assert ["`accuracy` plays no part" in one for one in found] == [True] * said
+    assert ["`accuracy` has no effect" in one for one in found] == [True] * said
     assert accuracy_warnings(filters, [NONE]) == []
 
 

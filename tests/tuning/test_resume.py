@@ -221,7 +221,7 @@ def started(tmp_path: Path) -> Path:
 
 
 def test_a_folder_with_results_needs_resume(started: Path):
-    assert "already holds a tuning; add --resume" in refusal(DRIVES, started, **OPTIONS)
+    assert "already contains a tuning; add --resume" in refusal(DRIVES, started, **OPTIONS)
 
 
 @pytest.mark.parametrize(

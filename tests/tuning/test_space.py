@@ -137,10 +137,10 @@ def test_stated_accuracy_is_among_the_noises_that_scale_together():
     ("kind", "use", "said"),
     [
         ("ukf", ("gate", "robust"), "robust and gate exclude each other"),
-        ("adaptive-ukf", ("robust",), "robust does not go with adaptive-ukf"),
-        ("strong-tracking-ukf", ("robust",), "robust does not go with strong-tracking-ukf"),
-        ("fuzzy-ukf", ("robust",), "robust does not go with fuzzy-ukf"),
-        ("adaptive-ukf", ("accuracy",), "accuracy does not go with adaptive-ukf"),
+        ("adaptive-ukf", ("robust",), "robust can't be combined with adaptive-ukf"),
+        ("strong-tracking-ukf", ("robust",), "robust can't be combined with strong-tracking-ukf"),
+        ("fuzzy-ukf", ("robust",), "robust can't be combined with fuzzy-ukf"),
+        ("adaptive-ukf", ("accuracy",), "accuracy can't be combined with adaptive-ukf"),
     ],
 )
 def test_what_does_not_go_together_is_refused(kind, use, said: str):

@@ -1,4 +1,4 @@
-"""The command line: one thin file a command; heavy imports happen inside the commands."""
+"""The command line: one thin file per command. Heavy imports happen inside the commands."""
 
 from sigmaswarm.cli.app import main
 

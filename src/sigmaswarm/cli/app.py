@@ -38,7 +38,7 @@ app = App(
     version=sigmaswarm.__version__,
     help="""Tune the Kalman filter that fuses a vehicle's IMU and GPS.
 
-A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.csv. The usual way:
+A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.csv. The usual commands:
 
     sigmaswarm doctor drives/monday drives/tuesday
     sigmaswarm tune drives/monday drives/tuesday --out tuned --objective truth-pose
@@ -48,16 +48,16 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
 
 Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out DRIVE` makes a drive of it.
 
-Rather look than type? `sigmaswarm workbench LOG` opens the whole road in the browser.
+In the browser: `sigmaswarm workbench LOG` does all of this.
 
-No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
+No drives? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` runs the paper's experiment in small.""",
     help_flags=("--help", "-h", HELP_ALL),
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
 PLAIN = Parameter(negative=(), consume_multiple=1)
 WITH_MORE = (tune, compare, simulate, import_)
-"""Commands whose short help leaves options out."""
+"""Commands whose short help omits options."""
 for command in (
     doctor, noise, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
     record_carla, plot, demo, import_, workbench,
@@ -123,7 +123,7 @@ def _run() -> int:
         return _told(2, f"{said}{hint}")
     except KeyboardInterrupt:
         saved = (
-            "; repeat the command with --resume to go on"
+            "; repeat the command with --resume to continue"
             if {"tune", "compare", "simulate", "study"} & set(sys.argv[1:2])
             else ""
         )
@@ -158,7 +158,7 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _missing_out(error: Exception) -> str | None:
-    """Explain that --out is missing altogether; Cyclopts explains a missing value."""
+    """Explain that --out is missing; Cyclopts explains a missing value."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:

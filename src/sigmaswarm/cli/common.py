@@ -32,7 +32,7 @@ def read_known(place: "Location") -> "Drive":
 
 
 def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
-    """Print the warnings of reading a drive, those about gaps only with ``gaps``."""
+    """Print the warnings of reading a drive; those about gaps only if ``gaps``."""
     for warning in warned:
         if gaps or not getattr(warning, "code", "").endswith("-gap"):
             warnings.warn(warning, stacklevel=3)
@@ -150,7 +150,11 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     say(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
         caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
-        say(replace(view.consistency_table(), caption=caption).to_rich(), *sentences)
+        say(
+            replace(view.consistency_table(), caption=caption).to_rich(),
+            view.radius_table().to_rich(),
+            *sentences,
+        )
         return
     left = f", {len(sentences) - MOST_SENTENCES} more remarks" if len(sentences) > MOST_SENTENCES else ""
     adds = f"--verbose adds {'each drive, ' if several else ''}consistency{left}"

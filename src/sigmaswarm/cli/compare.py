@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sigmaswarm.experiments.comparison import Comparison
 
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
-"""Options of the comparison, and those that only guard a tuning's result."""
+"""Options of the comparison, and those that do not apply to it."""
 SHOWN = ("objective", "particles", "generations", "model")
 
 
@@ -39,8 +39,8 @@ def compare(
     """Compare optimizers with the same budget on the same drives.
 
     OUT gets comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and all tunings. The result holds for these drives; other seeds would give the same
-    within the intervals, other drives need not.
+    comparison.png, times.csv and all tunings. The result holds for these drives: the intervals are those of other
+    seeds, not of other drives.
 
     Examples:
 

@@ -18,7 +18,7 @@ def convert(
 ) -> None:
     """Convert drives between Parquet and CSV.
 
-    Parquet is smaller and much faster to read; both hold the same bits, and every command reads either. Columns that
+    Parquet is smaller and much faster to read; both have the same bits, and every command reads either. Columns that
     sigmaswarm does not know are dropped with a warning.
 
     Examples:
@@ -39,13 +39,13 @@ def convert(
     from sigmaswarm.drives.urls import is_url
 
     if len(drives) < 2:
-        raise InputError("convert takes drives and, last, a folder for what they are converted to")
+        raise InputError("convert takes drives and, last, a folder for the converted drives")
     *given, last = drives
     if is_url(last):
         raise InputError(f"{last}: drives are written to folders; name one")
     out, written = Path(last), list[str]()
     if any((out / table).exists() for table in TABLES):
-        raise InputError(f"{last}: is a drive; name, last, the folder in which the converted drives are made")
+        raise InputError(f"{last}: is a drive; give, as last argument, a folder for the converted drives")
     for place in all_drive_locations(given):
         drive = read_known(place)
         if drive.name in written:

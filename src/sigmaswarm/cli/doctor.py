@@ -14,6 +14,7 @@ from sigmaswarm.errors import DriveWarning, InputError
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive
+    from sigmaswarm.tuning.lever_arm import LeverArmEstimate
 
 
 def doctor(
@@ -21,6 +22,7 @@ def doctor(
     /,
     *,
     fix: Path | None = None,
+    lever_arm_within: float | None = None,
     json: Json = False,
 ) -> None:
     """Check drives for wrong signs, units, axes, clocks, noise and gaps.
@@ -33,6 +35,7 @@ def doctor(
         sigmaswarm doctor drives/friday
         sigmaswarm doctor drives
         sigmaswarm doctor drives/friday --fix mended
+        sigmaswarm doctor drives/friday --lever-arm-within 0.15 --fix mended
         sigmaswarm doctor drives/friday --json
 
     Parameters
@@ -41,11 +44,14 @@ def doctor(
         Drive folders, or folders of drive folders.
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
+    lever_arm_within
+        Estimate the antenna's lever arm, one for all drives; --fix writes it if its 95% interval is within this many m.
     """
 
     read = _read(drives)
     if fix is not None:
         _check_names(read, fix)
+    arm = None if lever_arm_within is None else _lever_arm(read, lever_arm_within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
     serious = False
     for drive in read:
@@ -55,20 +61,24 @@ def doctor(
             print_diagnosis(diagnosis)
         if fix is not None:
             folder, copy = fix / drive.name, sigmaswarm.repair(drive, diagnosis)
+            copy = arm.applied(copy) if arm else copy
             sigmaswarm.write_drive(copy, folder)
             codes = dict.fromkeys(f.code for f in diagnosis.findings if f.repair)
             mended = [code for code in codes if code not in copy.metadata.get("withheld", ())]
+            mended += ["lever-arm"] if arm and arm.observable else []
             diagnosis = sigmaswarm.diagnose(copy)
             found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if mended and not json:
-                say(f"wrote {folder}, mended: {', '.join(mended)}. What is left:\n")
+                say(f"wrote {folder}, mended: {', '.join(mended)}. Remaining findings:\n")
                 print_diagnosis(diagnosis)
             elif not json:
-                say(f"wrote {folder}, a plain copy: there is nothing that the doctor can mend\n")
+                say(f"wrote {folder}, a plain copy: the doctor can repair nothing\n")
         result.append(found)
         serious |= diagnosis.serious
     if json:
-        print_json({"drives": result, "serious": serious})
+        print_json({"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})})
+    elif arm:
+        say(f"lever arm: {arm}")
     if serious:
         raise SystemExit(1)
 
@@ -81,8 +91,17 @@ def _read(paths: list[Path]) -> "list[Drive]":
         return read_drives(paths)
 
 
+def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "LeverArmEstimate":
+    """Estimate the lever arm of the drives, or of their repaired copies."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the repairs warn again when the copies are made
+        if repaired:
+            drives = [sigmaswarm.repair(drive, sigmaswarm.diagnose(drive)) for drive in drives]
+        return sigmaswarm.estimate_lever_arm(drives, within=within)
+
+
 def _check_names(drives: "list[Drive]", out: Path) -> None:
-    """Refuse, before anything is written, copies that would take each other's or another folder's place."""
+    """Refuse, before anything is written, copies that would replace each other or another folder."""
 
     names = [drive.name for drive in drives]
     for name in names:

@@ -92,7 +92,7 @@ def evaluate(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it; also a folder of `sigmaswarm learn`.
+        A tuning.toml, or the folder that contains it; also a folder of `sigmaswarm learn`.
     options
         The options of the command line.
     """

@@ -32,9 +32,9 @@ class ExportOptions:
     replay
         c99: a drive, written as input of the replay program.
     check
-        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives whose errors README.md has.
+        c99: drives to compare C with `sigmaswarm run`. robot-localization: drives for the errors in README.md.
     against
-        robot-localization, with --check: another tuning, whose errors README.md has, too.
+        robot-localization, with --check: a second tuning to compare in README.md.
     lanes
         c99: number of filters in a filter bank, 1 to 16, without its searches.
     seed
@@ -72,7 +72,7 @@ def export(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it.
+        A tuning.toml, or the folder that contains it.
     options
         The options of the command line.
     """

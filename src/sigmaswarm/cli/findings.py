@@ -68,7 +68,7 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
 
 
 def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
-    """Return the command that cuts a drive in two, where a serious finding asks for that; else empty."""
+    """Return the command that splits a drive if a serious finding requires it, else an empty string."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     found = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
     return found[0].replace("DRIVE", shlex.quote(str(folder))) if found else ""

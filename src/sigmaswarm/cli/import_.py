@@ -163,7 +163,7 @@ def import_(
 
     request, heading = _request(source, options), options.heading_from_north
     if heading is not None and not abs(heading) <= 360:
-        raise InputError(f"--heading-from-north {heading:g} is no angle; give degrees, 0 to 360")
+        raise InputError(f"--heading-from-north {heading:g} is not an angle; give degrees, 0 to 360")
     if options.show:
         _show(request, options)
     elif options.out is None:
@@ -195,7 +195,7 @@ def _request(source: Path, options: ImportOptions) -> "Request":
     limits = {name: getattr(options, f"max_{name}") for name in ("rows", "columns", "unpacked_mb")}
     for name, value in limits.items():
         if value is not None and value < 1:
-            raise InputError(f"--max-{name.replace('_', '-')} {value} can't be; give a number above 0")
+            raise InputError(f"--max-{name.replace('_', '-')} {value}: must be above 0")
     return Request(
         source=source,
         gps=options.gps,
@@ -244,11 +244,13 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
         return
     if diagnosis.serious:
         command, mended = mending(diagnosis, out)
-        go_on = f"go on with {mended}, not with {out}" if mended else "what it can't mend, mend in the log"
+        go_on = (
+            f"continue with {mended}, not with {out}" if mended else "correct in the log what it can't repair"
+        )
         following, ready = f"{command}    (then {go_on})", mended or out
     yield f"next: {following}"
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
-    yield "      (or keep this drive back, to evaluate on it what was tuned on others)"
+    yield "      (or hold this drive back, to evaluate a filter tuned on others)"
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -272,7 +274,7 @@ def _told(imported: "Imported", out: Path) -> Iterator[str]:
     yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
     yield from (f"note: {shown(note, 1000)}" for note in imported.notes)
     if not imported.recipe.mount:
-        yield "note: the IMU's axes taken as x forward, y left, z up; --mount gives other ones"
+        yield "note: the IMU's axes are assumed to be x forward, y left, z up; --mount states others"
     rate = 1 / drive.nominal_interval
     yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
@@ -304,17 +306,17 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
         console.print(f"{shown(glance.table)}: {shown(glance.kind)}{rows}{rate}", style="bold")
         say(*_columns(glance))
     say("(each column's lowest value, median and highest, over the first rows)")
-    planned = "What import would do by itself (save it with --save-recipe, change it with --map):"
+    planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
     say(recipe or "nothing was recognized; name the columns with --map")
     say(*(f"note: {shown(note, 1000)}" for note in seen.notes))
     if seen.proposal:
         title = "To read the rest, add to the command"
-        console.print(f"\n{title}{'' if seen.works else ', with what is missing'}:", style="bold")
+        console.print(f"\n{title}{'' if seen.works else ', with the missing parts'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
         times = "; imu.t and gps.t are the times of their rows" if of_rows else ""
-        evidence = f"({shown(seen.evidence, 1000)}{times}; nothing of it is done unless you ask for it)"
+        evidence = f"({shown(seen.evidence, 1000)}{times}; it is applied only on request)"
         say(shown(seen.proposal, 4000), evidence)
     if seen.unread:
         console.print("\nWhat neither reads:", style="bold")
@@ -326,7 +328,7 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
 
 
 def _command(proposal: str, options: ImportOptions) -> str:
-    """The command that makes the drive: the one that was typed, with the drive's folder and what is proposed."""
+    """The command that makes the drive: the given one, with the drive's folder and the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
     return " ".join(
@@ -335,7 +337,7 @@ def _command(proposal: str, options: ImportOptions) -> str:
 
 
 def _columns(glance: "Glance") -> Iterator[str]:
-    """A line a column with values other than 0: lowest, median and highest, or an example."""
+    """A line per column with values other than 0: lowest, median and highest, or an example."""
     told = [r for r in glance.ranges if r.low or r.high or r.low is None]
     width = max((len(shown(r.column)) for r in told), default=0)
     for r in told:

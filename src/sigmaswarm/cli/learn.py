@@ -31,7 +31,7 @@ class LearnOptions:
     search
         Number of further settings (units, window, learning rate) to try.
     seed
-        Same seed, same result.
+        The same seed gives the same result.
     resume
         Continue an interrupted training; the result is the same as without interruption.
     json
@@ -96,7 +96,7 @@ def _learn(network: NetworkName, tuning: Path, drives: list[str], options: Learn
     read, held_back = read_drives(drives), read_drives(options.validation or [])
     counted, waiting = (
         "epochs at most, loss {task.fields[loss]}, remaining",
-        "getting ready (smoothing the drives)",
+        "smoothing the drives",
     )
     with progress_bar("learning", counted, waiting, loss="-") as show:
         learned = train(

@@ -88,7 +88,7 @@ def noise(
 
 
 def _found(log: Path | None, options: NoiseOptions) -> "Noise":
-    """Measure the noise of the log, or read that of the tuning."""
+    """Measure the noise of the log, or read the noise of the tuning."""
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.noise import filter_noise, imu_noise
 

@@ -72,7 +72,7 @@ def options_of(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command with ``**options`` the fields of a model as options; it gets those that the user gave.
 
-    ``shown`` are the fields in the short help, ``apart`` those that are no options of the command, ``by_data`` those
+    ``shown`` are the fields in the short help, ``apart`` those that are not options of the command, ``by_data`` those
     whose default is not a constant. ``renamed`` maps deprecated names to the current ones.
     """
     old = {new: name for name, new in (renamed or {}).items()}

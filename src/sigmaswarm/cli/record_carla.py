@@ -18,7 +18,7 @@ class RecordCarlaOptions:
     Attributes
     ----------
     out
-        Folder in which the drive folders are made. It must not hold drives yet.
+        Folder in which the drive folders are made. It must not contain drives yet.
     host
         Host of the server.
     port
@@ -26,7 +26,7 @@ class RecordCarlaOptions:
     maneuver
         cruise, turns, accelerate, brake, outages; all by default.
     environment
-        clear, night, rain, fog, slippery; all by default. Clear, night and fog share one physics.
+        clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs
         Drives of each maneuver in each environment.
     seed
@@ -48,7 +48,7 @@ class RecordCarlaOptions:
     brake_sweep
         Measure first which tire_friction gives which friction, and use it.
     resume
-        Keep the drives that are there and record those that are missing.
+        Keep existing drives and record the missing ones.
     """
 
     out: Path
@@ -113,6 +113,6 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
             continue  # the recorder has heard it too, and puts the server in order first
     if code < 0:
         raise SigmaswarmError(
-            f"the CARLA client died of signal {-code}; what was recorded is in {options.out}: go on with --resume"
+            f"the CARLA client died of signal {-code}; complete drives are in {options.out}: continue with --resume"
         )
     sys.exit(code)

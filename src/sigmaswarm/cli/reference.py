@@ -57,7 +57,7 @@ def reference(
     """Compute truth from a good receiver (RTK) on the same vehicle.
 
     Its fixes are smoothed with the drive's IMU. The new drive gets a truth.csv at the IMU's times, with standard
-    deviations, and with gaps at float solutions and at outages too long for the IMU to bridge.
+    deviations, with gaps where the solution is float or an outage is too long for the IMU.
 
     Examples:
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.run import Run
 
 LATE_START = 5.0
-"""s without an estimate that a drive which begins while driving has anyway."""
+"""s without an estimate at the start of every drive that begins while driving."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,10 +32,10 @@ class RunOptions:
         LAT,LON of x = y = 0, degrees, for maps of a drive without an origin.
     truth
         Also write the drive's truth, in the format that this file's ending names.
-    beside
-        With --out NAME.ros2: the drive's original ROS 2 bag; its messages are copied unchanged into the new bag.
+    merge
+        With --out NAME.ros2: also copy the messages of the ROS 2 bag of the drive. --beside is the deprecated name.
     before
-        Also write what is known before the filter's start, the fixes, to NAME.csv, .geojson, .gpx or .kml.
+        Also write the fixes before the filter's start to NAME.csv, .geojson, .gpx or .kml.
     as_recorded
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
@@ -49,7 +49,7 @@ class RunOptions:
     out: Path
     origin: str | None = None
     truth: Path | None = None
-    beside: Path | None = None
+    merge: Annotated[Path | None, Parameter(name=["--merge", "--beside"])] = None
     before: Path | None = None
     as_recorded: bool = False
     smooth: bool = False
@@ -77,7 +77,7 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.csv
         sigmaswarm run tuned drives/friday --out estimate.tum --truth truth.tum
         sigmaswarm run tuned drives/friday --out estimate.kml --origin 49.011,8.416
-        sigmaswarm run tuned drives/friday --out estimate.ros2 --beside friday.mcap
+        sigmaswarm run tuned drives/friday --out estimate.ros2 --merge friday.mcap
         sigmaswarm run tuned drives/friday --out smoothed.csv --smooth
         sigmaswarm run tuned drives/friday --out estimate.csv --bank
 
@@ -129,7 +129,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         raise InputError(f"{drive}: has the origin of its own x and y; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
-    check_target(out, target["origin"], options.beside)
+    check_target(out, target["origin"], options.merge)
     if truth:
         check_target(truth, target["origin"])
     if before:
@@ -153,7 +153,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     ):  # known before the pieces: the bag is in order
         shown = Recording(replay, parameters, recover=True).finished().innovations
     pieces = estimates_of(found)
-    more: dict[str, Any] = {"beside": options.beside, "innovations": shown, "name": read.name}
+    more: dict[str, Any] = {"merge": options.merge, "innovations": shown, "name": read.name}
     write_pieces(pieces, (first, last), out, **more, **target)
     fixes = write_fixes(read, first, before, **target) if before else 0
     if truth and true:
@@ -180,7 +180,7 @@ def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
     if earlier > LATE_START:
-        rest = f"wrote the {fixes} fixes before to {options.before}"
+        rest = f"wrote the {fixes} earlier fixes to {options.before}"
         rest = rest if options.before else "--before NAME.csv writes the fixes"
         say(f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; {rest}")
 
@@ -213,7 +213,7 @@ def _save_bank(run: Any, out: Path) -> dict[str, Any]:
 
 
 def _place(text: str) -> tuple[float, float, float]:
-    """Latitude and longitude (deg), and altitude (m, 0 where it is left out)."""
+    """Latitude and longitude (deg), and altitude (m, 0 by default)."""
 
     try:
         latitude, longitude, *altitude = (float(part) for part in text.split(","))

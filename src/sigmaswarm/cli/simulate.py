@@ -25,11 +25,11 @@ class SimulateOptions:
     Attributes
     ----------
     out
-        Folder for the drive folders; it must not hold drives yet.
+        Folder for the drive folders; it must not contain drives yet.
     maneuver
         cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
     environment
-        clear, night, rain, fog, slippery; all by default. Clear, night and fog share one physics.
+        clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs
         Drives of each maneuver in each environment.
     imu
@@ -53,6 +53,8 @@ class SimulateOptions:
         flat, rolling or hilly; hills and banked roads tilt the car.
     odometer
         pulses (counted, coarse), can (fine, 83 Hz) or ideal: wheel speed with scale error and slip. None by default.
+    heading
+        dual-antenna (0.4 deg) or ideal: the receiver gives a heading with each fix. None by default.
     resume
         Keep existing drives and simulate the missing ones.
     """
@@ -71,13 +73,24 @@ class SimulateOptions:
     gnss_degradation: Annotated[bool, MORE] = False
     terrain: Annotated[str, MORE] = "flat"
     odometer: str | None = None
+    heading: str | None = None
     workers: Annotated[Workers, MORE] = None
     cluster: Annotated[Cluster, MORE] = None
     resume: bool = False
     json: Json = False
 
 
-OF_A_DRIVE = ("seed", "imu", "gps", "vehicle", "duration", "gnss_degradation", "terrain", "odometer")
+OF_A_DRIVE = (
+    "seed",
+    "imu",
+    "gps",
+    "vehicle",
+    "duration",
+    "gnss_degradation",
+    "terrain",
+    "odometer",
+    "heading",
+)
 """Options that `sigmaswarm.simulate` has under the same names."""
 
 
@@ -135,12 +148,12 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         return
     say(f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else ""))
     if len({"clear", "night", "fog"} & set(environments)) > 1:
-        say("note: clear, night and fog share one physics; only their random numbers differ")
+        say("note: clear, night and fog have the same physics; only their random numbers differ")
     say(f"next: sigmaswarm plot {out / names[0]}")
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep; refuse anything else in the way before any work."""
+    """Return the names of existing drives to keep; refuse any other existing file before any work."""
 
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
@@ -149,7 +162,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
     drives = sorted(found | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
-            f"{out}: holds {drives[0]} already; name another folder, or keep what is there with --resume"
+            f"{out}: contains {drives[0]} already; name another folder, or keep what is there with --resume"
         )
     for name in sorted(found):
         _require_made_with(out / name / "drive.toml", made_with)
@@ -176,9 +189,10 @@ def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
             "gnss_degradation": scenario["gnss_degradation"],
             "terrain": scenario.get("terrain", "flat"),
             "odometer": about.get("odometer", {}).get("grade"),
+            "heading": about.get("heading", {}).get("grade"),
         }
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None
+        raise InputError(f"{file.parent}: is not a drive that simulate wrote; name another folder") from None
     urban = URBAN_DURATION if options["duration"] is None else options["duration"]
     wanted = {**options, "duration": None if made["duration"] is None else urban}  # of urban drives alone
     for key, value in made.items():

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Options of `sigmaswarm study`: those that are None are as in the configuration.
+    """Options of `sigmaswarm study`; None: the value of the configuration.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class StudyOptions:
 
 
 OF_THE_RUN = ("out", "config", "quick", "workers", "cluster", "resume", "json")
-"""Options that are no part of a study's configuration."""
+"""Options that are not part of a study's configuration."""
 
 
 def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
@@ -93,11 +93,11 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
 
     Racing is the default with 96 training drives or more. --rivals tunes a fuzzy UKF, and a UKF by Bayesian
     optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8 in each trial. It adds
-    drift over 15, 30 and 60 s, data and times, drives of another sensor grade and another car, and learning curves.
+    drift over 15, 30 and 60 s, drives of another sensor grade and another car, and learning curves.
     It needs pip install 'sigmaswarm[learned,bo]'.
 
-    The tables stand next to the paper's. A killed study continues with --resume and ends in the same bytes, which do
-    not depend on the number of workers.
+    The tables show the paper's figures, too. A killed study continues with --resume and ends in the same bytes, on any
+    number of workers.
 
     Examples:
 

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 LONGEST_LINE = 600
 """Characters of an error or warning; a path or an expression may be any length."""
 NARROWEST = 20
-"""Columns; with fewer a table has no room."""
+"""Columns that a table needs at least."""
 
 
 def prepare() -> None:
-    """Escape characters that the streams cannot encode, and ignore a useless width."""
+    """Escape characters that the streams cannot encode, and ignore an invalid width."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):  # neither if the stream is closed
             reconfigure(errors="backslashreplace")
@@ -28,7 +28,7 @@ def prepare() -> None:
 
 
 def tell_of_compiling() -> None:
-    """Show on a terminal why a first run takes longer, when it begins to."""
+    """Show on a terminal that kernels are compiled, when a first run begins to compile."""
     if sys.stderr is not None and sys.stderr.isatty():
         log = logging.getLogger("sigmaswarm.compilation")
         log.setLevel(logging.INFO)

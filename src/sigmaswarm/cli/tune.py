@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sigmaswarm.scoring.tracks import FirstLook
 
 MOST_LOOKED_AT = 20
-"""Other tunings, the newest first, that are searched for one to compare with."""
+"""Number of other tunings, the newest first, among which one to compare with is searched."""
 SHOWN = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
@@ -45,7 +45,7 @@ def tune(
     """Tune a filter on drives.
 
     The filter is written to OUT/tuning.toml. Without truth.csv it is tuned to forecast the fixes. Without --model and
-    --use it is chosen by what the logs have. Keep some drives back for `sigmaswarm evaluate`.
+    --use the filter is chosen by the sensors in the logs. Hold some drives back for `sigmaswarm evaluate`.
 
     Examples:
 
@@ -94,7 +94,7 @@ def _tune(
     options: dict[str, Any],
     workers: int | None,
 ) -> "tuple[Tuning[Any], FirstLook, list[str], list[str]]":
-    """Tune; return the result, its look at the first drive, and lines to print before and after the result."""
+    """Tune; return the result, its first look at the drives, and lines to print before and after it."""
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.drives.sensors import sensors_of

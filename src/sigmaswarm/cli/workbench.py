@@ -17,7 +17,7 @@ def workbench(
     port: int = 0,
     no_browser: bool = False,
 ) -> None:
-    """Open the browser: import, check, tune, evaluate and export by mouse.
+    """Import, check, tune, evaluate and export in the browser.
 
     The page is served on this machine only, at an address with a secret token. OUT is an ordinary folder of drives,
     tunings and evaluations, with which the other commands work, too. An interrupted tuning is resumed there.

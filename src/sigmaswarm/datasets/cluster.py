@@ -1,4 +1,4 @@
-"""A Dask cluster: its address, its workers and their versions, and its errors, each in one line."""
+"""A Dask cluster: its address, its workers and their versions, and its errors as messages of one line."""
 
 import asyncio
 import json
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from distributed import Client
 
 ANSWER_TIMEOUT = 30.0
-"""s that a scheduler may take to answer."""
+"""s: timeout of a request to the scheduler."""
 CONNECT_TIMEOUT = 10.0
-"""s that it may take to be reached."""
+"""s: timeout of the connection to it."""
 
 
 class ClusterError(SigmaswarmError):
-    """A cluster can't be reached, or can't do the work."""
+    """A cluster can't be reached, or can't run a task."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class Cluster:
     def lost_scheduler(self) -> ClusterError:
         """Return the error for a scheduler that does not answer."""
         return ClusterError(
-            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: go on with "
+            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: continue with "
             "--resume and another cluster"
         )
 
@@ -149,7 +149,7 @@ def connected(address: str) -> Generator["Client"]:
 
 
 def _scheduler(address: str) -> str:
-    """The address of a scheduler, also of one that a scheduler file names."""
+    """The address of a scheduler, also if a scheduler file is given."""
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(
@@ -159,13 +159,14 @@ def _scheduler(address: str) -> str:
         return address
     if not Path(address).is_file():
         raise InputError(
-            f"--cluster {address}: is no address like tcp://host:8786, no scheduler file that is there, and not local:N"
+            f"--cluster {address}: is neither an address like tcp://host:8786 nor an existing scheduler file nor "
+            "local:N"
         )
     try:
         return str(json.loads(read_bounded(Path(address), MOST_TOML))["address"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(
-            f"--cluster {address}: is no scheduler file; `dask scheduler --scheduler-file` writes one"
+            f"--cluster {address}: is not a scheduler file; `dask scheduler --scheduler-file` writes one"
         ) from None
 
 

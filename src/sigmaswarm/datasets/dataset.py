@@ -1,4 +1,4 @@
-"""A dataset: drives in this process, or on a cluster's workers, to which functions are applied where the drives are."""
+"""A dataset: drives in this process or on a cluster's workers. Functions are applied where the drives are."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -69,12 +69,12 @@ def datasets_of(
     *groups
         Each a Drive, a sequence of them, or a dataset; with a cluster also paths and URLs.
     takes : str
-        Names what the calling function accepts, for messages.
+        The accepted input of the calling function, for messages.
 
     Raises
     ------
     InputError
-        If an item is no drive, or both an executor and a cluster are given.
+        If an item is not a drive, or both an executor and a cluster are given.
     """
     if cluster is not None and executor is not None:
         raise InputError(

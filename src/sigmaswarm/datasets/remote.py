@@ -31,7 +31,7 @@ Progress = Callable[[int, int], None]
 POLL_INTERVAL = 2.0
 """s between two requests to the scheduler for its workers."""
 MOST_RETRIES = 3
-"""Rounds without any answer, each ended by the loss of workers: then the drives are taken for the cause."""
+"""Number of rounds without any answer, each ended by the loss of workers, after which the drives are blamed."""
 DRIVES_SHOWN = 10
 """Drives in one message."""
 
@@ -66,7 +66,7 @@ class Assignment:
             while not (present := self._usable_workers()):
                 if not waited:
                     what = "no worker is left" if self.workers else "there is no worker yet"
-                    message = f"{what} at {self.cluster.address}: waiting for one to come"
+                    message = f"{what} at {self.cluster.address}: waiting for one"
                     warnings.warn(message, SigmaswarmWarning, stacklevel=2)
                 waited = True
                 time.sleep(POLL_INTERVAL / 4)
@@ -162,7 +162,7 @@ class RemoteDataset:
         return RemoteDataset(self.assignment, tuple(self.indices[i] for i in indices))
 
     def call(self, function: Callable[..., T], *arguments: Any) -> list[tuple[list[int], T]]:
-        """Call a function once on each worker; return the indices of the drives of each call, and its result.
+        """Call a function once on each worker; return the indices of its drives, and the result, of each call.
 
         Parameters
         ----------

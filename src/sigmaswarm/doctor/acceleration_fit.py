@@ -26,7 +26,7 @@ BIAS_SPREAD = (0.1, 0.5)
 FEW = 8.0
 """Number of windows at which their variances are doubled."""
 LEAST_NOISE = 0.03
-"""m: lowest deviation of an IMU from a path over some seconds."""
+"""m: smallest standard deviation of the IMU's path over some seconds."""
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)
 """s: delays of the fixes that are tried one by one."""
@@ -48,7 +48,7 @@ class AccelerationFit:
 
 
 def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:
-    """The gyro's integral (n,), and the course of the moving car less that integral, rad."""
+    """The gyro's integral (n,), and the course of the moving car minus that integral, rad."""
     turned = integral(time, rate)
     seen = course.moving
     return turned, course.angle[seen] - smoothed(time, turned, course.time[seen] - late, course.span)
@@ -76,7 +76,7 @@ def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
 
 
 def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
-    """rad/s that the gyro's rate lacks, by the course: less its bias. Parameters as of `heading_of`."""
+    """rad/s: correction of the gyro's rate by the course, minus its bias. Parameters as of `heading_of`."""
     _, off = _off_course(time, course, rate, late)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
@@ -135,7 +135,7 @@ class _Fit:
         self.bias = np.zeros((len(rows), 2))
 
     def at(self, late: float, rounds: int = 4) -> Regression:
-        """The shared unknowns are M, row by row, and what is missing of ``late``."""
+        """The shared unknowns are M, row by row, and the correction of ``late``."""
         position, columns, own = self._terms(late)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
         # One more row a window: its bias lies about where the others' lie.
@@ -144,7 +144,7 @@ class _Fit:
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
     def learn(self, found: Regression, late: float) -> None:
-        """Take over M, and the bias of each window, given M and ``late``."""
+        """Store M, and the bias of each window, given M and ``late``."""
         self._matrix = found.solution[:4].reshape(2, 2)
         position, columns, own = self._terms(late)
         rest = position - sum((s * c for s, c in zip(found.solution, columns, strict=True)), 0 * position)
@@ -157,7 +157,7 @@ class _Fit:
         self._spread = float(np.clip(spread, *BIAS_SPREAD))
 
     def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
-        """The positions, the columns of the shared unknowns and those of each window's own, all (w, n)."""
+        """The positions, the columns of the shared unknowns and of those of each window, all (w, n)."""
         imu, rows, course = self._drive.imu, self._rows, self._course
         direction = np.exp(1j * heading_of(imu.time, course, self._rate, late))
         at, usual = course.time - late, complex(*self._usual)

@@ -1,4 +1,4 @@
-"""Quantities of the IMU next to what the motion of the fixes requires of them: what a person looks at."""
+"""Quantities of the IMU and the values that the motion of the fixes requires, for plots."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from sigmaswarm.drives.frozen import frozen_fixes
 FEWEST = 8
 """Fixes from which a course is computed."""
 SLOWEST = 1.0
-"""m/s: slower, no course is shown."""
+"""m/s: at lower speeds no course is shown."""
 SPAN = 2.0
 """s: mean of the specific force, so that vibration does not hide gravity."""
 RATE = 10.0
@@ -28,7 +28,7 @@ FINDINGS = {
     "speed": ("speed", "velocity", "odometer"),
     "course": ("course",),
 }
-"""By agreement, the beginnings of the codes of the findings that it shows."""
+"""For each agreement, the beginnings of the codes of the findings that it shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def _gravity(drive: Drive) -> Agreement:
 
 
 def _of_motion(drive: Drive) -> Iterator[Agreement]:
-    """What needs a vehicle that moves."""
+    """Agreements that need a moving vehicle."""
     imu, gps = drive.imu, drive.gps
     used = ~frozen_fixes(gps) & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     time, position = gps.time[used], gps.x[used] + 1j * gps.y[used]

@@ -1,4 +1,4 @@
-"""Search for a large offset between the clocks of IMU and GPS: where the turns of the gyro are those of the course."""
+"""Search for a large offset between the clocks, at which the turns of the gyro match those of the course."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ WIDEST = 40.0
 """s: more than GPS time differs from UTC (18 s) and most receivers' start-up."""
 STEP = 0.1
 NEAR = 4.0
-"""s: lags so near a peak belong to it."""
+"""s: lags within this distance of a peak belong to it."""
 SPAN = 5.0
 """s: over which turns are compared."""
 LEAST, CLEARLY = 0.8, 0.15
@@ -21,11 +21,11 @@ FEWER = 4.0
 """An offset that leaves so many times less unexplained than any other exceeds them, too: turns that repeat."""
 FEWEST = 20
 LEAST_TURN = 0.15
-"""rad RMS in `SPAN`: a course that turns less shows no offset."""
+"""rad RMS in `SPAN`: least change of a course that shows an offset."""
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:
-    """The offset, s, by which the fixes are late, within 40 s either way; None where none stands out."""
+    """The offset, s, by which the fixes are late, within 40 s either way; None if none is significant."""
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
     if len(first) < FEWEST:
@@ -39,7 +39,7 @@ def search_offset(drive: Drive, course: Course) -> float | None:
     total = integral(imu.time, imu.gz if planar else turned(imu, level(imu)).gz)
 
     def explained(lag: float) -> float:
-        """The share of the turns that those of the gyro explain, in either sense and unit."""
+        """The share of the turns that the gyro explains, with either sign and in any unit."""
         start, end = at[first] - lag, at[last] - lag
         inside = (start >= imu.time[0]) & (end <= imu.time[-1])
         if np.count_nonzero(inside) < max(FEWEST, len(turn) / 3):

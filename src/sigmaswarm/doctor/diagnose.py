@@ -2,6 +2,7 @@
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
+from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.checks.limits import check_observability, check_use
 from sigmaswarm.doctor.checks.mounting import check_mounting, check_reverse
 from sigmaswarm.doctor.checks.noise import check_noise
@@ -12,6 +13,7 @@ from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, finding_of
 from sigmaswarm.drives.checks import shortage_of, spoiled_times
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError
 
 CHECKS = (
@@ -22,6 +24,7 @@ CHECKS = (
     check_tilt,
     check_clock,
     check_velocity,
+    check_heading,
     check_odometer,
     check_noise,
     check_sampling,
@@ -29,6 +32,9 @@ CHECKS = (
     check_use,
 )
 """Order of findings of one severity."""
+KEPT = 32
+"""Diagnoses in memory: a command and a page ask for that of one drive more than once."""
+_kept: dict[tuple[str, str], Diagnosis] = {}
 
 
 def diagnose(drive: Drive) -> Diagnosis:
@@ -37,7 +43,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     Parameters
     ----------
     drive : Drive
-        Stays as it is.
+        It is not changed.
 
     Returns
     -------
@@ -51,6 +57,15 @@ def diagnose(drive: Drive) -> Diagnosis:
     """
     if shortage := shortage_of(drive.imu, drive.gps):
         raise DriveError(f"{drive.name}/{shortage}")
+    key = drive.name, fingerprint(drive)
+    found = _kept.get(key) or _diagnosed(drive)
+    for old in list(_kept)[: len(_kept) + 1 - KEPT]:
+        _kept.pop(old, None)
+    return _kept.setdefault(key, found)
+
+
+def _diagnosed(drive: Drive) -> Diagnosis:
+    """Run all checks."""
     if spoiled := spoiled_times(drive.imu, drive.gps):  # no other check works on such a log
         ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
@@ -61,7 +76,7 @@ def diagnose(drive: Drive) -> Diagnosis:
 
 
 def findings_of(drive: Drive) -> tuple[str, ...]:
-    """The serious findings and warnings about a drive, as sentences; none of a drive too short to be diagnosed."""
+    """The serious findings and warnings about a drive, as sentences; none if a drive is too short for a diagnosis."""
     try:
         found = diagnose(drive).findings
     except DriveError:

@@ -64,8 +64,8 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and read the fits.
 
-    Where the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first,
-    up to 40 s. The fixes' times are moved by it before axes are read.
+    If the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first, up to
+    40 s. The times of the fixes are corrected by it before axes are checked.
     """
     evidence = _gather(drive)
     course, fit = evidence.course, evidence.yaw_fit

@@ -8,7 +8,7 @@ from sigmaswarm.drives.checks import Remark
 
 Severity = Literal["note", "warning", "serious"]
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
-"""serious: filters tuned on this log learn the fault; warning: they suffer from it; note: good to know."""
+"""serious: filters tuned on this log learn the fault; warning: they are less accurate; note: information."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Repair:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that the doctor found.
+    """One finding of the doctor.
 
     Attributes
     ----------
@@ -122,10 +122,10 @@ _HIGHEST_CONFIDENCE = 0.999
 
 
 def confidence_of(deviations: float) -> float:
-    """Return the confidence, 0 to 1, in a value that differs by so many standard deviations."""
+    """Return the confidence, 0 to 1, in a value that differs by a number of standard deviations."""
     return round(min(math.erf(abs(deviations) / math.sqrt(2)), _HIGHEST_CONFIDENCE), 3)
 
 
 def confidence_by_margin(margin: float) -> float:
-    """Return the confidence, 0 to 1, in a reading that lowers chi-square by a margin."""
+    """Return the confidence, 0 to 1, in an interpretation that lowers chi-square by a margin."""
     return round(min(1 - math.exp(-max(margin, 0.0) / 2), _HIGHEST_CONFIDENCE), 3)

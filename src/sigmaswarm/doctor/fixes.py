@@ -16,13 +16,13 @@ NEIGHBORS = 3
 HARDEST = 8.0
 """m/s2: largest acceleration of a car, whose effect between fixes is not a jump."""
 SPAN = (3.0, 6.0)
-"""s: the shortest and longest stretch of fixes that one velocity is taken from."""
+"""s: the shortest and longest stretch of fixes for one velocity."""
 SPEED_STD = 0.5
-"""m/s: the stretch is chosen so that white noise of the fixes leaves the velocity about that well known."""
+"""m/s: the stretch is chosen so that white noise of the fixes gives the velocity about this deviation."""
 SLOWEST = 3.0
-"""m/s: slower, noise makes the course."""
+"""m/s: at lower speeds the course is noise."""
 USUAL_SHARE = 0.5
-"""Of a slow vehicle's usual speed: above it, the course counts where the fixes are good enough."""
+"""Share of a slow vehicle's usual speed above which the course is used, if the fixes are accurate enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Course:
 
 
 def jumps(time: Array, position: Complex) -> Mask:
-    """Fixes that lie farther off the line through their neighbors than any car drives, (n,)."""
+    """Fixes that are farther from the line through their neighbors than a car can drive, (n,)."""
     kept = np.arange(len(time))
     for _ in range(20):  # the worst of each neighborhood at a time: it spoils its neighbors' lines too
         off = np.abs(_off_line(time[kept], position[kept]))

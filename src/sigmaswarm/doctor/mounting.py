@@ -1,6 +1,6 @@
-"""How the IMU sits in the vehicle: one rotation, from gravity, from turning and from acceleration along the course.
+"""The mounting of the IMU: one rotation, from gravity, from turning and from acceleration along the course.
 
-Roll and pitch of the sensor follow from the direction of the specific force, less the vehicle's own motion, and from
+Roll and pitch of the sensor follow from the direction of the specific force, minus the vehicle's own motion, and from
 the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. Each round
 rotates the recorded axes by the result of the last one, until the rotation is zero.
 """
@@ -29,12 +29,12 @@ LEAST_TURN = 0.05
 LEAST_SHARE = 0.5
 """Share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
-"""Chi-square by which the mounting must be better than any that is turned by 90 degrees or more."""
+"""Chi-square by which the mounting must be better than any that is rotated by 90 degrees or more."""
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
 """rad: lowest uncertainty of the turning axis (springs) and of gravity (roads, biases)."""
 YAW_FLOOR = math.radians(0.8)
 ALIKE = 0.025
-"""Tolerance of an entry of M, for tilt that follows the maneuvers, and slip."""
+"""Tolerance of an entry of M, for slip and for tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
 """s: over which the axis of turning is fitted."""
@@ -63,15 +63,15 @@ class Mounting:
 
     @property
     def needed(self) -> bool:
-        """True where the rotation is known, and beyond what its own deviation and a tolerance explain."""
+        """True if the rotation is known, and larger than its own deviation and a tolerance."""
         return self.confidence != "no" and not np.array_equal(self.repair, np.eye(3))
 
     @property
     def repair(self) -> Array:
         """(3, 3): the certain part of the rotation.
 
-        Axes that are merely exchanged are exchanged exactly; what is left is levelled, and turned about the vertical,
-        only where that stands out.
+        Exchanged axes are exchanged exactly. The rest is levelled, and rotated about the vertical, only if that is
+        significant.
         """
         exchanged = max(AXES, key=lambda axes: float(np.trace(self.rotation @ axes.T)))
         rest, repair = self.rotation @ exchanged.T, exchanged
@@ -109,7 +109,7 @@ class _Round:
 
 
 def angle_of(rotation: Array) -> float:
-    """rad: by how much a rotation (3, 3) turns."""
+    """The angle of a rotation (3, 3), rad."""
     return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
@@ -160,7 +160,7 @@ def level(imu: Imu) -> Array:
 
 
 def _in_si_units(drive: Drive, course: Course) -> Imu | None:
-    """The IMU in m/s2 and rad/s, as gravity's size and the course's turns show them; None without six axes."""
+    """The IMU in m/s2 and rad/s, by the size of gravity and the turns of the course; None without six axes."""
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
         return None
@@ -189,7 +189,7 @@ def _converged(drive: Drive, course: Course, imu: Imu) -> tuple[Array, _Round | 
 
 
 def _round(drive: Drive, course: Course, last: _Round | None) -> _Round | None:
-    """One round: yaw from the accelerations, then roll and pitch from what is left of gravity and from the turns.
+    """One round: yaw from the accelerations, then roll and pitch from the remaining gravity and from the turns.
 
     The clocks' offset is searched in the first round alone.
     """
@@ -225,10 +225,10 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 
 
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
-    """Leaning of the axes, once turned by ``yaw``: (2,) slopes of up along x and y, their deviations, and the spread.
+    """Tilt of the axes after a rotation by ``yaw``: (2,) slopes of up along x and y, their deviations, and the spread.
 
-    Gravity is what no motion explains of the accelerations; the axis of turning is where the integrals of gx and gy
-    follow that of gz. Both are up, and each errs in its own way: the mean by their variances.
+    Gravity is the part of the accelerations that no motion explains; the axis of turning is where the integrals of gx
+    and gy follow that of gz. Both point up, with independent errors: the result is their mean, weighted by variance.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)
@@ -241,7 +241,10 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
 
 
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
-    """Slopes (2,) of the integrals of gx and gy on that of gz within windows, less straight lines; deviations."""
+    """Slopes (2,) of the integrals of gx and gy on that of gz within windows, minus straight lines.
+
+    And their deviations.
+    """
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)
     rows = windows_of(time, np.ones(len(time), dtype=np.bool_), GYRO_WINDOW)
@@ -281,7 +284,7 @@ def _lateral(drive: Drive, course: Course, fit: AccelerationFit, rate: Array, ya
 
 
 def _follows(turns: YawFit) -> bool:
-    """True where the course follows the gyro, in either sense."""
+    """True if the course follows the gyro, with either sign."""
     return turns.share > LEAST_SHARE and 1 / FAMILIAR < abs(turns.gain) < FAMILIAR
 
 
@@ -294,7 +297,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
         (seen.spread > WANDERS, "the direction of gravity wanders"),
         (seen.mirrored > CLEARLY, "the accelerometers' axes are a mirror image"),
-        (seen.margin < OTHER_WAY, "the car hardly speeds up or brakes, which would show what is forward"),
+        (seen.margin < OTHER_WAY, "the car hardly changes its speed, which would show the forward direction"),
         (lateral <= 0.4 or lateral >= 1.6, f"the lateral force is {lateral:.1f} times speed x yaw rate"),
         (total > LIKELY, uncertain),
     ):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis
@@ -17,7 +18,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 
 def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
-    """A copy of the drive with all faults repaired that can be.
+    """Return a copy of the drive with all repairs that are possible.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
 
 
 def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
-    """The drive with other columns of a sensor, where it has that sensor."""
+    """The drive with other columns of a sensor, if it has that sensor."""
     table = getattr(drive, sensor)
     return replace(drive, **{sensor: table and replace(table, **columns)})
 
@@ -66,7 +67,7 @@ def _rotate(drive: Drive, *rotation: float) -> Drive:
 
 
 def _gyro(drive: Drive, column: float, factor: float) -> Drive:
-    """Column (0, 1, 2 for gx, gy, gz) that is the yaw rate, and its factor; a unit's goes for all columns."""
+    """Column (0, 1, 2 for gx, gy, gz) that is the yaw rate, and its factor; that of a unit applies to all columns."""
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
@@ -89,13 +90,13 @@ def _accelerometer(drive: Drive, a: float, b: float, c: float, d: float, up: flo
 
 
 def _turn(drive: Drive, angle: float) -> Drive:
-    """rad, by which the sensor's level axes are turned back about z, those of the gyro with them."""
+    """rad, by which the sensor's horizontal axes, those of the gyro too, are rotated back about z."""
     c, s = math.cos(angle), math.sin(angle)
     return _tilt_rates(_accelerometer(drive, c, -s, s, c, 1.0), c, -s, s, c)
 
 
 def _level(drive: Drive, x: float, y: float) -> Drive:
-    """Constants to be taken off ax and ay, m/s2."""
+    """Constants to be subtracted from ax and ay, m/s2."""
     return _with("imu", drive, ax=drive.imu.ax - x, ay=drive.imu.ay - y)
 
 
@@ -120,19 +121,32 @@ def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
     return _with("gps", drive, speed=factor * speed, course=course)
 
 
+def _heading(drive: Drive, convention: float, offset: float) -> Drive:
+    """Which of `HEADINGS` the heading is in, and a constant, rad, to be taken off."""
+    heading, std, (name, read) = (
+        drive.gps.heading,
+        drive.gps.std_heading,
+        [*HEADINGS.items()][int(convention)],
+    )
+    if heading is None:
+        return drive
+    std = np.radians(std) if std is not None and name.startswith("deg") else std
+    return _with("gps", drive, heading=wrap_angle(read(heading) - offset), std_heading=std)
+
+
 def _odometer(drive: Drive, factor: float) -> Drive:
     """A factor for the odometer's speed."""
     return _with("odometer", drive, speed=drive.odometer and factor * drive.odometer.speed)
 
 
 def _drop_readings(drive: Drive, *ends: float) -> Drive:
-    """From when to when, s, and so on: the readings of the odometer to leave out."""
+    """Start and end, s, of each span of the odometer to leave out."""
     spans = zip(ends[::2], ends[1::2], strict=True)
     return replace(drive, odometer=(drive.odometer and without(drive.odometer, spans)) or None)
 
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
-    """A moment, s, and by how much, s, all later times are too late."""
+    """A time, s, and the offset, s, of all later times."""
     for sensor in ("imu", "gps", "truth", "odometer"):
         if table := getattr(drive, sensor):
             drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
@@ -152,9 +166,10 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-fixes": partial(_shift, "gps"),
     "state-noise": _state_noise,
     "velocity": _velocity,
+    "heading": _heading,
     "drop-readings": _drop_readings,
     "odometer": _odometer,
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
-"""In the order in which they are done: rows are named by the times they came with, fixes by those of a moved clock."""
+"""In the order of application: rows are identified by their recorded times, fixes by those after a clock correction."""

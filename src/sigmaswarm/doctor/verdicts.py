@@ -16,24 +16,24 @@ DEGREE = math.pi / 180
 FAMILIAR = 1.35
 """A factor this close to a known one (1, -1, deg/s) is that one."""
 LEAST_SHARE = 0.2
-"""Of the course's changes that a gyro's column explains at least if its gain is used, unless the gain is CERTAIN."""
+"""Least share of the course's changes that a gyro's column must explain, unless the gain is CERTAIN."""
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
-"""Of chi-square: how much better than the log as it stands another reading must be, and the most that one in g may
-have itself. In steady circles forces are no more than what windows leave of them, and no unit shows. (Logs in g: 4.)"""
+"""Chi-square by which another interpretation must be better than the log as it is. One in g must itself have less (logs
+in g: 4): in steady circles a window's constants take most of the forces, and no unit shows."""
 ALIKE = 0.05
-"""Tolerance of M's entries off the axes, for other reasons: tilt that follows the maneuvers, slip."""
+"""Tolerance of M's entries off the diagonal, for slip and for tilt in maneuvers."""
 SCALE = 0.12
-"""The same along the axes; besides, a body that rolls and pitches makes accelerometers feel 5 to 10% more."""
+"""The same along the axes; roll and pitch of the body add 5 to 10% to the measured acceleration."""
 SHOWN = 0.25
 """Deviation of an entry of M, in its unit, below which the drive shows it."""
 LEAST_OFFSET = 0.1
-"""s between the clocks: less does not show behind a receiver's noise."""
+"""s between the clocks: a smaller offset is hidden by a receiver's noise."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
-"""Deviations: from the first on a note, from the second on a warning and a repair, from the third on serious."""
+"""Deviations: at least the first is a note, the second a warning and a repair, the third serious."""
 MOUNTED = math.radians(40)
-"""Beyond that, a rotation counts as axes exchanged."""
+"""Above it, a rotation counts as exchanged axes."""
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
@@ -47,7 +47,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Column, sign and unit of the gyro that agree with the course; if unclear those of the format."""
+    """Column, sign and unit of the gyro that agree with the course; if unclear, those of the format."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
@@ -57,7 +57,7 @@ def yaw_of(fit: YawFit | None) -> Yaw:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The reading of the accelerometers' columns."""
+    """The interpretation of the accelerometers' columns."""
 
     axes: Array  # (2, 2), signed permutation of (ax, ay)
     unit: float  # 1, or m/s2 per g
@@ -75,34 +75,36 @@ class Mount:
         return self.unit * self.axes
 
 
-def _expected(axes: Array, unit: float, angle: float) -> tuple[Array, Array]:
-    """The entries (4,) of M for a reading of the columns, and the variances of their tolerances as a matrix."""
-    c, s = math.cos(angle), math.sin(angle)
+def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
+    """Entries (n, 4) of M for an interpretation of the columns, one per angle; variances (4, 4) of their tolerances."""
+    c, s = np.cos(angles), np.sin(angles)
     slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
-    return unit * (np.array([[c, -s], [s, c]]) @ axes).ravel(), np.diag(slack**2)
+    rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
+    return unit * (rotations @ axes).reshape(-1, 4), np.diag(slack**2)
 
 
 def mount_of(fit: AccelerationFit) -> Mount:
-    """The simplest reading of the columns that the fit agrees with."""
+    """The simplest interpretation of the columns that agrees with the fit."""
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 
-    def misfit(axes: Array, unit: float, angle: float) -> float:
-        expected, slack = _expected(axes, unit, angle)
+    def misfits_of(axes: Array, unit: float, angles: Array) -> Array:
+        expected, slack = _expected(axes, unit, angles)
         off = fit.matrix.ravel() - expected
-        return float(off @ np.linalg.solve(covariance + slack, off))
+        solved = np.linalg.solve(covariance + slack, off[:, :, None])[:, :, 0]
+        return np.array([one @ other for one, other in zip(off, solved, strict=True)])
 
     def deviation(axes: Array, unit: float) -> Array:
         return np.diag(spread / unit @ np.abs(axes.T))
 
-    plain = misfit(as_recorded, 1.0, 0.0)
+    plain = float(misfits_of(as_recorded, 1.0, np.zeros(1))[0])
     readings = [(plain, as_recorded, 1.0)]
     for order, signs, unit in product(
         (np.eye(2), np.eye(2)[::-1]), product((1.0, -1.0), repeat=2), (1.0, GRAVITY)
     ):
         axes = np.diag(signs) @ order
         price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
-        turned = min(misfit(axes, unit, angle) + 6.0 * (abs(angle) > MOUNTED / 8) for angle in ANGLES)
+        turned = float(np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MOUNTED / 8)))
         if unit == 1 or turned < CLEARLY:
             readings.append((turned + price, axes, unit))
     best, axes, unit = min(readings, key=lambda reading: reading[0])
@@ -110,7 +112,7 @@ def mount_of(fit: AccelerationFit) -> Mount:
         axes, unit = as_recorded, 1.0
     if unit == 1 and not ((deviation(axes, unit) < SHOWN) & (axes != as_recorded).any(axis=1)).any():
         axes = as_recorded  # an axis that the drive does not show stays as it is
-    misfits = np.array([misfit(axes, unit, angle) for angle in ANGLES])
+    misfits = misfits_of(axes, unit, ANGLES)
     k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
     (x, y), (dx, dy) = np.diag(fit.matrix @ axes.T / unit).tolist(), deviation(axes, unit).tolist()
@@ -148,12 +150,12 @@ class ClockOffset:
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
 ) -> ClockOffset:
-    """The delay by accelerometers and gyro together; the less certain, the more they disagree."""
+    """The delay by accelerometers and gyro together; its deviation grows with their disagreement."""
     found: list[tuple[float, float]] = []
     searched = float(acceleration_fit.LATENESS[-1])
     if acceleration is not None and mount is not None:
         # The delay and its deviation, now that M is about known: the fit's Gaussian, conditioned.
-        expected, slack = _expected(mount.axes, mount.unit, mount.angle)
+        (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance
         gain = np.linalg.solve(covariance[:4, :4] + slack, covariance[:4, 4])
         late = acceleration.late + gain @ (expected - acceleration.matrix.ravel())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,13 +26,13 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Means around times ``at`` over ``span`` s, weighted by the parabola that a fitted line's slope has."""
+    """Means around times ``at`` over ``span`` s, weighted by the parabola of the slope of a fitted line."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 
 
 def moving_mean(rows: Array, count: int) -> Array:
-    """The mean of so many samples around each, of rows (r, n), mirrored at their ends.
+    """The moving mean over ``count`` samples, of rows (r, n), mirrored at their ends.
 
     It is `scipy.ndimage.uniform_filter1d`, whose import takes longer than all checks.
     """
@@ -53,13 +54,20 @@ def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A robust fit of y = sum over k of solution[k] columns[k], less what each window's own unknowns explain."""
+    """A robust fit of y = sum over k of solution[k] columns[k], minus the part of each window's own unknowns."""
 
     solution: Array  # (k,)
-    covariance: Array  # (k, k), which allows for windows that overlap and for correlated residuals
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
     cost: float  # the mean size of the residual
+    columns: Array  # (w, 2n, k), weighted, less each window's own: real parts next to imaginary ones
+    left: Array  # (w, 2n), of the same kind, what they do not explain
+    own: int  # number of a window's own unknowns
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the solution (k, k); it allows for windows that overlap and for correlated residuals."""
+        return _covariance(self.columns, self.left, self.own)
 
 
 def regress(
@@ -91,7 +99,7 @@ def _solve(
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
 
     def rest(v: Complex) -> Array:
-        """The part of v (w, n) off the window's own columns, real parts next to imaginary ones, (w, 2n)."""
+        """The part of v (w, n) orthogonal to the window's own columns, real parts, then imaginary ones, (w, 2n)."""
         v = root * v
         v = v - np.einsum("wnk,wk->wn", q, np.einsum("wnk,wn->wk", q.conj(), v))
         return np.concatenate([v.real, v.imag], axis=1, dtype=np.float64)
@@ -102,14 +110,14 @@ def _solve(
     real, imaginary = np.split(left / np.tile(np.maximum(root, 1e-12), 2), 2, axis=1)
     residual = real + 1j * imaginary
     cost = float(np.mean(np.abs(residual) * weight))
-    return Regression(solution, _covariance(a, left, q.shape[-1]), residual, robust, cost)
+    return Regression(solution, residual, robust, cost, a, left, q.shape[-1])
 
 
 def _covariance(a: Array, left: Array, own: int) -> Array:
-    """Of the solution, from the columns (w, n, k) and what they left (w, n).
+    """Covariance of the solution, from the columns (w, n, k) and the residuals (w, n).
 
-    As if residuals were white, but at least as the windows disagree (the sandwich of White, 1980, with windows as
-    clusters); twice that, as each fix stands in two windows.
+    That of white residuals, but at least that of the windows' disagreement (the sandwich of White, 1980, with windows
+    as clusters); doubled, since each fix is in two windows.
     """
     inverse = np.linalg.pinv(np.einsum("wnk,wnl->kl", a, a), rcond=1e-12, hermitian=True)
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

@@ -11,14 +11,17 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0
-"""s: turns stand out within it, and a gyro's bias is a straight line."""
+"""s: long enough for turns, and short enough that a gyro's bias gives a straight line."""
 EXPLAINED = 0.7
-"""Of the course's changes: a column that explains more is the right one, and others need not be tried."""
+"""Share of the course's changes: a column that explains more is the right one, and others are not tried."""
 CLEARLY_BETTER = 0.3
-"""Of them: so much more must another column explain."""
+"""Share of them that another column must explain in addition."""
 AHEAD = (0.8, 0.8)
-"""m, mean and deviation: how far the antenna is before the rear axle, which does not slide sideways. The course there
-turns earlier than the car, by the way between the two."""
+"""m, mean and deviation.
+
+How far the antenna is before the rear axle, which does not slide sideways. The course there turns earlier than the car,
+by the distance between the two.
+"""
 LATENESS = np.arange(-2.5, 2.51, 0.1)
 """s by which fixes may be late, tried one after the other."""
 

@@ -1,8 +1,8 @@
-"""Where and how a filter starts: an initial state taken from the drive alone, causally, without truth.
+"""The start of a filter: an initial state from the drive alone, causal, without truth.
 
-A car's heading can't be seen at standstill, and a GPS fix has none. Once the car has driven some meters,
-its course over ground shows the heading; the gyro takes out the turns and the accelerometer the speed
-changes in between. `initial_state` looks back over the last seconds of fixes and fits all of it: `alignment_fit`.
+A car's heading can't be seen at standstill, and a GPS fix has none. Once the car has driven some meters, its course
+over ground shows the heading; the gyro corrects it for the turns and the accelerometer for the changes of speed.
+`initial_state` looks back over the last seconds of fixes and fits all of it: `alignment_fit`.
 
 The effect of the gyro's bias is stored separately: see `gyro_seen`. The bias is subtracted, and the fit repeated, only
 where the fixes contradict a gyro without bias.
@@ -24,7 +24,7 @@ from sigmaswarm.geodesy import wrap_angle
 MIN_DURATION = 4.0
 """s, at least, between the first and the last fix of an alignment."""
 MAX_DURATION = 6.0
-"""s, at most: older fixes say little about the heading, since the gyro's bias adds up."""
+"""s, at most: older fixes hardly determine the heading, since the gyro's bias adds up."""
 MIN_TRAVEL = 20.0
 """m of forward travel in that time, for an accurate heading; it needs 12 km/h."""
 FEWEST_FIXES = 4
@@ -34,12 +34,12 @@ WORTH_TRAVEL = 0.5 * MIN_TRAVEL
 MAX_MISFIT = 0.3
 """Largest residual as a share of the travel; larger ones are jumps of the fixes."""
 MAX_HEADING_STD = np.radians(6.0)
-"""rad: a worse fit is one of scattered fixes; the next fix is tried."""
+"""rad: largest deviation of an alignment; beyond it the next fix is tried."""
 REFITS = 3
-"""Fits with a new gyro bias, after which it has converged."""
+"""Number of fits with a new gyro bias until it has converged."""
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
-"""s: longer windows, for a drive that nowhere travels `MIN_TRAVEL` within `MAX_DURATION`."""
+"""s: longer windows, for a drive that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
 """m and m/s on average: the fixes of a parked receiver drift by less."""
 SLOW_CHORD = 1.5 * MIN_TRAVEL
@@ -69,7 +69,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """Find the first moment at which position, speed and heading are known.
 
     The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and four
-    fixes or more in that time. A drive that is nowhere that fast starts at the first fix with 10 m of travel in up to
+    fixes or more in that time. A drive that never is that fast starts at the first fix with 10 m of travel in up to
     90 s, more where the fixes are noisy. Where ``heading_deg`` is in the metadata (degrees counter-clockwise from
     east, at the first IMU sample), or the fixes have a column ``heading``, the start is the first fix. The state
     follows from earlier samples only.
@@ -121,7 +121,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """The start at the first fix, whose heading is stated, there or at the first IMU sample; the speed is not."""
+    """The start at the first fix, with a heading stated there or at the first IMU sample, and unknown speed."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
@@ -173,14 +173,14 @@ class Alignments:
         It takes some milliseconds.
         """
         if k not in self._found:
-            with np.errstate(all="ignore"):  # what overflows is no alignment
+            with np.errstate(all="ignore"):  # what overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
                 self._found[k] = fitted(k) if self._worth[k] else None
         return self._found[k]
 
     @property
     def slow(self) -> bool:
-        """True where there are fixes enough, and the vehicle is nowhere fast, with some room for noise."""
+        """True if there are enough fixes, and the vehicle is never fast, with a margin for noise."""
         return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
     def why_none(self) -> NoStart:
@@ -189,14 +189,14 @@ class Alignments:
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return NoStart(
-                    f"its fixes move {travel} within {time}, but nowhere the way that the IMU felt, so the heading "
+                    f"its fixes move {travel} within {time}, but never as the IMU measured, so the heading "
                     "can't be found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
-                    "mend what `sigmaswarm doctor` finds",
+                    "repair what `sigmaswarm doctor` finds",
                 )
             return NoStart(
                 f"never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
                 f"{SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
-                f"use a longer drive, or one that gets up to speed ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
+                f"use a longer drive, or a faster one ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
                 f"{time}), or state the heading at the first IMU sample in drive.toml, as heading_deg = 90 "
                 "(degrees counter-clockwise from east)",
             )
@@ -227,7 +227,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Without the accelerometer, whose bias adds up in the longer time; the gyro's bias is fitted, too."""
+        """Fit without the accelerometer, whose bias adds up over the longer time; the gyro's bias is fitted, too."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -262,10 +262,10 @@ class Alignments:
     @cached_property
     @np.errstate(all="ignore")
     def course(self) -> Array:
-        """A rough heading at each fix, (m,) rad; NaN where there is no alignment. All of a drive's cost little.
+        """A rough heading at each fix, (m,) rad; NaN without an alignment.
 
-        It is where the fit begins: the chord of the last seconds, with the turns in between taken out. Changes of speed
-        in a turn make it wrong by some degrees.
+        The fit begins at it: the chord of the last seconds, corrected for the turns. Changes of speed in a turn make it
+        wrong by some degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)

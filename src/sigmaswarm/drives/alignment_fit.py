@@ -5,9 +5,9 @@ By least squares,
     p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
-with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and
-b what tilt and bias add to it. The unknowns are position p_i, heading theta_i, speed v_i and b. The effect of the
-gyro's own bias on them is kept, too.
+with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and b the
+contribution of tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b. The effect of the gyro's
+bias on them is stored, too.
 """
 
 from dataclasses import dataclass, replace
@@ -58,8 +58,8 @@ class InitialState:
 class Fit:
     """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
-    ``taken`` is the gyro bias (rad/s) that was subtracted, ``yaw_bias`` the one found, as unsure as ``yaw_std``;
-    ``turns`` is the change of the unknowns per rad/s of it. ``bias_std`` is that of the fit alone, rad/s.
+    ``taken`` is the gyro bias (rad/s) that was subtracted, ``yaw_bias`` the estimate, with standard deviation
+    ``yaw_std``; ``turns`` is the change of the unknowns per rad/s of it. ``bias_std`` is that of the fit alone, rad/s.
     """
 
     time: float
@@ -134,7 +134,7 @@ class Fit:
     def _solve(
         cls, end: float, position: Complex, seen: Way, change: Way, span: float, coasting: float, taken: float
     ) -> "Fit":
-        """Gauss-Newton on east, north, theta, v, b; ``change`` is that of the way with the gyro's bias."""
+        """Gauss-Newton on east, north, theta, v, b; ``change`` is that of the path with the gyro's bias."""
         g, t = seen[0], seen[1]
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
@@ -165,7 +165,7 @@ class Fit:
         return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
     def state(self, leaning: Array) -> InitialState:
-        """The start; ``leaning`` (2,) are the gyro's mean rates about forward and left, rad/s, or NaN."""
+        """The start; ``leaning`` (2,) has the gyro's mean rates about forward and left, rad/s, or NaN."""
         east, north, theta, v, _ = self.solution
         c, s = np.cos(theta), np.sin(theta)
         # (east, north, theta, v) and a slip angle of its own -> (x, y, vx, vy, theta)
@@ -194,7 +194,7 @@ class Fit:
 
 
 def _turned(way: Way, each: Complex) -> Way:
-    """The way with the piece between two fixes turned, and stretched, by each of (f - 1,)."""
+    """The path with the piece between two fixes rotated, and stretched, by each of (f - 1,)."""
     pieces = each * (way[:, :-1] - way[:, 1:])
     sums = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
     return np.column_stack([sums, np.zeros(3, np.complex128)])

@@ -14,9 +14,9 @@ from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
 
 FEWEST_SAMPLES = 100
-"""IMU samples that a drive has at least."""
+"""Least number of IMU samples of a drive."""
 FEWEST_FIXES = 10
-"""Fixes that fall within the IMU's time at least."""
+"""Least number of fixes within the IMU's time."""
 
 IMU_GAP = (10.0, 0.1)
 """An interval is a gap where it exceeds both this many usual intervals and this many s."""
@@ -31,14 +31,14 @@ IMPOSSIBLE_RATE = 3.0
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 """Per s."""
 _SLOWEST = (2.0, 60.0)
-"""s between samples and between fixes; longer intervals are in another unit."""
+"""s between samples and between fixes; longer intervals suggest another unit."""
 _USUAL = (0.5, 20.0)
 """The same, in the right unit."""
 
 _JUMP = 3600.0
 """s between two rows, above which a time stamp is corrupt or the clock was set."""
 _WINDOW = 5.0
-"""s over which fixes give speed and course: long enough for metres of noise, short enough for turns."""
+"""s over which fixes give speed and course: long enough for meters of noise, short enough for turns."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Gaps:
 def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]) -> list[SigmaswarmWarning]:
     """Raise `DriveError` for a shortage, and return warnings of what looks wrong.
 
-    ``placed`` adds to a sentence, which names imu.csv and gps.csv, where they are.
+    ``placed`` adds the folder to a sentence that names imu.csv and gps.csv.
     """
     if shortage := shortage_of(imu, gps):
         raise DriveError(placed(shortage))
@@ -76,7 +76,10 @@ def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """The lack that makes a drive useless, as a sentence: of time that IMU and GPS share, or of samples of either."""
+    """The shortage that makes a drive unusable, as a sentence.
+
+    No common time of IMU and GPS, or too few samples of either.
+    """
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -96,7 +99,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 
 @np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
-    """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
+    """All that looks wrong: times in another unit, gaps, rates in deg/s, accelerations in g, gravity on another axis.
 
     Nothing here stops work, so a check that is uncertain reports nothing.
     """
@@ -108,7 +111,7 @@ def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
 
 
 def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
-    """Faults of the times that leave no other figure of the log a meaning: another unit, or a clock that jumps."""
+    """Faults of the times that make all other figures of the log meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
     remedy = "delete the rows whose times are wrong; of a log with a true pause, make a drive of each part"
@@ -173,7 +176,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
         remedy = "turn the axes, or change the sign of ax, ay, az where the sensor reports the opposite"
     elif abs(az) < 0.2 * GRAVITY:
-        remedy = "check its unit and axis, or leave it out where gravity was already taken off"
+        remedy = "check its unit and axis, or leave it out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
         remedy = "check its unit and axis"
     else:
@@ -195,11 +198,11 @@ def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     """One sentence on the gaps of all files; the remedy is for the sensor whose gaps matter most."""
     crossed = (
-        "a filter crosses a gap with the mean of the samples around it, and its covariance grows by what the car may "
-        "have done there; if it maneuvered, split the drive"
+        "a filter crosses a gap with the mean of the samples around it, and its covariance grows; if the car "
+        "maneuvered there, split the drive"
     )
-    alone = "a filter runs on the IMU alone there; nothing to do if so meant"
-    unscored = "nothing is scored there; nothing to do if so meant"
+    alone = "a filter uses the IMU alone there; nothing to do if this is intended"
+    unscored = "nothing is scored there; nothing to do if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
     found = [
@@ -221,9 +224,9 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Motion over consecutive windows from the fixes, and the integral of an IMU column.
 
-    The mean velocity (k,), m/s east + i north; then, from each window's middle to the next one's (k - 1,), the
-    integral of ``body_rate`` and the change of course, rad. Windows without fixes are left out: there are never more of
-    them than fixes, however far the times go.
+    The mean velocity (k,), m/s east + i north; then, from each window's middle to the next one's (k - 1,), the integral
+    of ``body_rate`` and the change of course, rad. Windows without fixes are left out: there are never more of them
+    than fixes, whatever the times.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

@@ -1,4 +1,4 @@
-"""Reading drive.toml: the name of a drive, its frame and origin, and what else filters use."""
+"""Reading drive.toml: the name of a drive, its frame and origin, and other keys that filters use."""
 
 import tomllib
 from collections.abc import Sequence
@@ -19,6 +19,7 @@ Origin = tuple[float, float, float]
 POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
+    "gps_lever_arm_std_m": ((2, 3), "[0.05, 0.05, 0.1]"),
     "gps_std_m": ((0,), "1.5"),
     "heading_deg": ((0,), "90.0"),
     "accel_noise_density": ((0,), "0.004"),
@@ -75,7 +76,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     if not numbers or not plain or length not in lengths:
         what = f"can't be used; write for example {key} = {example}"
     elif key == "heading_deg" and abs(numbers[0]) > 360:
-        what = "is no angle; give degrees counter-clockwise from east, -360 to 360"
+        what = "is not an angle; give degrees counter-clockwise from east, -360 to 360"
     elif key not in ("heading_deg", "gps_lever_arm_m") and not min(numbers) > 0:
         what = "must be positive; leave it out where it is not known"
     if what:

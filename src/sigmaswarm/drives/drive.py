@@ -31,7 +31,7 @@ class Drive:
     gps : Gps
     truth : Truth or None
     frame : {"enu", "wgs84"}
-        In which form the fixes were recorded; ``gps.x`` and ``gps.y`` are always metres.
+        In which form the fixes were recorded; ``gps.x`` and ``gps.y`` are always in meters.
     origin : (latitude deg, longitude deg, altitude m) or None
         Where the local frame touches the earth. Always known when ``frame`` is "wgs84".
     metadata : mapping
@@ -60,7 +60,7 @@ class Drive:
         origin: tuple[float, float, float] | None = None,
         columns: Mapping[str, str] | None = None,
     ) -> "Drive":
-        """Make a drive of data frames: those of pandas or polars, or mappings of column names to arrays.
+        """Make a drive from data frames: those of pandas or polars, or mappings of column names to arrays.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class Drive:
 
     @property
     def antenna_height(self) -> float:
-        """From the IMU up to the antenna, m: the third number of ``gps_lever_arm_m``, or none."""
+        """From the IMU up to the antenna, m: the third number of ``gps_lever_arm_m``, else 0."""
         arm = self.metadata.get("gps_lever_arm_m", ())
         return float(arm[2]) if len(arm) > 2 else 0.0
 

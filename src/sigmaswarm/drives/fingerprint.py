@@ -3,6 +3,7 @@
 import hashlib
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, Field
 
 from sigmaswarm.drives.drive import Drive
@@ -58,7 +59,7 @@ def fingerprint(drive: Drive) -> str:
         for name, column in sorted(vars(table).items()) if table is not None else ():
             if column is not None:
                 digest.update(name.encode())
-                digest.update(column)
+                digest.update(np.ascontiguousarray(column))
     if drive.odometer is not None:  # after the others: a drive without one keeps its fingerprint
         digest.update(b"odometer" + drive.odometer.time.tobytes() + drive.odometer.speed.tobytes())
     return digest.hexdigest()

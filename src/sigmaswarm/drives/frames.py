@@ -46,7 +46,7 @@ def tables_from_frames(
 
 
 def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """The columns of a table (n,), under a drive's names; a pandas index that holds times is a column, too."""
+    """The columns of a table (n,), under a drive's names; a pandas index that contains times is a column, too."""
     if isinstance(table, str | Path):
         raise DriveError(f"{name} is a path, {quoted(str(table))}; read it with read_drive or import_log")
     if not hasattr(table, "keys") and not hasattr(table, "columns"):
@@ -88,7 +88,7 @@ def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
     if plain := [key for key in tables if key not in dated]:
         raise DriveError(
             f"{plain[0]}: times are {tables[plain[0]]['t'].dtype if 't' in tables[plain[0]] else 'missing'}, but "
-            f"those of {min(dated)} are dates; give all tables dates, or all of them seconds of one clock"
+            f"those of {min(dated)} are dates; use dates in all tables, or seconds of one clock in all"
         )
     start = tables["imu"]["t"][0].astype("datetime64[ns]")
     for table in tables.values():
@@ -104,6 +104,6 @@ def _numbers(values: NDArray[Any], name: str, column: str) -> NDArray[np.float64
     plain = values.dtype.kind == "O" and all(v is None or isinstance(v, int | float) for v in values.tolist())
     if values.dtype.kind not in "fiub" and not plain:
         raise DriveError(
-            f"{name}: column {column} holds {shown(values.dtype)}, not numbers; convert it to float64"
+            f"{name}: column {column} contains {shown(values.dtype)}, not numbers; convert it to float64"
         )
     return values.astype(np.float64)

@@ -15,20 +15,20 @@ from sigmaswarm.drives.drive import Array, Gps
 
 NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
 """Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move (FROZEN: by less than
-`NO_REST`; FROZEN_MOVING: by more, so that the repeat is no evidence of a standstill either)."""
+`NO_REST`; FROZEN_MOVING: by more, so that the repeat is not evidence of a standstill)."""
 
 BEFORE = 3.0
 """s before a fix in which a repeated one is searched; the last fix before it is always compared."""
 SPEED_WINDOW = 2.5
-"""s of fixes that give the speed, at least two. At 1 Hz that is three, which still show a braking."""
+"""s of fixes that give the speed, at least two. At 1 Hz that is three, which still show braking."""
 REST = 0.8
 """m/s: speed of the fixes below which the car rests: the standstill's `FIX_SPEED`."""
 NO_REST = 2.0
-"""m/s: a repeat that begins above is no evidence of a standstill."""
+"""m/s: a repeat that begins at a higher speed is not evidence of a standstill."""
 BRAKING = 4.0
 """m/s2: harder braking in the fixes is noise."""
 ENOUGH = 3.0
-"""New fixes that show a braking; fewer show a mean speed only."""
+"""Number of new fixes that show braking; fewer show a mean speed only."""
 
 
 def judged(gps: Gps) -> Array:
@@ -56,8 +56,8 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix k; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has those of the rows before.
 
-    It is compared with all fixes of the seconds before, so that of two receivers each is compared with itself, whether
-    they share a clock or not. A run of repeats is judged once, at the first.
+    It is compared with all fixes of the seconds before, so that each of two receivers is compared with itself, on one
+    clock or on two. A run of repeats is classified once, at the first.
     """
     now = fixes[k, 0]
     last = k - 1

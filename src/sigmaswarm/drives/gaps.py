@@ -16,7 +16,7 @@ SHORTEST = 0.05
 OVER = 32.0
 """Number of intervals, about, in the mean that is the usual one."""
 MOST = 3.0
-"""An interval counts at most so many times the usual one in that mean, so that a gap does not become usual."""
+"""Limit of an interval in that mean, in usual intervals, so that a gap does not become usual."""
 
 
 def gaps_before(time: Array) -> Array:
@@ -43,5 +43,5 @@ def gap_of(interval: float, usual: float) -> float:
 
 @cached
 def usual_after(interval: float, usual: float) -> float:
-    """The usual interval, s, after another one: a mean that forgets."""
+    """The usual interval, s, after another one: an exponentially weighted mean."""
     return usual + (min(interval, MOST * usual) - usual) / OVER if usual > 0.0 else interval

@@ -1,8 +1,8 @@
 """Gyro bias from the last seconds before a start, and its use by filters.
 
-A cheap gyro may have a bias of 20 deg/s when it is turned on. Then its path bends differently from the fixes, and its
-roll angle runs away. Both measure the bias to about 1 deg/s: worse than the ``bias_std`` of a good gyro, whose start
-remains unchanged, and far better than the prior knowledge of a cheap one.
+A cheap gyro may have a bias of 20 deg/s when it is turned on. Then its path curves differently from the fixes, and its
+roll angle drifts. Both measure the bias to about 1 deg/s: worse than the ``bias_std`` of a good gyro, whose start is
+unchanged, and far better than the prior of a cheap one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,9 +13,9 @@ import numpy as np
 from sigmaswarm.drives.tables import Array
 
 UP = 2
-"""The place of the rate about the vertical axis."""
+"""Index of the rate about the vertical axis."""
 CONTRADICTS = 5.0
-"""Standard deviations of the bias about up, from which on an alignment takes it off."""
+"""Standard deviations of the bias about up from which an alignment subtracts it."""
 STRANGE = 1e-5
 """Prior probability of a gyro far worse than that of the tuning; five sigmas confirm it. A larger one would widen the
 uncertainty of a good gyro: 1e-3 by 0.07 deg/s."""
@@ -24,7 +24,7 @@ STRANGE_STD = 0.2
 YAW_STD = np.radians(1.0)
 """rad/s: lowest standard deviation of the bias, since the car slips and receivers smooth their fixes."""
 TURN_SHARE = 0.3
-"""Share of the mean rate of a turn that may look like bias, since fixes lag and the car slips."""
+"""Share of the mean rate of a turn that may be mistaken for bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
 """rad: change of roll and pitch within some seconds, such as where a road begins to climb."""
 MOST_BIAS = 0.5
@@ -54,10 +54,10 @@ class GyroSeen:
     def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
         """Put the evidence into a filter's states at the start, ``mean`` (..., n) and ``covariance`` (..., n, n).
 
-        The bias follows from two measurements: 0, as unsure as ``std`` (...), rad/s, and the one seen. Or the filter
-        was not tuned for this gyro (`STRANGE`), which then may be off by far more (`STRANGE_STD`). All axes together
-        show how likely that is, and the two cases are weighted accordingly. ``places`` maps the axes, 0 to 2, whose
-        bias the filter estimates to its place among the states; both arrays change in place.
+        The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed one. Or
+        the filter was not tuned for this gyro (`STRANGE`), whose bias then may be far larger (`STRANGE_STD`). The two
+        cases are weighted by the likelihood of all axes. ``places`` maps the axes, 0 to 2, whose bias the filter
+        estimates to its index among the states; both arrays change in place.
         """
         std, axes = np.asarray(std)[..., None], [*places]
         usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))

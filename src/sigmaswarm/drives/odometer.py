@@ -18,7 +18,7 @@ from sigmaswarm.drives.drive import Array, Odometer
 INTERVAL = 0.1
 """s: shortest time between two measurements, and age of the oldest reading in one."""
 SLOW = 0.5
-"""m/s: at lower mean readings the car may be as fast as this."""
+"""m/s: with a lower mean reading the speed may still be as high as this."""
 STALE = 1.0
 """s: readings older than this do not show if the wheels turn."""
 
@@ -61,7 +61,7 @@ def _measure_all(
     turn: NDArray[np.bool_],
     rows: Array,
 ) -> int:
-    """Fill in what `measurements_of` returns; return the number of rows."""
+    """Fill in the arrays of `measurements_of`; return the number of rows."""
     n, r, last_slot, taken, before = 0, 0, -1.0, start, start
     for k in range(len(end)):
         if sampled[k]:
@@ -85,7 +85,7 @@ def slot_of(t: Any, start: float, interval: float) -> Any:
 
 @cached
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
-    """Return True if the wheels turn; rows of ``readings`` are time and speed, ``end`` of them are not after now."""
+    """Return True if the wheels turn; rows of ``readings`` are time and speed, the first ``end`` of them up to now."""
     return end > 0 and readings[end - 1, 0] > now - STALE and abs(readings[end - 1, 1]) >= SLOW
 
 

@@ -43,8 +43,8 @@ def random_windows(
 ) -> Array:
     """Draw outages (k, 2) between two times, s, uniformly among all placements that keep the distances.
 
-    They have the ``length`` or one from that range each, begin ``first_after`` s or later, and are ``apart`` s at
-    least. There are ``count`` at most, by default one per 15 s of the available time and at least one.
+    Each has the given ``length``, or one from that range. They begin ``first_after`` s or later, at least ``apart`` s
+    apart. There are at most ``count``, by default one per 15 s of the available time, and at least one.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
@@ -76,12 +76,12 @@ def balanced_windows(
 ) -> Array:
     """Draw one outage in each ``every`` seconds between two times, s, so that they cover the drive, (k, 2).
 
-    Each draws its length from a range, s, and is at least ``apart`` s from the start and the one before.
+    Each has a length drawn from a range, s, and is at least ``apart`` s after the start and the one before.
     """
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
             f"outages of length {length} s, apart {apart:g} s, one in every {every:g} s can't be drawn; "
-            "use a positive length (shortest first), and as many seconds for each as it needs"
+            "use a positive length (shortest first), and enough seconds for each"
         )
     # One slot for each window; the remaining time makes all of them longer.
     count = int((end - start) / every) or int(end - start >= apart + length[1])
@@ -94,10 +94,9 @@ def balanced_windows(
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), in order of time, so that each ends exactly on an IMU sample (n,), s.
 
-    Each moves later, its length unchanged, to the first sample at or after its end; farther where it would
-    else come closer than ``apart`` to the one before. So the first keeps its distance from the start. A
-    window that would end after the last sample moves earlier, onto that sample; where this brings it too
-    close to the one before, it is left out.
+    Each moves later, its length unchanged, to the first sample at or after its end; farther if it were else closer than
+    ``apart`` to the one before. So the first keeps its distance from the start. A window that would end after the last
+    sample moves earlier, onto that sample; where this brings it too close to the one before, it is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

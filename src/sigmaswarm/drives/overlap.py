@@ -1,4 +1,4 @@
-"""Find the part of a drive that other drives contain too, by content: under any name, cut or repaired in any way.
+"""Find the part of a drive that other drives contain too, by content, in renamed, cut or repaired copies, too.
 
 Two kinds of landmarks are equal in all copies of a drive and in no other drive: positions to the last digit of the
 receiver's noise, and yaw rates with the gyro's noise. Equal landmarks vote for the offset between two clocks (as in
@@ -33,15 +33,15 @@ SAME_TIME = 1000
 SAME_PLACE = 3.0
 """cm, or 1e-7 deg (1.1 cm to the north): largest difference between the positions of one fix in two files."""
 SAME_RATE = 2e-4
-"""Of ln: largest difference between the yaw rates of one sample, in two units with 8 decimals."""
+"""Largest difference between the logarithms of one yaw rate, in two units with 8 decimals."""
 MOVING = 1.5
-"""m/s between fixes: slower fixes are no landmarks."""
+"""m/s between fixes: slower fixes are not landmarks."""
 UNITS = math.log(180 / math.pi)
 """ln of deg/s in rad/s: landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4
 """Of the range `UNITS`: a tenth of all samples, about those of 1 to 1.5 deg/s, are landmarks."""
 MOST = 20_000
-"""Largest number of yaw rates of a drive: of a long one a smaller part of the range is used."""
+"""Largest number of yaw rates of a drive; for a long one a smaller part of the range is used."""
 COMMON = 100
 """Yaw rates that occur more often in a drive, as of a coarse gyro, are ignored."""
 FEWEST = 8
@@ -166,8 +166,8 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Offset, s, between the clocks of landmarks (time in us, values ...) for which most equal pairs vote.
 
-    Some pairs always agree by chance. So half of the landmarks in the common time must agree, of the drive that has
-    fewer, since one may be decimated; and landmarks of different value, since a standing car repeats one.
+    Some pairs always agree by chance. So half of the landmarks in the common time must agree (of the drive with fewer,
+    since one may be decimated), with different values, since a standing car repeats one.
     """
     if min(len(a), len(b)) < FEWEST:
         return None
@@ -223,7 +223,7 @@ def save_landmarks(
 
 @dataclass(frozen=True)
 class SavedLandmarks(Sequence[Landmarks]):
-    """Landmarks that stay in the file that `save_landmarks` wrote until they are used."""
+    """Landmarks that are read from the file of `save_landmarks` when they are used."""
 
     path: Path
     names: tuple[tuple[str, str], ...]

@@ -67,7 +67,7 @@ class PreparedDrive:
     def forget(self) -> None:
         """Drop the time lines, each a quarter of a gigabyte for ten hours at 100 Hz.
 
-        That of all fixes stays if it is small, since others are made of it.
+        The one of all fixes stays if it is small, since others are derived from it.
         """
         self._timelines = {
             (hidden, removed): line
@@ -79,7 +79,7 @@ class PreparedDrive:
 def prepared(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> PreparedDrive:
-    """Prepare a drive; a prepared one is returned as it is, unless another start is given.
+    """Prepare a drive; return a prepared one unchanged, unless another start is given.
 
     ``as_recorded`` is for a drive that is not yet prepared: see `PreparedDrive`.
     """

@@ -38,7 +38,9 @@ def drive_folders(path: Path) -> list[Path]:
         return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
     if not inside:
-        raise DriveError(f"{path}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml")
+        raise DriveError(
+            f"{path}: contains no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
+        )
     return inside
 
 
@@ -77,7 +79,7 @@ def read_drive(path: str | Path) -> Drive:
     Raises
     ------
     DriveError
-        The folder, a file, a cell or a key is unusable; one line says where, why and what to do.
+        The folder, a file, a cell or a key is unusable; the message states place, fault and remedy.
 
     Warns
     -----
@@ -114,11 +116,11 @@ def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarnin
 def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "does not exist"
-        raise DriveError(f"{folder} {what}; name a folder that holds imu.csv, gps.csv and drive.toml")
+        raise DriveError(f"{folder} {what}; name a folder that contains imu.csv, gps.csv and drive.toml")
     inside = [f.name for f in folder.iterdir() if has_table(f, "imu")]
     if inside and not has_table(folder, "imu"):
         raise DriveError(
-            f"{folder} is no drive but contains {len(inside)}; name one of them, for example {min(inside)}"
+            f"{folder} is not a drive but contains {len(inside)}; name one of them, for example {min(inside)}"
         )
     about = read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)
@@ -127,7 +129,9 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     for table in RECORDS:
         there = _files_of(folder, table)
         if len(there) > 1:
-            raise DriveError(f"{folder} holds both {there[0].name} and {there[1].name}; delete one of them")
+            raise DriveError(
+                f"{folder} contains both {there[0].name} and {there[1].name}; delete one of them"
+            )
         files[table] = there[0] if there else folder / f"{table}{CSV}"
 
     frame, records, ignored = "enu", dict[str, Any](), list[str]()

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Drive
 VARIES = 1.5
 """Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
 STARTED = 20.0
-"""m from the first fix, from which on the car counts as moving."""
+"""m from the first fix, beyond which the car counts as moving."""
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of it."""
 
@@ -23,8 +23,10 @@ M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresd
 UNSTATED_GPS_STD = 2.1
 """m per axis, for receivers that state none: u-blox M8, 2.5 m CEP."""
 SHOWN = 0.25 * UNSTATED_GPS_STD
-"""m per axis: a receiver that states nothing and errs by that much from one fix to the next does not smooth, and its
-fixes show what it is; of one that errs by less nothing is known."""
+"""m per axis: a receiver that states nothing and errs by this much from fix to fix does not smooth.
+
+Its fixes show its error. The error of a receiver whose fixes differ by less is unknown.
+"""
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,8 @@ class Sensors:
         The axes of the IMU.
     attitude : bool
         See `has_attitude`.
-    odometer, accuracy, velocity : bool
-        True if the log has wheel speed, the receiver's deviations, and its speed and course.
+    odometer, accuracy, velocity, heading : bool
+        True if the log has wheel speed, the receiver's deviations, its speed and course, and its heading.
     spread : (float, float) or None
         See `stated_spread`.
     white : bool
@@ -77,6 +79,7 @@ class Sensors:
     white: bool
     driven: float
     receiver_std: tuple[float, float]
+    heading: bool = False
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
@@ -98,6 +101,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         white=has_white_errors(drive),
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
         receiver_std=receiver_std(drive),
+        heading=gps.heading is not None,
     )
 
 
@@ -106,15 +110,15 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
 
     - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and braking
       are not taken for motion. Otherwise **planar8**.
-    - **lateral** and **standstill** always: they hold the heading, which position fixes leave free.
+    - **lateral** and **standstill** always: they determine the heading, which position fixes do not.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states its deviation, and it varies.
     - **robust** always: it costs little without outliers, and is needed with some.
 
-    Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity (no log
-    with truth had it) and latency. Models are not chosen by scores: held-out likelihood and forecasts chose 18 to 24%
-    worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to 12% worse. The figures are
-    in docs/results.md, "Default filter".
+    Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity and
+    heading (no log with truth had them) and latency. Models are not chosen by scores: held-out likelihood and
+    forecasts chose 18 to 24% worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to
+    12% worse. The figures are in docs/results.md, "Default filter".
     """
     found = [sensors_of(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)
@@ -130,6 +134,8 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
+    if found and all(one.heading for one in found):
+        reasons.append("a heading, which you may add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
     return SuggestedFilter("tilted12" if six else "planar8", use, ", ".join(reasons))
 
@@ -165,9 +171,9 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 
 
 def receiver_std(drive: Drive) -> tuple[float, float]:
-    """How far the fixes of a drive's receiver may be off, m east and north.
+    """Standard deviation of the fixes of a drive's receiver, m east and north.
 
-    As it states; else the white noise that its fixes show, if that is large; else as of a u-blox M8.
+    It is the stated one; else the white noise that its fixes show, if that is large; else that of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated

@@ -20,11 +20,11 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 def split_drives(
     drives: Sequence[T], train_fraction: float = 0.7, *, rng: np.random.Generator
 ) -> tuple[list[T], list[T]]:
-    """Draw whole drives for training and leave the rest for testing, each part in the given order.
+    """Draw whole drives for training; the rest is for testing. Each part is in the given order.
 
     Parameters
     ----------
-    drives : sequence of Drive, or of what stands for drives, as their paths
+    drives : sequence of Drive, or of objects that represent drives, such as paths
         At least two, so that each part gets one.
     train_fraction : float
         Of the number of drives, in (0, 1).
@@ -48,7 +48,7 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
     drive : Drive
         Stays as it is.
     train_fraction : float
-        Of the drive's duration, in (0, 1).
+        Share of the drive's duration, in (0, 1).
     at : float, optional
         s on the drive's clock: split there instead, as where a logger paused.
 
@@ -71,7 +71,7 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
     sha256 = fingerprint(drive)
     for part in parts:
         if isinstance(start := find_start(part), NoStart):
-            message = f"{part.name} can't be used by itself: {start.what}; split elsewhere, or {start.remedy}"
+            message = f"{part.name} can't be used alone: {start.what}; split elsewhere, or {start.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256}

@@ -1,6 +1,6 @@
 """Causal detection of standstills from a calm IMU and constant fixes.
 
-A smooth road at constant speed is as calm as a standstill, so the fixes must agree. Fixes see a departure late, so the
+A smooth road at constant speed is as calm as a standstill, so the fixes must agree. Fixes show a departure late, so the
 IMU must agree. A gentle departure is calm, too, but changes the acceleration, which must therefore stay as it was when
 the stop began. The same functions serve a drive and a live filter.
 
@@ -29,9 +29,9 @@ MOST_OF_IT = 16.0
 QUARTER = 5
 """Complete blocks, next to the current one, that show a departure."""
 CALM = 2.5
-"""Largest ratio of the deviations of a calm second to the usual ones of calm."""
+"""Largest ratio of the deviations of a calm second to the usual ones at rest."""
 SETTLES = 0.5
-"""s: time constant with which the level of calm falls."""
+"""s: time constant with which the estimated noise at rest falls."""
 RISES = 0.1
 """per s: rate at which it rises while the car is nearly calm, so that no single second fixes it."""
 DEPARTS = 0.12
@@ -43,7 +43,7 @@ FORGETS = 3.0
 FIX_WINDOW = 3.0
 """s of fixes that must be constant."""
 FILLED = 1.5
-"""Mean intervals of fixes between the start of the window and the first fix, at most."""
+"""Largest time between the start of the window and the first fix, in mean intervals of fixes."""
 FIX_SPEED = 0.8
 """m/s: highest speed of the fixes at standstill."""
 CLOSE = 1e-5
@@ -83,7 +83,7 @@ def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
 
 
 def new_memory() -> Array:
-    """A detector that has seen nothing."""
+    """A detector without samples."""
     memory = np.zeros((N_MEMORY, 8))
     memory[LEVEL, :3] = -1.0
     memory[LEVEL, NUMBER] = memory[LEVEL, LAST] = -np.inf
@@ -247,9 +247,9 @@ def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) ->
     """Return True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
 
     The first ``n`` rows are read, but those after ``now``. The answer holds before ``until[0]`` if no fix is added.
-    ``kinds`` has the kind of each: see `frozen`. Repeats of a fix of a driving car show nothing. Behind an outage the
-    window must fill up first: the slope of half of it is three times as noisy, and shows a car that departs, by an
-    acceleration as steady as gravity, as standing.
+    ``kinds`` has the kind of each: see `frozen`. Repeats of a fix of a driving car show nothing. After an outage the
+    window must be full first: the slope of half of it is three times as noisy, and a car that departs with constant
+    acceleration would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

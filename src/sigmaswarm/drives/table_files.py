@@ -18,11 +18,12 @@ from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
-"""No sensor of a car reports as much in m, m/s, m/s2, rad or rad/s, nor in mm, mg or mdeg/s, which can be repaired."""
+"""Larger than any sensor of a car reports in m, m/s, m/s2, rad or rad/s, or in mm, mg or mdeg/s, which can be
+repaired."""
 _NO_STD = "leave the column out where no deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
-    "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
+    "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
     "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
     "x": (-LARGEST, LARGEST, "give meters from an origin near by"),
     "y": (-LARGEST, LARGEST, "give meters from an origin near by"),
@@ -30,6 +31,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "std_x": (1e-6, LARGEST, _NO_STD),
     "std_y": (1e-6, LARGEST, _NO_STD),
     "std_theta": (1e-9, LARGEST, _NO_STD),
+    "std_heading": (1e-6, LARGEST, _NO_STD),
     **dict.fromkeys(
         ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
         (-LARGEST, LARGEST, _DAMAGED),
@@ -49,7 +51,7 @@ BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Return arguments for polars' readers that read a file by its name: run[1] is no pattern, ~ no home."""
+    """Return arguments for polars' readers that read a file by its name: run[1] is not a pattern, ~ not home."""
     return {"source": path.absolute(), "glob": False}
 
 
@@ -108,7 +110,7 @@ class TableFile:
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """The known columns as numbers, each (n,), ``t`` renamed ``time``; others only get a remark."""
+        """The known columns as numbers, each (n,), with ``t`` renamed ``time``; others cause a remark."""
         told: list[str] = []
         try:
             found = self._known_columns(required, optional, told)
@@ -146,7 +148,7 @@ class TableFile:
         for name in (name for name in columns if self.cells[name].dtype == pl.String):
             broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
             if broken.any():
-                what = "holds a line break"
+                what = "contains a line break"
                 raise self._fault(int(broken.arg_max() or 0), name, what, 'close the quote (") before it')
 
     def _numbers(self, column: str) -> Array:
@@ -155,7 +157,7 @@ class TableFile:
         if text.dtype == pl.String and self.path.suffix == CSV:
             text = text.str.strip_chars()
         elif not text.dtype.is_numeric():
-            what = f"holds {shown(text.dtype)}, not numbers; write it as 64-bit floats"
+            what = f"contains {shown(text.dtype)}, not numbers; write it as 64-bit floats"
             raise DriveError(f"{self.path}, column {column}: {what}")
         values = text.cast(pl.Float64, strict=False)
         if values.null_count() or not values.is_finite().all():
@@ -176,7 +178,7 @@ class TableFile:
     def _require_increasing(self, time: Array) -> None:
         """Refuse times that do not increase, and those behind an implausibly long interval."""
         late, i = np.flatnonzero(np.diff(time) <= 0), _leap(time)
-        what, remedy = "lies absurdly far after", "delete the row with the damaged time"
+        what, remedy = "lies too far after", "delete the row with the damaged time"
         if late.size:
             i, what, remedy = (
                 int(late[0]) + 1,
@@ -228,12 +230,12 @@ def _parquet(path: Path) -> pl.DataFrame:
     except (*BROKEN, OSError):
         raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
     if cells.is_empty():
-        raise DriveError(f"{path} holds no rows; it needs one row per sample")
+        raise DriveError(f"{path} contains no rows; it needs one row per sample")
     return cells
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """The cells of a file that holds nothing but finite numbers under plain names; None of any other."""
+    """The cells of a file that contains only finite numbers under plain names; None for other files."""
     if _has_lone_quote(path):
         return None
     try:
@@ -257,7 +259,7 @@ def _has_lone_quote(path: Path) -> bool:
 
 
 def _empty(path: Path) -> DriveError:
-    what = "is empty" if path.stat().st_size == 0 else "holds no rows"
+    what = "is empty" if path.stat().st_size == 0 else "contains no rows"
     return DriveError(f"{path} {what}; it needs a header line and one row per sample")
 
 

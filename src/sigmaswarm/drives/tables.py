@@ -73,6 +73,10 @@ class Imu(Table):
     gy: Array | None = None
 
 
+NO_HEADING = np.pi
+"""rad: the stated standard deviation of a heading that the receiver has not found."""
+
+
 @dataclass(frozen=True, eq=False)
 class Gps(Table):
     """Position fixes, each column of shape (n,).
@@ -85,6 +89,7 @@ class Gps(Table):
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
     heading : rad, counter-clockwise from east, of two antennas or a compass: filters start with it, without travel
+    std_heading : rad, its stated standard deviation; `NO_HEADING` or more where the fix has none
     """
 
     x: Array
@@ -97,6 +102,7 @@ class Gps(Table):
     speed: Array | None = None
     course: Array | None = None
     heading: Array | None = None
+    std_heading: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +147,7 @@ class Truth(Table):
             self.std_x is None and self.std_theta is not None
         ):
             raise DriveError(
-                "Truth states std_x and std_y both, and with them std_theta, or none; add what lacks"
+                "Truth states std_x and std_y both, and with them std_theta, or none; add the missing ones"
             )
 
 

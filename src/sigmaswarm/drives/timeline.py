@@ -23,13 +23,14 @@ from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.odometer import Wheels, measurements_of
 from sigmaswarm.drives.standstill import standing
+from sigmaswarm.drives.tables import NO_HEADING
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
 """A step's numbers: its own three, and those of the IMU's axes, the last three where the IMU has them."""
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
-"""The IMU's axes as they stand in a step; every IMU has the first three."""
-FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y = range(6)
+"""The IMU's axes in the order of a step; every IMU has the first three."""
+FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)
 """Columns of a fix."""
 
 CORNERING = 4.0
@@ -52,8 +53,9 @@ class Timeline:
     absorbs : (k,) bool: a fix updates the filter at the step's end
     hides : (k,) bool: a fix at the step's end is hidden from the filter; its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
-    fixes : (f, 6) m east, north; m/s east, north (0 where the log has no velocity); m2 east, north, as the receiver
-        states it (0 where it does not); in the order in which steps meet them, hidden ones included
+    fixes : (f, 8) m east, north; m/s east, north (0 where the log has no velocity); m2 east, north, as the receiver
+        states it (0 where it does not); heading, rad, and its stated variance, rad2 (0 where none is stated, infinite
+        without a heading); in the order in which steps meet them, hidden ones included
     fix_time : (f,) s
     has_velocity : bool
     states_accuracy : bool: the receiver states the accuracy of each fix
@@ -179,8 +181,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, treat IMU gaps as ordinary steps. ``kinds`` (g,): of the fixes, if they were found
-    on a drive with more fixes.
+    ``as_recorded``: use stale fixes, treat IMU gaps as ordinary steps. ``kinds`` (g,) are those of the fixes, if they
+    were classified on a drive with more fixes.
     """
     imu = drive.imu
     if kinds is None:
@@ -218,7 +220,7 @@ def build_timeline(
 
 
 def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
-    """Which of the drive's fixes a time line has."""
+    """The fixes of the drive that a time line uses."""
     time = drive.gps.time
     return (time > start) & (time <= drive.imu.time[-1]) & (kinds < FROZEN)
 
@@ -243,11 +245,19 @@ def _fixes_of(gps: Gps) -> dict[str, Any]:
         stated = bool(np.isfinite(squares).all())
         variance = squares if stated else variance
     return {
-        "fixes": np.column_stack([gps.x, gps.y, *velocity, *variance]),
+        "fixes": np.column_stack([gps.x, gps.y, *velocity, *variance, *headings_of(gps)]),
         "fix_time": gps.time,
         "has_velocity": has_velocity,
         "states_accuracy": stated,
     }
+
+
+def headings_of(gps: Gps) -> tuple[Array, Array]:
+    """Heading, rad, and its stated variance, rad2, of each fix: see `Timeline`."""
+    if gps.heading is None:
+        return np.zeros(len(gps)), np.full(len(gps), np.inf)
+    std = np.zeros(len(gps)) if gps.std_heading is None else gps.std_heading
+    return gps.heading, np.where(std < NO_HEADING, std**2, np.inf)
 
 
 def _is_last(ends: Array) -> NDArray[np.bool_]:
@@ -256,7 +266,7 @@ def _is_last(ends: Array) -> NDArray[np.bool_]:
 
 
 def _among(times: Array, known: Array) -> NDArray[np.bool_]:
-    """Which times are among the known ones, both increasing; `np.isin` would sort both again, in their copies."""
+    """A mask of the times that are among the known ones, both increasing; `np.isin` would sort copies of both."""
     if not len(known):
         return np.zeros(len(times), dtype=np.bool_)
     at = np.searchsorted(known, times, side="left")

@@ -41,7 +41,7 @@ def drive_urls(url: str) -> list[str]:
         ]
         if not found:
             raise DriveError(
-                f"{without_secrets(url)}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
+                f"{without_secrets(url)}: contains no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
             )
         return [f"{url}/{name}" for name in found]
 
@@ -102,5 +102,5 @@ def _errors_in_one_line(url: str) -> Generator[None]:
     except Exception as error:  # each protocol's library has errors of its own
         why = shown(without_secrets(f"{type(error).__name__}: {error}"), 200)
         raise DriveError(
-            f"{without_secrets(url)}: can't be read ({why}); look at the address and your right to read it"
+            f"{without_secrets(url)}: can't be read ({why}); check the address and your permission to read it"
         ) from None

@@ -28,14 +28,14 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     Parameters
     ----------
     drive : Drive
-        Of a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again. Its name is
+        For a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again. Its name is
         written where the folder has another one.
     path : str or Path
         The folder to make, with its parents.
     overwrite : bool
         Replace a drive that is there already.
     form : {"csv", "parquet"}
-        Of the tables: Parquet is smaller and far quicker to read, and holds the same bits.
+        Of the tables: Parquet is smaller and far quicker to read, and has the same bits.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def require_replaceable(
         raise DriveError(f"{folder} exists and is not empty; {remedy}")
     if foreign := entries - FILES:
         raise DriveError(
-            f"{folder} holds {min(foreign)!r}, which is not part of a drive; name another folder"
+            f"{folder} contains {min(foreign)!r}, which is not part of a drive; name another folder"
         )
 
 

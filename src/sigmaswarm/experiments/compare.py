@@ -1,6 +1,6 @@
 """Compare optimizers with the same budget on the same drives, over many seeds.
 
-A folder of a comparison holds
+A folder of a comparison contains
 
     config.json       configuration and data; a resumed comparison must have the same
     runs/NAME-SEED/   the folder of each tuning, as `tune` writes it, and run.json once it has ended
@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Unpack
@@ -21,12 +22,17 @@ import numpy as np
 
 from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.comparison import Comparison, Contender, Outcome
 from sigmaswarm.experiments.grid import Report, run_grid
 from sigmaswarm.files import held_folder, write_json, write_whole
+from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
+from sigmaswarm.filters.run import estimate_of
 from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.score import score_estimate
+from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.optimizers import OPTIMIZERS
@@ -48,7 +54,7 @@ OWN = (
     *("particles", "generations", "trials", "polish", "racing"),
     *("inertia", "cognitive", "social", "zero_velocity_at_bounds"),
 )
-"""Options in which contenders may differ, besides optimizer and scale."""
+"""Options in which contenders may differ, in addition to optimizer and scale."""
 REFUSED = {
     **{name: f"is compared; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
@@ -60,7 +66,7 @@ REFUSED = {
 
 
 class GridOptions(CompareOptions, total=False):
-    """All options of a comparison: what it varies, and those of every tuning."""
+    """All options of a comparison: the varied ones, and those of every tuning."""
 
     optimizers: Sequence[str]
     scales: Sequence[str]
@@ -157,7 +163,14 @@ class _Grid:
             steps_per_set=steps_per_set,
             drives=tuple(drive["name"] for drive in self.problem.data),
             test=tuple(drive["name"] for drive in self.test.data) if self.test else (),
+            fixes_alone_rmse=self._fixes_alone() if self.test else None,
         )
+
+    def _fixes_alone(self) -> float | None:
+        """Mean RMSE of the fixes alone on the held-out drives, m; None without truth."""
+        assert self.test is not None
+        alone = partial(_rmse_alone, noise=self.problem.fixes_alone())
+        return _mean(np.array(self.test.replays.of_each_prepared(alone)))
 
     def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
         """Return the function that runs a contender with a seed, or reads its outcome."""
@@ -238,7 +251,8 @@ def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
         key, _, value = setting.partition("=")
         if key not in OWN or not value:
             raise InputError(
-                f"{name}: {setting!r} is no setting; write NAME=VALUE after the colon, with a name of {', '.join(OWN)}"
+                f"{name}: {setting!r} is not a setting; write NAME=VALUE after the colon, with a name of "
+                f"{', '.join(OWN)}"
             )
         own[key] = value
     config = validated_config(TuneConfig, {**shared, "optimizer": optimizer, "scale": scale, **own})
@@ -270,6 +284,11 @@ def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:
         history_steps=tuple(steps),
         history_best=tuple(np.minimum.accumulate(np.concatenate([t.best for t in tuning.trials])).tolist()),
     )
+
+
+def _rmse_alone(ready: PreparedDrive, noise: MotionNoise) -> float:
+    run = FixesAlone(tracking_replay(ready), noise)
+    return score_estimate(ready.drive, estimate_of(run, recover=False)).position_rmse
 
 
 def _mean(values: Array) -> float | None:

@@ -126,6 +126,8 @@ class Comparison:
         Filter steps of one evaluation on all training drives.
     drives, test : tuple of str
         Training and held-out drives.
+    fixes_alone_rmse : float or None
+        Mean position RMSE on the held-out drives of a filter of the fixes alone, fitted to the training drives, m.
     """
 
     contenders: tuple[Contender, ...]
@@ -134,6 +136,7 @@ class Comparison:
     steps_per_set: int
     drives: tuple[str, ...]
     test: tuple[str, ...]
+    fixes_alone_rmse: float | None = None
 
     @property
     def seeds(self) -> int:

@@ -29,7 +29,7 @@ R = TypeVar("R")
 Report = Callable[[int], None]
 """Takes the number of finished rounds of a task; raises where the grid was interrupted."""
 PR_SET_PDEATHSIG = 1
-"""Of prctl(2): the signal that Linux sends to a process when its parent dies."""
+"""Option of prctl(2): the signal that Linux sends to a process when its parent dies."""
 POLL = 0.05
 """s between two looks at the progress of the tasks."""
 KILLED = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"

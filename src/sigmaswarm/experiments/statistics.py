@@ -208,7 +208,7 @@ def signed_rank(ours: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Return the share of the rank sum below zero less that above: 1 if every pair is lower, -1 if higher.
+    """Return the share of the rank sum below zero minus that above: 1 if every pair is lower, -1 if higher.
 
     D. S. Kerby, The simple difference formula, Comprehensive Psychology 3, 2014.
     """

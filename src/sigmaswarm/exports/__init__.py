@@ -1,1 +1,1 @@
-"""Hands results over in the forms that people use."""
+"""Exports of results in the formats of other programs."""

@@ -8,12 +8,12 @@ from sigmaswarm.filters.models import THETA
 
 
 def tilts_of(n: int) -> tuple[int, ...]:
-    """Where roll and pitch stand in a state of n numbers; nowhere in the plane."""
+    """The indices of roll and pitch in a state of n numbers; none for planar models."""
     return tilted.ATTITUDE[:2] if n == tilted.N else ()
 
 
 def quaternions(mean: Array) -> Array:
-    """Of means (..., n), (..., 4): x, y, z, w, as files have them."""
+    """Quaternions (..., 4) of means (..., n): x, y, z, w, as in files."""
     if tilts_of(mean.shape[-1]):
         return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
     half = mean[..., THETA] / 2
@@ -22,7 +22,7 @@ def quaternions(mean: Array) -> Array:
 
 
 def rotations(mean: Array) -> Array:
-    """Of means (k, n), (k, 3, 3): from the body to the local frame."""
+    """Rotations (k, 3, 3) of means (k, n), from the body to the local frame."""
     if tilts_of(mean.shape[-1]):
         return tilted.rotation(mean)
     c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])
@@ -33,7 +33,8 @@ def rotations(mean: Array) -> Array:
 def body_velocity(mean: Array) -> tuple[Array, Array]:
     """Velocity along the body's axes forward and left, m/s, of means (k, n), and its Jacobian.
 
-    R' (vx, vy, vz) with the vz that keeps the car on its road, which its x and y axes span; so there is none upwards.
+    It is R' (vx, vy, vz) with the vz that keeps the car on its road, the plane of its x and y axes, so the velocity
+    along z is 0.
 
     Returns
     -------

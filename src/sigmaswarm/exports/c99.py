@@ -9,6 +9,7 @@ import numpy as np
 from sigmaswarm.drives import standstill
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.timeline import headings_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_kernels import kernels_of
 from sigmaswarm.exports.c_rules import rules_of
@@ -39,7 +40,7 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""s: no IMU is faster than that, and a second of its samples would take megabytes."""
+"""s: shortest interval of an IMU; a second of faster samples would take megabytes."""
 _FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
 
 
@@ -56,7 +57,7 @@ def c99(
     Raises
     ------
     InputError
-        If a number of the filter has no place in C, or the IMU would be too fast.
+        If a number of the filter cannot be written in C, or the IMU would be too fast.
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(
@@ -78,14 +79,16 @@ def c99(
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 
-def replay_rows(drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False) -> str:
+def replay_rows(
+    drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
+) -> str:
     """A drive as the rows that replay.c reads: those of `replay_events`, as text."""
-    events = replay_events(drive, model, as_recorded=as_recorded)
+    events = replay_events(drive, model, as_recorded=as_recorded, heading=heading)
     return "".join(_row(name, numbers) + "\n" for name, numbers in events)
 
 
 def replay_events(
-    drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False
+    drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
     """Inputs of a filter from a drive, in the order of time: its start, then samples, fixes and readings.
 
@@ -93,9 +96,11 @@ def replay_events(
     ----------
     drive : Drive
     model : {"planar5", "planar8", "tilted12"}
-        Whose axes of the IMU and of the lever arm the events hold.
+        The model, for the axes of the IMU and of the lever arm.
     as_recorded : bool
         See `PreparedDrive`.
+    heading : bool
+        Whether the filter uses the headings of fixes.
 
     Returns
     -------
@@ -117,7 +122,7 @@ def replay_events(
         start = [*start, drive.antenna_height]
         axes += ["az", "gx", "gy"]
     start += _gyro(initial)
-    events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps)]  # a fix before the sample of its time
+    events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)]  # a fix before the sample of its time
     if drive.odometer is not None:
         readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
         events += [(t, 0, "odometer", [t, speed]) for t, speed in readings]
@@ -134,15 +139,24 @@ def _gyro(initial: InitialState) -> list[float]:
     return [*seen.bias, *seen.variance, seen.taken, *seen.turns]
 
 
-def _fixes(gps: Gps) -> list[list[float]]:
-    """Time and position (s, m); velocity (m/s) and stated deviations (m), east and north, where the log has them."""
+def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
+    """Time and position (s, m); velocity (m/s) and stated deviations (m), east and north, where the log has them.
+
+    With ``heading`` all of them, nan for no velocity and 0 for no deviation, and heading and its deviation (rad).
+    """
+    heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]
     if gps.speed is not None and gps.course is not None:
         columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
-    elif gps.std_x is not None:
+    elif heading or gps.std_x is not None:
         columns += [np.full(len(gps), np.nan)] * 2
     if gps.std_x is not None and gps.std_y is not None:
         columns += [gps.std_x, gps.std_y]
+    elif heading:
+        columns += [np.zeros(len(gps))] * 2
+    if heading:
+        theta, variance = headings_of(gps)
+        columns += [np.where(np.isfinite(variance), theta, np.nan), np.sqrt(variance)]
     return np.column_stack(columns).tolist()
 
 
@@ -173,6 +187,19 @@ def fits_float(p: FilterParameters) -> bool:
     return all(v is None or v == 0 or low <= abs(v) <= high for v in numbers)
 
 
+def _texts_of_heading(used: bool) -> dict[str, str]:
+    """What a filter that uses headings has in addition in the templates."""
+    texts = {
+        "ALSO_HEADING": ", const ins_gps_real *heading",
+        "NO_HEADING": ", 0",
+        "REPLAYED_HEADING": ", n < 9 || isnan(z[7]) ? NULL : heading",
+        "OR_NINE": " || n == 9",
+        "TAKES_HEADING": ", heading: Sequence[float] | None = None",
+        "GIVES_HEADING": ", heading and self._reals(heading)",
+    }
+    return {name: text if used else "" for name, text in texts.items()}
+
+
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     model = MODELS[p.model]
     stands, names, tilted = p.standstill_noise is not None, model.names, model.tilts is not None
@@ -194,14 +221,15 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         gamma_squared, spread = _sigma_points(p)
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
-    gyro_note = ", and all that the gyro shows is its bias" if model.gyro_bias is not None else ""
-    return plain(derived) | {
+    gyro_note = ", and the gyro shows its bias alone" if model.gyro_bias is not None else ""
+    return _texts_of_heading(p.heading_noise is not None) | {
+        **plain(derived),
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
         "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
         "STATES": repr(names),
         "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ": it learns what calm is" if stands else "",
+        "CALM_NOTE": ": it learns the noise at rest" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",

@@ -12,7 +12,8 @@ import re
 import textwrap
 import tokenize
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
+from copy import copy
+from functools import cache
 from typing import Any
 
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
@@ -22,7 +23,7 @@ STATES = (
     *("X", "Y", "VX", "VY", "HEADING", "ACCEL_X", "ACCEL_Y", "GYRO", "ROLL", "PITCH", "GYRO_X", "GYRO_Y"),
     *("FIX_ERROR_X", "FIX_ERROR_Y"),
 )
-"""Names of a state's places in C, in the order of the largest model."""
+"""Names of the elements of a state in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
 """Of these, the states that are appended to any model."""
 PARAMETERS = {
@@ -39,10 +40,11 @@ INPUTS = {
     **{"AZ": "sample->az", "GX": "sample->gx", "GY": "sample->gy"},
     **{"FIX_X": "(fix->x - b->origin[0])", "FIX_Y": "(fix->y - b->origin[1])"},
     **{"FIX_VAR_X": "fix->variance[0]", "FIX_VAR_Y": "fix->variance[1]"},
+    **{"FIX_THETA": "fix->heading", "FIX_VAR_THETA": "fix->heading_variance"},
     **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
 }
-"""What stands for an element of a step, a fix and a reading."""
-CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS"}
+"""C text for an element of a step, a fix and a reading."""
+CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
 RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
 _SIGNS: dict[type, str] = {
@@ -78,7 +80,7 @@ class Emitter:
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def text(self) -> str:
-        """All of it: constants, the struct of what one kernel leaves for another, the functions."""
+        """All text: constants, the struct of values that kernels exchange, the functions."""
         code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
         used = [
             name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants
@@ -103,13 +105,10 @@ class _Function(ast.NodeTransformer):
     def __init__(
         self, emitter: Emitter, function: Callable[..., Any], name: str, known: dict[str, Any]
     ) -> None:
-        source = textwrap.dedent(inspect.getsource(function))
-        definition = ast.parse(source).body[0]
-        assert isinstance(definition, ast.FunctionDef)
+        definition, self.comments = _parsed(function)
         self.emitter, self.name, self.definition = emitter, name, definition
         self.known, self.names = known, {**function.__globals__, **known}
         emitter.constants |= {n: v for n, v in self.names.items() if n.isupper() and isinstance(v, float)}
-        self.comments = _comments(source)
         self.is_kernel = any(each.arg == "w" for each in definition.args.args)
         self.body = self.chosen(definition.body[ast.get_docstring(definition) is not None :])
         nodes = [node for statement in self.body for node in ast.walk(statement)]
@@ -155,7 +154,9 @@ class _Function(ast.NodeTransformer):
                 chosen += self.chosen(statement.body if known else statement.orelse)
                 continue
             if isinstance(statement, ast.If | ast.For):
-                statement.body = self.chosen(statement.body)
+                body = self.chosen(statement.body)
+                statement = copy(statement)
+                statement.body = body
             chosen.append(statement)
         return chosen
 
@@ -300,7 +301,7 @@ class _Function(ast.NodeTransformer):
         return RENAMED.get(name, name)
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
-        """What stands for a local or an element of ``w``, and for its mirror image in the covariance."""
+        """C text for a local or an element of ``w``, and for its mirror element in the covariance."""
         if isinstance(node, ast.Name):
             return self.local(node.id), ""
         assert isinstance(node, ast.Subscript)
@@ -347,10 +348,20 @@ class _Function(ast.NodeTransformer):
 
     def fold(self, node: ast.expr) -> ast.expr:
         """The expression with C's names, without terms that this filter's numbers make 0."""
-        return self.visit(deepcopy(node))
+        return self.visit(node)
 
     def c(self, node: ast.expr) -> str:
         return self.print(self.fold(node))
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        """Rewrite a copy, since a function is parsed once."""
+        new = copy(node)
+        for name, value in ast.iter_fields(node):
+            if isinstance(value, list):
+                setattr(new, name, [self.visit(each) for each in value])
+            elif isinstance(value, ast.AST):
+                setattr(new, name, self.visit(value))
+        return new
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
         return _numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value))
@@ -381,12 +392,14 @@ class _Function(ast.NodeTransformer):
         return ast.Name(self.call(node))
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
-        node.operand = self.visit(node.operand)
-        value = _number(node.operand)
-        return node if value is None or isinstance(node.op, ast.Not) else _numeral(-value if value else 0.0)
+        operand = self.visit(node.operand)
+        value = _number(operand)
+        if value is None or isinstance(node.op, ast.Not):
+            return ast.UnaryOp(node.op, operand)
+        return _numeral(-value if value else 0.0)
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
-        left, right = node.left, node.right = self.visit(node.left), self.visit(node.right)
+        left, right = self.visit(node.left), self.visit(node.right)
         a, b = _number(left), _number(right)
         match node.op:
             case ast.Add() if a == 0.0:
@@ -406,12 +419,12 @@ class _Function(ast.NodeTransformer):
             case _ if a is not None and b is not None:  # computed in double
                 return _numeral(eval(f"{a!r} {_SIGNS[type(node.op)]} {b!r}"))
             case _:
-                return node
+                return ast.BinOp(left, node.op, right)
 
     def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
         name = ast.unparse(node.func)
         if name in CALLS:
-            return f"{CALLS[name]}({self.c(node.args[0])})"
+            return f"{CALLS[name]}({', '.join(map(self.c, node.args))})"
         printed, signature = self.emitter.signatures[getattr(self.names[name], "__name__", name)]
         arguments: list[str] = []
         for each, theirs in zip(node.args, signature, strict=True):
@@ -422,7 +435,7 @@ class _Function(ast.NodeTransformer):
         return f"{printed}({', '.join([*arguments, *(outs or [])])})"
 
     def print(self, node: ast.expr, outer: int = 0) -> str:
-        """C's text of a rewritten expression, in parentheses where it binds less tightly than ``outer``."""
+        """C text of a rewritten expression, in parentheses where its precedence is lower than that of ``outer``."""
         match node:
             case ast.Name(text):
                 if text.startswith(_MISSING):
@@ -447,6 +460,15 @@ class _Function(ast.NodeTransformer):
             case _:
                 raise self.refused(node)
         return f"({text})" if binds < outer else text
+
+
+@cache
+def _parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
+    """Parse a function; also return its comments by line."""
+    source = textwrap.dedent(inspect.getsource(function))
+    definition = ast.parse(source).body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    return definition, _comments(source)
 
 
 def _numeral(value: float) -> ast.Name:
@@ -480,6 +502,9 @@ def _wrapped(lines: list[str]) -> list[str]:
             joined.append(line)
     wrapped: list[str] = []
     for line in joined[1:]:
+        if len(line) <= 120:
+            wrapped.append(line)
+            continue
         indent = " " * (len(line) - len(line.lstrip()))
         further = indent + "    "
         wrapped += textwrap.wrap(

@@ -30,6 +30,10 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
         if p.kind != "ekf":
             emitter.add(lanes.spread_of)
         _add_planar(emitter, p.model, features, n)
+    if features["USE_HEADING"]:
+        measure = tilted12.measure_heading_tilted if tilted else measurements._measure_heading
+        emitter.add(measure, "measure_heading", n=n)
+        emitter.add(measurements.absorb_heading, tilted=tilted, measure_heading=measure)
     if model.fix_error:
         _add_fix_error(emitter, n, features)
     both = {"n": n, "tilted": tilted}
@@ -90,7 +94,7 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
-    """What stands in C for the rows that hold parameters and memory."""
+    """C text for the rows of parameters and memory."""
     spread, fuzzy = p.kind != "ekf", p.kind == "fuzzy-ukf"
     if p.kind == "adaptive-ukf":
         q, r = "b->process_noise[{}]", "b->measurement_noise[{}]"
@@ -111,6 +115,7 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         "REAR_AXLE": "REAR_AXLE",
         "TIRE_SLIP": "TIRE_SLIP" if features["USE_SLIP"] else 0.0,
         "R_ODOMETER": "ODOMETER_NOISE",
+        "R_HEADING": "HEADING_NOISE",
         "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",
         **{"FORGETTING": "FORGETTING", "FADING": "FORGETTING", "RECENT": "b->recent", "USE": 1.0},

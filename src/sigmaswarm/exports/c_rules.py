@@ -1,4 +1,4 @@
-"""Print the rules for what happens to a sample as C99: standstill, stale fixes, gaps; the library's own functions.
+"""Print the rules of samples as C99 (standstill, stale fixes, gaps), from the library's own functions.
 
 They are plain functions over times, fixes and small arrays. A time is a type of its own in C, whose float build counts
 ticks: a difference of two times becomes ``since``, and a number of seconds that is added to a time ``SECONDS``.
@@ -10,6 +10,7 @@ import ast
 import inspect
 import re
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from sigmaswarm.drives import frozen, gaps, odometer, standstill
@@ -48,6 +49,13 @@ def rules_of(features: Mapping[str, bool]) -> str:
     return "\n".join(["".join(constants.values()), *texts])
 
 
+@cache
+def _described(module: Any) -> dict[str, str]:
+    """Descriptions of a module's constants."""
+    found = re.findall(r'^(\w+) = .*\n"""([^"]*)"""', inspect.getsource(module), re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in found}
+
+
 class _Rule(_Function):
     """One rule on its way to C. A local variable has one type, that of its first value."""
 
@@ -58,9 +66,7 @@ class _Rule(_Function):
         self.types |= {name: kind for name, kind in POINTERS.items() if name in self.types}
         self.types |= {name: _TIME for name in self.types if name in TIMES}
         self.returns = {"kind_of": _KIND}.get(self.name, self.types["return"])
-        module = inspect.getsource(inspect.getmodule(function) or function)
-        found = re.findall(r'^(\w+) = .*\n"""([^"]*)"""', module, re.MULTILINE)
-        self.described = {name: " ".join(text.split()) for name, text in found}
+        self.described = _described(inspect.getmodule(function) or function)
         self.used: dict[str, str] = {}  # definitions of constants
 
     def parameters_of(self, name: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""An exported C filter on this machine: built, called through its Python module, and compared with `run_filter`."""
+"""Build an exported C filter on this machine, call it through its Python module, and compare it with `run_filter`."""
 
 import importlib.util
 import os
@@ -80,7 +80,7 @@ def check_export(
     Raises
     ------
     InputError
-        If there is no C compiler, or it refuses; or if a drive lacks what the filter reads.
+        If there is no C compiler, or it refuses; or if a drive lacks an input of the filter.
     AlignmentError
         If a drive never moves far enough for a start.
     """
@@ -94,7 +94,8 @@ def check_export(
         libraries = [Path(shutil.copy(each, loaded)) for each in built]
         for drive in drives:
             ours = _of_library(drive, parameters, side_by_side, as_recorded=as_recorded)
-            events = replay_events(drive, parameters.model, as_recorded=as_recorded)
+            uses_heading = parameters.heading_noise is not None
+            events = replay_events(drive, parameters.model, as_recorded=as_recorded, heading=uses_heading)
             runs = [_replay(folder, library, parameters, events) for library in libraries]
             double, *single = (_difference(run, ours) for run in runs)
             checked.append(Checked(drive.name, double, single[0] if single else None))
@@ -152,8 +153,10 @@ def _replay(
                 means.append(board.mean)
         elif name == "fix":
             velocity = None if len(z) < 4 or np.isnan(z[2]) else z[2:4]
-            std = {"std": z[4:6] or [0.0, 0.0]} if takes_std else {}
-            board.update(time, z[:2], velocity=velocity, **std)
+            more = {"std": z[4:6] or [0.0, 0.0]} if takes_std else {}
+            if len(z) > 6 and np.isfinite(z[6]):
+                more["heading"] = z[6:]
+            board.update(time, z[:2], velocity=velocity, **more)
         elif parameters.odometer_noise is not None:
             board.odometer(time, z[0])
     return np.array(means)

@@ -15,7 +15,7 @@ from sigmaswarm.versions import __version__
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
     """Which parts of the templates a filter needs."""
-    velocity, lateral, stands, wheels, _ = schedule.switches(p)
+    velocity, lateral, stands, wheels, _, heading = schedule.switches(p)
     has_tilts = MODELS[p.model].tilts is not None
     biases, gate, robust = bool(MODELS[p.model].sensors), p.gate is not None, p.robust_dof is not None
     adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))
@@ -40,6 +40,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "ROBUST": robust,
         "STRETCH": tracking or robust,
         "VELOCITY": velocity,
+        "HEADING": heading,
         "LATERAL": lateral,
         "SLIP": lateral and p.tire_slip != 0.0,
         "STANDSTILL": stands,
@@ -48,7 +49,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "ODOMETER": wheels,
         "ALONG": lateral or wheels,
         "SLOTS": lateral or stands or wheels,
-        "SCALAR": lateral or wheels or (stands and biases),
+        "SCALAR": lateral or wheels or heading or (stands and biases),
     }
     return {f"USE_{name}": value for name, value in used.items()}
 
@@ -64,11 +65,12 @@ PARAMETERS = (
         "accuracy_scale",
         "robust_dof",
         "velocity_noise",
+        "heading_noise",
     ),
     *("lateral_noise", "rear_axle", "tire_slip", "standstill_noise"),
     *("odometer_noise", "odometer_scale", "odometer_latency", "fix_error"),
 )
-"""Those of a filter that templates name as the filter does."""
+"""Features that have the same name in templates and in a filter."""
 CONSTANTS: tuple[tuple[ModuleType, str, str], ...] = (
     (alignment, "", "REFITS"),
     (divergence, "", "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD"),
@@ -115,7 +117,7 @@ def in_range(value: float, of: str) -> float:
     Raises
     ------
     InputError
-        If it is beyond the range of floating point; ``of`` says what it is made of.
+        If it is beyond the range of floating point; ``of`` states its origin.
     """
     if not math.isfinite(value):
         raise InputError(

@@ -1,7 +1,7 @@
 """The filter as a Python script that needs only NumPy and FilterPy.
 
-The start, the standstill, geodesy and the models are not FilterPy's, and must be as in the library: the library's own
-source is put into the script, so it is written once.
+FilterPy has neither the start nor standstills, geodesy and the models. The script contains the library's own source of
+these, so that both are the same.
 """
 
 import ast

@@ -52,7 +52,7 @@ def _plot(title: str, paths: Collection[str]) -> dict[str, Any]:
 
 
 def _arranged(panels: list[str], direction: str = "row") -> Any:
-    """Panels as a tree of halves, side by side and on top of each other in turn."""
+    """Panels as a tree of halves, alternately side by side and stacked."""
     if len(panels) == 1:
         return panels[0]
     half, other = (len(panels) + 1) // 2, "column" if direction == "row" else "row"

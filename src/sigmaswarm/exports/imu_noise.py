@@ -21,7 +21,7 @@ from sigmaswarm.noise.records import (
 )
 
 NoiseTarget = Literal["sigmaswarm", "kf-gins", "kalibr", "robot_localization", "matlab"]
-"""Packages whose form the noise can have."""
+"""Packages in whose format the noise can be written."""
 
 
 def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
@@ -51,13 +51,13 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     sign = "%" if target == "matlab" else "#"
     lines = [f"Noise of the IMU of {noise.name}, {noise.rate:.6g} Hz, by sigmaswarm", *noise.remarks]
     lines += [
-        f"{axis} is not known: as the other axes"
+        f"{axis} is not known: the value of the other axes"
         for axes, _ in SENSORS.values()
         for axis in axes.split()
         if axis not in known
     ]
     if not all(axis.bias(noise.longest)[0] for axis in noise.axes):
-        lines.append("an axis without a bias has the walk of an ICM-20602's")
+        lines.append("an axis without a measured bias has the walk of an ICM-20602")
     comments = [f"{sign} {' '.join(line.split())}" for line in lines]
     return {file: "\n".join([*comments, *written(noise), ""])}
 

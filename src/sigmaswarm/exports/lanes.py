@@ -17,12 +17,12 @@ from sigmaswarm.filters.parameters import FilterParameters
 class Lanes:
     """Number of filters of a bank, and the seed of their random parameters.
 
-    The first of them are those of a `LiveFilterBank` of that seed without searches.
+    The filters are the first ones of a `LiveFilterBank` with that seed, without searches.
 
     Raises
     ------
     InputError
-        If there can't be so many.
+        If the number is out of range.
     """
 
     n: int = 1
@@ -30,10 +30,10 @@ class Lanes:
 
     def __post_init__(self) -> None:
         if not 1 <= self.n <= LANES:
-            raise InputError(f"lanes = {self.n}: a swarm has 2 to {LANES}; 1 is the filter alone")
+            raise InputError(f"lanes = {self.n}: a filter bank has 2 to {LANES}; 1 is the filter alone")
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
-        """Of each lane; the first one is the tuning."""
+        """Parameters of each lane; the first one is the tuning."""
         spread = Spread(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 
@@ -57,7 +57,8 @@ class Lanes:
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
             "LANES": str(self.n),
-            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes, differently tuned, and their mixture",
+            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes with different parameters, and their "
+            "mixture",
             "LANE_ROWS": ",\n".join(map(_row, filters, penalties)),
         }
 
@@ -70,7 +71,7 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
     numbers |= {name: getattr(p, name) for name in ("accuracy_scale", "velocity_noise", "lateral_noise")}
     if p.lateral_noise is not None:
         numbers |= {"rear_axle": p.rear_axle, "tire_slip": p.tire_slip or None}
-    numbers |= {name: getattr(p, name) for name in ("odometer_noise", "standstill_noise")}
+    numbers |= {name: getattr(p, name) for name in ("heading_noise", "odometer_noise", "standstill_noise")}
     return {name: float(value) for name, value in numbers.items() if value is not None}
 
 

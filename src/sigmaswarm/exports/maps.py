@@ -1,6 +1,6 @@
 """Tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
-A clock that counts from 1970 is recognized by its size; only then are times written, in UTC.
+A clock that counts from 1970 is recognized by its size. Times are written for such a clock alone, in UTC.
 """
 
 import json
@@ -18,9 +18,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.files import finite, write_whole
 
 _UNIX_TIMES = (1e9, 2.5e11)
-"""s: a clock between them counts from 1970 (2001 to the year 9892), not from a start."""
+"""s: times between them count from 1970 (years 2001 to 9892), not from a start."""
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 (section 2.2) does not have, not even escaped; nor has JSON half a surrogate pair."""
+"""Characters that XML 1.0 (section 2.2) does not allow, not even escaped; JSON does not allow half a surrogate pair."""
 
 
 _EASTMOST = 179.999999999
@@ -30,7 +30,7 @@ _EASTMOST = 179.999999999
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
     """One line, cut at the antimeridian (RFC 7946, 3.1.9); places (n, 2) are latitude and longitude, deg.
 
-    ``coordTimes`` is as togeojson writes it: a list, and for a line in parts a list of lists.
+    ``coordTimes`` has the format of togeojson: a list, and for a line in parts a list of lists.
     """
     parts = cut(time, places)
     lines: list[Any] = [[[round(lon, 9), round(lat, 9)] for lat, lon in part.tolist()] for _, part in parts]

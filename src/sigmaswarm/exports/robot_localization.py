@@ -27,17 +27,17 @@ DEFAULT_PROCESS_NOISE = (
 """Its defaults, per second: x, y, z; roll, pitch, yaw; their rates; accelerations (filter_base.cpp, reset)."""
 _X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Variances at the start: of states that stay at 0; the least of x and y, m2."""
+"""Variances at the start: of states that stay at 0; smallest of x and y, m2."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
 """Measures in README.md."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
-"""At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md says."""
+"""At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md explains."""
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
     """The parameter file, by file name; ``interval`` (s) is that of Q.
 
-    ROS's filter has no rules that could be switched off.
+    ROS's filter has no preprocessing to switch off.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def robot_localization(parameters: FilterParameters, interval: float, _: bool = 
 
 
 def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Files for the model robot-localization: the same filter there."""
+    """Files for the model robot-localization, which is the same filter."""
     of = "process_noise / nominal_interval"
     noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
@@ -86,6 +86,7 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
         "R_ACCEL": yaml_number(r_accel),
         "R_LATERAL": lateral,
         "R_ODOMETER": yaml_number(p.odometer_noise or 1.0),
+        "R_HEADING": yaml_number(p.heading_noise or 1.0),
         "GYRO_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[0])),
         "ACCEL_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[1])),
         "FIX_COVARIANCE": f"{stated}{r_x!r} and {r_y!r} m2",
@@ -95,13 +96,14 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
         "USE_IMU_GATE": math.isfinite(max(p.imu_gate)),
         "USE_LATERAL": p.lateral_noise is not None,
         "USE_ODOMETER": p.odometer_noise is not None,
+        "USE_HEADING": p.heading_noise is not None,
     }
     names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
     return {file: fill(template, used, values) for file, template in names.items()}
 
 
 def accuracy_section(evaluation: Evaluation) -> str:
-    """The section of README.md on what the tuning is worth on drives, of an evaluation of it."""
+    """The section of README.md on the accuracy of the tuning on drives, from an evaluation."""
     known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", UNTUNED))]
     heads = " | ".join(evaluation.measures[m].heading for m in known)
     lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
@@ -152,7 +154,7 @@ def process_noise(p: FilterParameters, interval: float) -> list[float]:
 
 
 def yaml_number(value: float) -> str:
-    """A number that every YAML reader takes for one: some read 1e-05, without a dot, as text."""
+    """A number in a form that every YAML reader recognizes: some read 1e-05, without a dot, as text."""
     text = repr(float(value))
     return text if "." in text else text.replace("e", ".0e")
 

@@ -50,7 +50,7 @@ def ros2(
     time_origin: float = 0.0,
     origin: Origin | None = None,
     innovations: Innovations | None = None,
-    beside: Path | None = None,
+    merge: Path | None = None,
 ) -> None:
     """Write a bag, which is a folder, with MCAP storage and a layout of its topics for Foxglove.
 
@@ -64,22 +64,22 @@ def ros2(
     time_origin : float
         s on the bag's clock at which the estimate's times are 0.
     origin : (latitude deg, longitude deg, altitude m), optional
-        Of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
+        Position of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
     innovations : Innovations, optional
         Of the filter at each fix, for topics of innovations, their standard deviations and the NIS.
-    beside : Path, optional
+    merge : Path, optional
         A ROS 2 bag whose messages are copied unchanged into this one in the order of their times.
 
     Raises
     ------
     InputError
-        If rosbags is not installed, a time is before 0, or ``beside`` is no bag of these times, is damaged, or has the
-        topic already. Nothing is left behind then.
+        If rosbags is not installed, a time is before 0, or ``merge`` is not a bag of these times, is damaged, or has
+        the topic already. Nothing is left behind then.
 
     Warns
     -----
     SigmaswarmWarning
-        Of topics that could not be copied.
+        For topics that could not be copied.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -91,11 +91,11 @@ def ros2(
         raise InputError(f"{path}: a bag has no times before 0 (is {first:g} s); shift the drive's times")
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (
-        _reader(beside, first, last) if beside else nullcontext() as recorded,
+        _reader(merge, first, last) if merge else nullcontext() as recorded,
         whole_folder(path) as new,
         Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
     ):
-        originals = _copied(beside, recorded, writer) if beside else iter(())
+        originals = _copied(merge, recorded, writer) if merge else iter(())
         made = Made(store.types, time_origin)
         own = heapq.merge(
             _messages(pieces, made, origin), _of_innovations(innovations, made), key=itemgetter(0)
@@ -124,10 +124,12 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         raise InputError(f"{path}: no such bag; name the one that the drive was imported from")
     paths = bag_paths(path)
     if not paths:
-        raise InputError(f"{path}: holds no bag; name the folder with metadata.yaml, or a .db3 or .mcap file")
+        raise InputError(
+            f"{path}: contains no bag; name the folder with metadata.yaml, or a .db3 or .mcap file"
+        )
     if paths[0].suffix == ".bag":
         raise InputError(
-            f"{path}: is a ROS 1 bag, whose messages ROS 2 reads only when they are rewritten; convert it first: "
+            f"{path}: is a ROS 1 bag, which ROS 2 cannot read; convert it first: "
             f"rosbags-convert --src {path} --dst {path.with_suffix('')}"
         )
     try:
@@ -136,8 +138,8 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     except Exception as error:  # the library raises anything on damaged bytes
         if "rofile" in str(error):
             raise InputError(
-                f"{path}: is an MCAP file that ROS 2 did not write; its messages have no place in a ROS 2 bag, so "
-                "leave --beside out"
+                f"{path}: is an MCAP file that ROS 2 did not write; its messages can't be copied into a ROS 2 bag, so "
+                "leave --merge out"
             ) from None
         raise broken(path, error) from None
     try:

@@ -1,4 +1,4 @@
-"""The targets that a tuned filter can be handed over to: one function each, from parameters to texts of files."""
+"""The targets of an export: one function each, from parameters to texts of files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +16,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
 Alias = Literal["robot-localization"]
-"""Another name of a target: the model is called so."""
+"""Another name of a target, which is that of its model."""
 
 TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
     "filterpy": filterpy,
@@ -41,15 +41,15 @@ def export_texts(
     Parameters
     ----------
     parameters : FilterParameters
-        With ``nominal_interval``, as every tuning has it.
+        Parameters with ``nominal_interval``, which every tuning has.
     target : {"filterpy", "c99", "robot_localization"}
-        robot-localization stands for the last.
+        robot-localization is another name of the last.
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the program that replays.
     as_recorded : bool
         filterpy, c99: use stale fixes, treat IMU gaps as ordinary steps.
     lanes : int
-        c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveFilterBank`
+        c99: number of filters with different parameters, whose mixture is the estimate: a `LiveFilterBank`
         without searches.
     seed : int
         Of the parameters in which the lanes differ.
@@ -61,8 +61,8 @@ def export_texts(
     Raises
     ------
     InputError
-        If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
-        variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
+        If the target is unknown or does not support the model, the parameters lack the interval of Q, a variance
+        is unusable, or the target does not accept a given ``replay`` or ``lanes``.
     """
     if target == "robot-localization":
         target = "robot_localization"
@@ -76,7 +76,9 @@ def export_texts(
         return TARGETS[target](parameters, interval, as_recorded)
     texts = c99(parameters, interval, as_recorded, side_by_side)
     if replay is not None:
-        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
+        texts["replay.csv"] = replay_rows(
+            replay, parameters.model, as_recorded=as_recorded, heading=parameters.heading_noise is not None
+        )
     return texts
 
 
@@ -91,6 +93,10 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     if parameters.fix_error is not None and target != "c99":
         raise InputError(
             f"{target} has no fix-error; tune without it for this target, or run it with LiveFilter"
+        )
+    if parameters.heading_noise is not None and target == "filterpy":
+        raise InputError(
+            "filterpy has no heading; tune without it for this target, or run it with LiveFilter"
         )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)

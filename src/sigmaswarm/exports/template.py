@@ -12,7 +12,7 @@ _DIRECTIVE = re.compile(r"#\s*(if\w*|else|endif)\b\s*(.*)")
 
 
 def fill(name: str, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
-    """The template ``name``, with the parts that ``features`` ask for and with ``values`` filled in.
+    """The template ``name``, with the parts for ``features`` and with ``values`` filled in.
 
     Raises
     ------

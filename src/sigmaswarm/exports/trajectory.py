@@ -1,4 +1,4 @@
-"""Estimates as files, one writer a format; the file's ending names it."""
+"""Estimates as files: one writer per format, which the file's ending names."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -25,7 +25,7 @@ def write_estimate(
     origin: Origin | None = None,
     time_origin: float = 0.0,
     innovations: Innovations | None = None,
-    beside: str | Path | None = None,
+    merge: str | Path | None = None,
     name: str | None = None,
 ) -> None:
     """Write an estimate in the form that the file's ending names.
@@ -50,7 +50,7 @@ def write_estimate(
         times are on that clock.
     innovations : Innovations, optional
         .ros2: those of the filter.
-    beside : str or Path, optional
+    merge : str or Path, optional
         .ros2: a ROS 2 bag whose messages are copied unchanged into the new one.
     name : str, optional
         Name of the track in a map, such as the drive's; by default the file's.
@@ -58,10 +58,10 @@ def write_estimate(
     Raises
     ------
     InputError
-        If the ending is another, the folder does not exist, a needed origin is not given, or ``beside`` can't be used.
+        If the ending is another, the folder does not exist, a needed origin is not given, or ``merge`` can't be used.
     """
     span = (float(estimate.time[0]), float(estimate.time[-1]))
-    options: dict[str, Any] = {"innovations": innovations, "beside": beside, "name": name}
+    options: dict[str, Any] = {"innovations": innovations, "merge": merge, "name": name}
     write_pieces([estimate], span, path, origin=origin, time_origin=time_origin, **options)
 
 
@@ -73,23 +73,23 @@ def write_pieces(
     origin: Origin | None = None,
     time_origin: float = 0.0,
     innovations: Innovations | None = None,
-    beside: str | Path | None = None,
+    merge: str | Path | None = None,
     name: str | None = None,
 ) -> None:
     """Write an estimate that comes in pieces over ``span`` (s); the bytes do not depend on the pieces.
 
     .csv, .tum, .kitti and .ros2 hold one piece at a time, maps all times and places, .mat everything. If a piece can't
-    be had, nothing is written. Otherwise as `write_estimate`.
+    be computed, nothing is written. Otherwise as `write_estimate`.
     """
     path = Path(path)
-    check_target(path, origin, beside)
+    check_target(path, origin, merge)
     if path.suffix in MAPS and origin is not None:  # which has been checked
         rows = [np.column_stack([piece.time, piece.mean[:, :2]]) for piece in pieces]
         time, east, north = np.concatenate(rows).T
         MAPS[path.suffix](time + time_origin, _degrees(east, north, origin), path, name or path.stem)
     elif path.suffix == BAG:
         options: dict[str, Any] = {"time_origin": time_origin, "origin": origin, "innovations": innovations}
-        ros2(pieces, span, path, beside=Path(beside) if beside else None, **options)
+        ros2(pieces, span, path, merge=Path(merge) if merge else None, **options)
     else:
         with whole_file(path) as file:
             _WRITERS[path.suffix](pieces, file)
@@ -107,7 +107,7 @@ def write_fixes(
     origin: Origin | None = None,
     time_origin: float = 0.0,
 ) -> int:
-    """Write the fixes before ``until`` (s): all that is known before a filter starts. How many they are.
+    """Write the fixes before ``until`` (s), all that is known before a filter starts; return their number.
 
     ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a track of its own, named as fixes of the drive.
 
@@ -131,7 +131,7 @@ def write_fixes(
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
     """Raise `InputError` where `write_fixes` could not write, before any work is done."""
     if path.suffix not in (endings := (".csv", *MAPS)):
-        raise InputError(f"{path}: fixes are no poses; end the name in {', '.join(endings)}")
+        raise InputError(f"{path}: fixes are not poses; end the name in {', '.join(endings)}")
     check_target(path, origin)
 
 
@@ -142,15 +142,15 @@ def time_origin_of(drive: Drive) -> float:
     return float(stated) if usable else 0.0
 
 
-def check_target(path: Path, origin: Origin | None = None, beside: str | Path | None = None) -> None:
+def check_target(path: Path, origin: Origin | None = None, merge: str | Path | None = None) -> None:
     """Raise `InputError` where `write_estimate` could not write, before any work is done."""
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
             f"{path}: unknown format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
         )
-    if beside and path.suffix != BAG:
-        raise InputError(f"{path}: --beside copies a bag's messages into a bag; end the name in {BAG}")
+    if merge and path.suffix != BAG:
+        raise InputError(f"{path}: --merge copies the messages of a bag into a bag; end the name in {BAG}")
     if path.suffix == BAG and path.exists():
         raise InputError(f"{path}: exists already; delete it, or choose another name")
     if path.is_dir():
@@ -170,7 +170,7 @@ def true_trajectory(drive: Drive) -> Estimate:
     Raises
     ------
     InputError
-        If the drive knows no truth.
+        If the drive has no truth.
     """
     truth = drive.truth
     if truth is None:
@@ -210,9 +210,9 @@ def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 _LATEST_ORIGIN = 1e12
-"""s: no log's clock begins later."""
+"""s: largest time origin of a log."""
 BAG = ".ros2"
-"""A folder; written by `ros2`, which takes more than an estimate."""
+"""A folder, written by `ros2`, which needs more than an estimate."""
 _WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {
     ".csv": _csv,
     ".mat": _mat,

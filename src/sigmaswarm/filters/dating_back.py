@@ -1,7 +1,7 @@
-"""A start that is dated back: the filter runs over the fixes of the alignment again, and ends where it starts.
+"""A start that is dated back: the filter runs over the fixes of the alignment again, up to the time of the start.
 
 The alignment (`drives.alignment`) is a fit in the plane, without tilts and accelerometer biases, without standstills
-and the lateral constraint. A filter that runs over the same fixes, and those before them, uses all of it.
+and the lateral constraint. A filter that runs over the same fixes, and those before them, uses them all.
 """
 
 from dataclasses import replace
@@ -80,7 +80,7 @@ def _past(ready: PreparedDrive, start: InitialState, until: float, more: int = 0
 
 
 def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
-    """The prior at a fix before the start: its position, the heading less the turns since, the velocity of a chord."""
+    """The prior at a fix before the start: its position, the heading minus the turns since, the velocity of a chord."""
     gps, imu = drive.gps, drive.imu
     time = float(gps.time[fix])
     inside = (imu.time > time) & (imu.time <= found.time)

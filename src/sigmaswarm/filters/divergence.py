@@ -1,8 +1,8 @@
 """Divergence of a filter: how it is detected, and where the filter is reset to.
 
 The fixes of the last seconds determine position, speed and heading by themselves (`drives.alignment`). A filter that
-contradicts them for long, and by far more than its covariance allows, has diverged: it is reset to such an alignment.
-A run and a live filter use the same rule.
+contradicts them for a long time, and by far more than its covariance allows, has diverged: it is reset to such an
+alignment. A run and a live filter use the same rule.
 
 The thresholds are from nine recordings, each run by filters tuned on it and on others. A sound filter's heading is
 20 deg off the alignments for 8 s at most (fixes drift sideways in a city), and its position is 20 m and 5 sigma off the
@@ -26,17 +26,17 @@ from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0
-"""s of contradiction without a break; a city drives fixes aside, and a robust filter needs to recover, for less."""
+"""s of contradiction without a break; errors of fixes in a city, and the recovery of a robust filter, last less."""
 FEWEST_CHECKS = 5
-"""Checks in that time, at least."""
+"""Least number of checks in that time."""
 MANY_SIGMAS = 5.0
 """Standard deviations, as filter and fixes state them, by which the two contradict each other."""
 HEADING_OFF = np.radians(20.0)
-"""rad between the headings of the filter and of an alignment: less is no divergence, whatever the covariance."""
+"""rad between the headings of the filter and of an alignment: least difference for a divergence."""
 POSITION_OFF = 20.0
-"""m between the filter's prediction and a fix; likewise."""
+"""m between the filter's prediction and a fix: the same."""
 SUSPECT = np.radians(10.0)
-"""rad between the filter's heading and a rough course: from here on an alignment is worth its cost."""
+"""rad between the filter's heading and a rough course from which an alignment is computed."""
 SPEED_STD = 10.0
 """m/s per axis: standard deviation of the velocity while only fixes are known."""
 
@@ -87,9 +87,9 @@ class Check:
     fix_variance : (2,) m2
     lever : (2,) m forward and left from the IMU to the antenna
     latency : s
-    since : function that gives the steps from the fix to the moment, (k, 4) s, m/s2, m/s2, rad/s, with ax, ay, gz
-    heading : function that gives a rough heading at the moment from the log alone, rad; NaN where there is none
-    align : function that gives the alignment that ends at the fix, or None; costly
+    since : function that returns the steps from the fix to the moment, (k, 4) s, m/s2, m/s2, rad/s, with ax, ay, gz
+    heading : function that returns a rough heading at the moment from the log alone, rad, or NaN
+    align : function that returns the alignment that ends at the fix, or None; costly
     """
 
     time: float
@@ -148,7 +148,7 @@ class Check:
 
     @property
     def start(self) -> InitialState | None:
-        """Where a filter could be reset to at this moment: the alignment, propagated by the steps since the fix."""
+        """The state for a reset at this moment: the alignment, propagated by the steps since the fix."""
         aligned = self.align()
         if aligned is None:
             return None
@@ -161,7 +161,7 @@ class Check:
 
 
 class DivergenceMonitor:
-    """Checks one filter again and again, and decides when it is reset.
+    """Checks one filter periodically, and decides when it is reset.
 
     Attributes
     ----------
@@ -185,9 +185,9 @@ class DivergenceMonitor:
     def take_all(
         self, times: Sequence[float], check_at: Callable[[int], Check]
     ) -> tuple[int | None, InitialState | None]:
-        """Check a filter at some moments: the first at which it has diverged, and where it can be reset to there.
+        """Check a filter at some times; return the first at which it has diverged, and the state for a reset there.
 
-        ``check_at`` gives the check at the k-th of the times, s. Of a filter that is ``lost`` only the first is taken.
+        ``check_at`` gives the check at the k-th of the times, s. If the filter is ``lost``, only the first is computed.
         """
         with np.errstate(all="ignore"):  # values that are not finite contradict nothing
             first = 0 if self.lost else self._first_diverged(times, check_at)
@@ -215,7 +215,7 @@ def said_of_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """How long checks have contradicted a filter without a break."""
+    """Duration for which checks have contradicted a filter without a break."""
 
     def __init__(self) -> None:
         self._since, self._now, self._checks = 0.0, 0.0, 0
@@ -241,7 +241,7 @@ class _Contradiction:
         return None
 
     def _soonest(self, times: Sequence[float]) -> int:
-        """The first check at which it would last if all contradicted; the last one where there is none."""
+        """The first check at which the contradiction could have lasted; else the last check."""
         since = self._since if self._checks else times[0]
         lasting = (
             t - since >= DIVERGED_AFTER and self._checks + k + 1 >= FEWEST_CHECKS for k, t in enumerate(times)
@@ -249,7 +249,7 @@ class _Contradiction:
         return next((k for k, lasts in enumerate(lasting) if lasts), len(times) - 1)
 
     def _note(self, time: float, contradicts: bool | None) -> None:
-        """Take the result of a check; None, no result, is no break."""
+        """Use the result of a check; None (no result) is not a break."""
         if contradicts is False:
             self._checks = 0
         elif contradicts:
@@ -266,7 +266,7 @@ def steps_since(samples: Array, time: float) -> Array:
 
 
 _ABSURD = 1e12
-"""m, m/s2 or rad/s: squares of larger numbers spoil a fit, and LAPACK writes about them to the terminal."""
+"""m, m/s2 or rad/s: squares of larger numbers make a fit fail, and LAPACK reports them on the terminal."""
 
 
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:

@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
 SUFFIX = "+fix-error"
-"""Of the name of a model with these states."""
+"""Suffix of the name of a model with these states."""
 
 
 @dataclass(frozen=True)
 class Appended:
-    """A measurement of a model that has b behind its own states; ``gain`` is 1 where b adds to it, else 0."""
+    """A measurement of a model with b after its own states; ``gain`` is 1 if b adds to it, else 0."""
 
     own: Any
     gain: float = 0.0
@@ -49,10 +49,13 @@ def _appended(measure: Callable[[Any, Any], Any], gain: float = 0.0) -> Callable
 
 
 def augmented(model: CarModel) -> CarModel:
-    """A model with the states b behind its own."""
+    """A model with the states b after its own."""
 
     def process(state: Array, dt: float, imu: Array) -> Array:
         return np.concatenate([model.process(state[:-2], dt, imu), state[-2:]])
+
+    def heading(near: float) -> Appended:
+        return Appended(model.heading(near))
 
     return replace(
         model,
@@ -62,6 +65,7 @@ def augmented(model: CarModel) -> CarModel:
         velocity=Appended(model.velocity),
         lateral=_appended(model.lateral),
         odometer=_appended(model.odometer),
+        heading=heading,
         rates_at_rest=Appended(model.rates_at_rest),
         tilts=_tilts(model.tilts) if model.tilts else None,
         kinds=("ekf",) if model.tilts else ("ukf", "ekf"),
@@ -113,7 +117,7 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """How many of the n states of a model a start with ``given`` states sets."""
+    """The number of a model's n states that a start with ``given`` states sets."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)
@@ -130,7 +134,7 @@ def grown(variance: Array, phi: float) -> Array:
 
 
 def add_start(mean: Array, covariance: Array, variance: Array) -> None:
-    """Put b into starts (..., n), (..., n, n), in place, of variance g s^2, (...) m2."""
+    """Add b with variance g s^2, (...) m2, to starts (..., n), (..., n, n), in place."""
     for position, b in ((0, -2), (1, -1)):
         mean[..., b] = 0.0
         covariance[..., b, b] = variance

@@ -1,8 +1,8 @@
 """A Kalman filter on the fixes alone: constant velocity with white acceleration, no IMU.
 
-A filter with an IMU should be better. Its two noises have the largest likelihood of the fixes of each training drive:
-the median over these drives. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and
-Navigation, 2001, section 6.2.2.
+A filter with an IMU should be better. Its two noises maximize the likelihood of the fixes of each training drive; the
+median over these drives is used. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking
+and Navigation, 2001, section 6.2.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

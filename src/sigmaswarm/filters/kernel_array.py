@@ -1,7 +1,7 @@
 """Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
-The work of each drive and block takes time next to a kernel of 0.2 ms, and it holds Python's lock while other threads
-wait. So it is done for all sets, and all drives, together.
+The work for each drive and block is slow compared with a kernel of 0.2 ms, and other threads wait for Python's lock
+meanwhile. So it is done for all sets, and all drives, together.
 """
 
 from collections.abc import Callable, Sequence
@@ -131,7 +131,7 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Some of its sets, which share what was computed for all of them."""
+        """Some of its sets, which share the values computed for all."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part
@@ -153,14 +153,14 @@ class KernelArray:
 
     @property
     def _columns(self) -> slice:
-        """Columns of all blocks; those left over have sets that do not belong to it."""
+        """Columns of all blocks; the surplus ones have sets that do not belong to the array."""
         return slice(self._first, self._first + self.blocks * self.width)
 
     @property
     def plausible(self) -> NDArray[np.bool_]:
         """Sets with Q >= 0 and R > 0, shape (size,): only rounding can make their P indefinite.
 
-        The P of others may be indefinite for long without notice.
+        The P of others may be indefinite for a long time without notice.
         """
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
@@ -175,7 +175,7 @@ class KernelArray:
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
-        """Compute where all sets start, for the parts made afterwards: it takes as long as for a few sets."""
+        """Compute the starts of all sets, for the parts made afterwards: it takes as long as for a few sets."""
         unknown = tuple(dict.fromkeys(initial))
         if len(unknown) * len(self._start_std) <= MOST_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)
@@ -208,7 +208,7 @@ class KernelArray:
         return _starts_of(initial, self.kernel, std)
 
     def sums(self, rows: Array) -> Sums:
-        """Sums of the sets from the final rows of m replays, which began as `start` gives them."""
+        """Sums of the sets from the final rows of m replays, which began with the rows of `start`."""
         found, sums = sound_lanes(rows, self.kernel), rows[:, SHOWN].swapaxes(0, 1)
         if self.blocks > 1:  # all of a replay's side by side
             found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
@@ -225,7 +225,7 @@ _FRESH[R.RECENT] = -1.0
 
 
 def _patience(nominal_interval: float) -> float:
-    """Nominal steps that outliers span; less a little, for the rounding of times since 1970."""
+    """Nominal steps that outliers span, minus a margin for the rounding of times since 1970."""
     return (OUTLIERS_SPAN - 1e-6) / nominal_interval
 
 
@@ -237,7 +237,7 @@ def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Sta
 
 @lru_cache(4)
 def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
-    """Starts of sets that agree in `start_std`; kept, since all generations of a search have the same."""
+    """Starts of sets that agree in `start_std`; cached, since all generations of a search have the same."""
     return _starts_of(initial, model, np.array([std]))
 
 
@@ -262,7 +262,7 @@ def _constants(table: ParameterTable) -> Array:
 
 
 def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
-    """The value of each constant, by its row, of a function that gives a field's values."""
+    """The value of each constant, by its row, from a function that returns a field's values."""
     kind, forgetting = of("kind"), of("forgetting")
     q = np.transpose(of("process_noise"))
     alpha2, n_kappa = np.square(of("alpha")), len(FILTERS[model].states) + np.asarray(of("kappa"))
@@ -293,6 +293,7 @@ def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
         R.R_LATERAL: of("lateral_noise"),
         R.R_STANDSTILL: r_left[0] if r_left else of("standstill_noise"),
         R.R_ODOMETER: of("odometer_noise"),
+        R.R_HEADING: of("heading_noise"),
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),
         R.REAR_AXLE: gyro_gate if measures else of("rear_axle"),

@@ -33,13 +33,13 @@ MOST_RESTARTS = 1000
 MOST_READINGS = 2000
 """Odometer readings: ten seconds at 200 Hz."""
 FASTER_IMU = 4
-"""Ratio of an IMU's rate to the stated one, up to which the monitor covers the same time."""
+"""Largest ratio of an IMU's rate to the stated one at which the monitor covers the same time."""
 MOST_HISTORY = 100_000
 """Intervals between IMU samples that history and lag may take: 100 s at 1 kHz, and 0.2 GB."""
 MOST_WAITING = 1000
-"""Fixes that may wait for an IMU sample, about; more of them mean that the IMU is silent."""
+"""Approximate number of fixes that may wait for an IMU sample; more of them mean that the IMU is silent."""
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Errors of texts, None, too few numbers, or integers of 400 digits."""
+"""Errors raised by texts, None, too few numbers, or integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ class LiveFilter:
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample. One not after the last one is ignored, one more than 10 s ahead waits.
 
-        Samples before the start only set the level of calm for the standstill.
+        Samples before the start only set the noise at rest for the standstill.
 
         Parameters
         ----------
@@ -207,16 +207,18 @@ class LiveFilter:
         fix: Sequence[float],
         velocity: Sequence[float] | None = None,
         std: Sequence[float] | None = None,
+        heading: Sequence[float] | None = None,
     ) -> bool:
-        """Take a fix: x, y (m), and perhaps its velocity, m/s east and north.
+        """Process a fix: x, y (m), and optionally its velocity, m/s east and north.
 
         ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
-        needs it, one with ``fix_error`` uses it.
+        needs it, one with ``fix_error`` uses it. ``heading``: rad, and its stated standard deviation, 0 where none is
+        stated; a filter with ``heading_noise`` uses it.
 
         Returns
         -------
         bool
-            False if it was ignored (before the start, too late, or a repeat) or is held.
+            False if it was ignored (before the start, too late, or a repeat) or waits.
 
         Raises
         ------
@@ -226,28 +228,33 @@ class LiveFilter:
         try:
             takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
             var_x, var_y = _squared(std) if takes else (0.0, 0.0)
+            theta, var_theta = 0.0, np.inf
+            if heading is not None and self.parameters.heading_noise is not None:
+                theta, var_theta = heading[0], heading[1] ** 2
             seen = fix[0], fix[1], 0.0, 0.0, 0.0
             if velocity is not None and self._takes_velocity:
                 seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
-            return self._calls.fix(self._memory.handle, t, *seen, var_x, var_y) == live.TAKEN
+            return (
+                self._calls.fix(self._memory.handle, t, *seen, var_x, var_y, theta, var_theta) == live.TAKEN
+            )
         except _NO_NUMBERS as error:
             raise InputError(f"a fix that is not two numbers: {error}") from None
 
     def update_odometer(self, t: float, speed: float) -> bool:
-        """Take a reading of the odometer: m/s, forward positive.
+        """Process a reading of the odometer: m/s, forward positive.
 
         It waits for the IMU sample that follows it; one that comes late takes the filter back, as a late fix does.
 
         Returns
         -------
         bool
-            False if it was left out: the filter takes none, it came too late, lies more than 10 s ahead, or was there
+            False if it was left out: the filter takes none, it came too late, is more than 10 s ahead, or was there
             already.
         """
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
         except _NO_NUMBERS as error:
-            raise InputError(f"a reading of the odometer that is no number: {error}") from None
+            raise InputError(f"a reading of the odometer that is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
         """Reset the filter after a sample if it has diverged; ``due``: it is time for a check."""
@@ -269,7 +276,7 @@ class LiveFilter:
         due: bool,
         gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Where a state estimate is reset to, if it is; ``gyro_bias``: known bias of the gyro, rad/s."""
+        """The state after a reset of a state estimate, if it is reset; ``gyro_bias``: known bias of the gyro, rad/s."""
         start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
         if monitor.lost:
             theta = float(estimate()[0][THETA])
@@ -277,7 +284,7 @@ class LiveFilter:
         return start
 
     def _last_fix(self, now: float) -> Array | None:
-        """The row of the last fix up to a moment that counts."""
+        """The row of the last usable fix up to a time."""
         fixes = self._counted_fixes
         until = int(np.searchsorted(fixes[:, live.FIX_TIME], now, side="right"))
         return fixes[until - 1] if until else None
@@ -305,7 +312,10 @@ class LiveFilter:
 
     @property
     def _samples(self) -> Array:
-        """Those of the last `WATCHED` seconds, and one before, (k, 4 or 6): time, ax, ay, gz, and gx, gy if read."""
+        """The samples of the last `WATCHED` seconds, and one before, (k, 4 or 6).
+
+        Time, ax, ay, gz, and gx, gy if read.
+        """
         of, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
         newest, n = int(of.counts[live.NEWEST]), int(of.counts[live.N_LATELY])
         samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)][:, columns]
@@ -317,7 +327,7 @@ class LiveFilter:
 
     @property
     def _counted_fixes(self) -> Array:
-        """Those that are positions, by time."""
+        """The fixes that are used as positions, by time."""
         of = self._memory.arrays
         fixes = of.fixes[: of.counts[live.N_FIXES]]
         finite = np.isfinite(fixes[:, [live.FIX_X, live.FIX_Y]]).all(axis=1)
@@ -401,7 +411,7 @@ def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -
 
 
 _ALIGNING = (1, 2, 3, 5, 6)
-"""Where ax, ay, gz, gx, gy stand in a kept sample, behind its time: see `AXES`."""
+"""Indices of ax, ay, gz, gx, gy in a stored sample, after its time: see `AXES`."""
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """Vehicle models: description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
 A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
-models before it, so that measurements find them at the same places.
+models before it, so that measurements find them at the same indices.
 
 `UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled
 filter knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with
@@ -49,7 +49,7 @@ def planar5(state: Array, dt: float, imu: Array) -> Array:
 
 
 def planar8(state: Array, dt: float, imu: Array) -> Array:
-    """planar5 with the biases of accelerometer (x, y) and gyro (z) taken off the IMU; they stay as they are."""
+    """planar5 with the biases of accelerometer (x, y) and gyro (z) subtracted from the IMU; the biases are constant."""
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
@@ -88,7 +88,7 @@ def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
 
 
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: a car on its wheels has none at its rear axle."""
+    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: 0 at the rear axle of a car on its wheels."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
@@ -112,6 +112,12 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
     return h
 
 
+def heading(near: float) -> Callable[[Array], Array]:
+    """Heading (rad) of two antennas or a compass; planar models need not know the angle that it is ``near``."""
+    del near
+    return lambda state: state[THETA : THETA + 1].copy()
+
+
 def gyro_bias(state: Array) -> Array:
     """Reading of the gyro at standstill, rad/s."""
     return state[GYRO_BIAS : GYRO_BIAS + 1].copy()
@@ -119,7 +125,7 @@ def gyro_bias(state: Array) -> Array:
 
 @dataclass(frozen=True)
 class Tilts:
-    """Functions of a model whose attitude is more than a heading, for the textbook filters.
+    """Functions of a model with roll and pitch, for the textbook filters.
 
     Attributes
     ----------
@@ -139,22 +145,23 @@ class Tilts:
 
 
 VARIANCE = (1e-5, 10.0)
-"""The paper's box for all variances, Q per nominal IMU step."""
+"""The paper's bounds of all variances, Q per nominal IMU step."""
 SMALL_VARIANCE = (1e-12, 10.0)
 """For position and velocity."""
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Per second: no gyro errs by a third of a radian in one. With more, a filter takes its heading from the fixes alone,
-which a likelihood without truth may prefer where a receiver smooths them: half of dresden's tunings did.
+"""Per second: no gyro errs by a third of a radian in one second. With a larger noise, a filter takes its heading from
+the fixes alone, which a likelihood without truth may prefer if a receiver smooths them, as in half of dresden's
+tunings.
 """
 CITY_VARIANCE = (1e-5, 1e3)
-"""For R: between high buildings fixes err by tens of metres."""
+"""For R: between high buildings fixes err by tens of meters."""
 BIAS_WALK = (1e-16, 1e-4)
 """For the random walks of the biases."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor that may have a bias: the bias's unit, and the box of its standard deviation at the start."""
+    """A sensor that may have a bias: the bias's unit, and the bounds of its standard deviation at the start."""
 
     unit: str
     start_std: tuple[float, float]
@@ -180,7 +187,7 @@ class State:
     bias_of : str or None
         The sensor in `SENSORS` whose bias it is: it starts at 0.
     start_std : float
-        Standard deviation at the start, of a state that is no bias and that alignments do not determine.
+        Standard deviation at the start, of a state that is not a bias and that alignments do not determine.
     """
 
     name: str
@@ -213,10 +220,10 @@ class CarModel:
         ``f(state, dt, imu) -> state``, in the textbook's form.
     imu : tuple of str
         The axes that drive it, as a time line names them.
-    position, velocity, lateral, odometer, rates_at_rest : callable
+    position, velocity, lateral, odometer, heading, rates_at_rest : callable
         Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
-        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `gyro_bias`; those of a
-        tilted model have a ``jacobian``.
+        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `heading` near an
+        angle, `gyro_bias`. Those of a tilted model have a ``jacobian``.
     tilts : Tilts or None
         Of a model whose attitude is more than a heading.
     kinds : tuple of str
@@ -243,6 +250,7 @@ class CarModel:
     velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
     odometer: Callable[[float, float], Any] = wheel_speed
+    heading: Callable[[float], Any] = heading
     rates_at_rest: Callable[[Array], Array] = gyro_bias
     tilts: Tilts | None = None
     measures_imu: bool = False
@@ -307,7 +315,7 @@ _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
 _TILT_START = np.radians(3.0)
-"""rad: the slopes of roads. Searched, it fits the start of the training's drives."""
+"""rad: the slopes of roads. It is not tuned, since it would fit the starts of the training drives."""
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),
@@ -341,6 +349,7 @@ MODELS: dict[str, CarModel] = {
         velocity=tilted.States((2, 3)),
         lateral=tilted.RearAxle,
         odometer=tilted.Wheels,
+        heading=tilted.Heading,
         rates_at_rest=tilted.States((7, 10, 11)),
         tilts=Tilts(tilted.plus, tilted.minus, tilted.nearest, tilted.transition, tilted.as_angles),
         kinds=("ekf", "ukf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"),
@@ -350,15 +359,15 @@ MODELS: dict[str, CarModel] = {
         robot_localization,
         CITY_VARIANCE,
         measures_imu=True,
-        options=("lateral", "odometer", "gate", "imu-gate", "accuracy"),
+        options=("lateral", "odometer", "heading", "gate", "imu-gate", "accuracy"),
         kinds=("ekf",),
     ),
 }
-"""By name. planar5 is the paper's, with the paper's box."""
+"""The models by name. planar5 is the paper's, with the paper's bounds."""
 
 
 def require_driven_by_imu(model: str, use: str) -> None:
-    """Refuse a model that measures the IMU for a use that it does not support.
+    """Raise an error if a model that measures the IMU does not support a use.
 
     Raises
     ------

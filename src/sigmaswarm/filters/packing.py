@@ -1,4 +1,4 @@
-"""States in the rows of the compiled kernel, and checks that they are sound."""
+"""States in the rows of the compiled kernel, and checks of them."""
 
 import math
 from functools import cache
@@ -54,8 +54,8 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
     """As `unpack_states`, with the covariance of the mean: of a tilted model's angles, not of its error.
 
-    Of a model that measures the IMU the five states of planar5, the velocity in m/s east and north; the lasting error
-    of fixes is left out.
+    For a model that measures the IMU these are the five states of planar5, with the velocity in m/s east and north. The
+    lasting error of fixes is left out.
     """
     mean, covariance = unpack_states(state, model)
     if FILTERS[model].fix_error:

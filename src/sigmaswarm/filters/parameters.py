@@ -92,8 +92,11 @@ class FilterParameters:
         The odometer's reading over the true speed.
     odometer_latency : float
         s: age of an odometer reading at its time stamp.
+    heading_noise : float or None
+        rad2: variance of a fix's heading, where the log has one (two antennas, a compass), in addition to the stated
+        one. None: not used.
     gate : float or None
-        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of sound fixes
+        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of good fixes
         (chi-square, two degrees of freedom). None: every fix is used.
     latency : float
         s: age of a fix at its time stamp.
@@ -138,6 +141,7 @@ class FilterParameters:
     odometer_noise: Positive | None = _option(None)
     odometer_scale: Positive = _option(1.0)
     odometer_latency: Real = _option(0.0)
+    heading_noise: Positive | None = _option(None)
     gate: Positive | None = _option(None)
     latency: Real = _option(0.0)
     accuracy_scale: Positive | None = _option(None)
@@ -241,11 +245,11 @@ class FilterParameters:
 
             if has_table(path, "imu") and not (path / "tuning.toml").exists():
                 raise InputError(
-                    f"{path}: is a drive; the tuning comes first, as in sigmaswarm evaluate TUNING DRIVE"
+                    f"{path}: is a drive; give the tuning first, as in sigmaswarm evaluate TUNING DRIVE"
                 )
             path = path / "tuning.toml"
         table = read_content(
-            path, "give a readable TOML file", missing="give a tuning.toml or the folder that holds it"
+            path, "give a readable TOML file", missing="give a tuning.toml or the folder that contains it"
         )
         if not isinstance(table.get("filter"), dict):
             raise InputError(f"{path}: has no [filter] table; give a file written by `sigmaswarm tune`")
@@ -285,10 +289,11 @@ _SCALED = (
     "lateral_noise",
     "standstill_noise",
     "odometer_noise",
+    "heading_noise",
     "accuracy_scale",
     "fix_error",
 )
-"""Variances, or factors of them, besides Q and R."""
+"""Variances, or factors of them, in addition to Q and R."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
@@ -298,11 +303,14 @@ def clash(kind: str, use: Collection[str]) -> str | None:
     if "robust" in use and "gate" in use:
         return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
-        return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
+        return (
+            f"robust can't be combined with {kind}, which adapts to what robust rejects; take ukf or ekf, or "
+            "leave it out"
+        )
     if "accuracy" in use and kind == "adaptive-ukf":
-        return "accuracy does not go with adaptive-ukf, which finds R by itself; take another kind, or leave it out"
+        return "accuracy can't be combined with adaptive-ukf, which estimates R; take another kind, or leave it out"
     if "fix-error" in use and kind not in ("ukf", "ekf"):
-        return f"fix-error does not go with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
+        return f"fix-error can't be combined with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
     return None
 
 
@@ -328,6 +336,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "odometer_noise": "m2/s2",
         "odometer_scale": "reading over true speed",
         "odometer_latency": "s",
+        "heading_noise": "rad2",
         "gate": "NIS, dimensionless",
         "imu_gate": ["NIS, dimensionless"] * 2,
         "latency": "s",
@@ -360,8 +369,8 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, took gaps in the IMU "
-            "as ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
+            f"{path}: was tuned by sigmaswarm {shown(version)}, whose filters used stale fixes, treated gaps in the "
+            "IMU as ordinary steps, and detected standstills by another rule: results differ; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

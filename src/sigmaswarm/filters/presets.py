@@ -1,6 +1,6 @@
-"""Filters without tuning. The paper names "default parameters" and gives none.
+"""Filters without tuning. The paper names "default parameters" but does not state them.
 
-Three presets, planar5 UKFs, stand for settings by hand:
+Three presets, planar5 UKFs, represent settings by hand:
 
 ``defaults``
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
@@ -28,7 +28,7 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.robot_yaml import NOT_FUSED, PROCESS_NOISE, SMALLEST, SPEED_NOISE, YAML
+from sigmaswarm.filters.robot_yaml import HEADING_NOISE, NOT_FUSED, PROCESS_NOISE, SMALLEST, SPEED_NOISE, YAML
 
 PresetName = Literal["defaults", "datasheet", "paper"]
 
@@ -40,24 +40,28 @@ MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
-"""Per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as of an ICM-20602 (i2Nav's
+"""Per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as for an ICM-20602 (i2Nav's
 awesome-gins-datasets); the data sheet of the MPU-6050 does not state it."""
 BY_HAND = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
     "standstill_noise": 0.05**2,
     "odometer_noise": 0.1**2,
+    "heading_noise": HEADING_NOISE,
     "gate": 9.2,
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Usual values of parameters without a data sheet: m2/s2; the 99% gate; the receiver's statement taken as right."""
+"""Usual values of parameters without a data sheet: m2/s2, rad2; 99% gate; the receiver's stated accuracy unchanged."""
 HALF_A_WHEELBASE = 1.3
 """m from the rear axle to an IMU in the middle of a car."""
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
-"""m/s2/sqrt(Hz), rad/s/sqrt(Hz): what a model leaves out (slopes, vibration, scale factors, mounting); added to the
-densities of the sensors. IMUs at standstill show 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With
-the densities of data sheets alone a filter drifted 1.3 to 60 times as far over 5 s as the tuned one, on six drives."""
+"""m/s2/sqrt(Hz), rad/s/sqrt(Hz): noise of what a model leaves out (slopes, vibration, scale factors, mounting).
+
+It is added to the densities of the sensors.
+IMUs at standstill show 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With the densities of data sheets
+alone a filter drifted 1.3 to 60 times as far over 5 s as the tuned one, on six drives.
+"""
 ACCURACY_FLOOR = 0.1**2
 """m2: R in addition to the stated variance of each fix."""
 
@@ -118,6 +122,7 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
         imu_noise=_stated_imu(drive, plain),
         lateral_noise=like.lateral_noise and SPEED_NOISE,
         odometer_noise=like.odometer_noise and SPEED_NOISE,
+        heading_noise=like.heading_noise and HEADING_NOISE,
     )
 
 
@@ -141,11 +146,16 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     if drive.gps.std_x is not None and drive.gps.std_y is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None
-    return replace(p, imu_noise=imu, odometer_noise=wheels, **variances)
+    heading = p.heading_noise
+    if drive.gps.heading is None:
+        heading = None
+    elif heading is not None and drive.gps.std_heading is not None:
+        heading = SMALLEST
+    return replace(p, imu_noise=imu, odometer_noise=wheels, heading_noise=heading, **variances)
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """The variances of gz and ax that the messages of the log stated, else those of ``p``."""
+    """The variances of gz and ax that the messages of the log state, else those of ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 

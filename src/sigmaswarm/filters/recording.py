@@ -23,7 +23,7 @@ from sigmaswarm.geodesy import wrap_angle
 ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
 """Filter types whose R changes with each fix."""
 SAMPLES = 10_000
-"""IMU samples in a piece; planar8 takes 9 MB for so many."""
+"""IMU samples in a piece; planar8 takes 9 MB for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +144,13 @@ class Recording:
         return joined(self)
 
     def finished(self) -> Self:
-        """Run to the end without estimates, and so without looking for a `failure`; returns itself."""
+        """Run to the end without estimates and without a search for a `failure`; return itself."""
         for _ in self._parts:
             pass
         return self
 
     def _run(self) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
-        """Run piece by piece; gives the arguments of `_piece`."""
+        """Run piece by piece; yield the arguments of `_piece`."""
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
@@ -162,10 +162,10 @@ class Recording:
         self._complete = True
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
-        """Run to the last of the stops, (r,), each behind a step that ends at an IMU sample; (r,) where it is lost.
+        """Run to the last of the stops, (r,), each after the step of an IMU sample; return where it is lost, (r,).
 
-        The filter runs on as if it did not diverge, and is checked afterwards, from its record; where it has diverged
-        it goes back. To stop for each check takes longer than the steps do.
+        The filter runs on as if it did not diverge, and is checked afterwards, from its record; from a divergence it
+        continues again. Stopping for each check would take longer than the steps.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -204,7 +204,7 @@ class Recording:
     def _check(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
         """Check the filter after some steps, from their record, up to the first at which it has diverged.
 
-        Gives the row of that step, or the last row, and where the filter is reset to there, if it can be.
+        Returns the row of that step, or the last row, and the state of the reset there, if there is one.
         """
         times = self._checks
         assert times is not None
@@ -259,7 +259,7 @@ class Recording:
         return np.array([rx, ry]) + scale * self._replay.timeline.fixes[fix, 4:6]
 
     def _reset(self, start: InitialState) -> None:
-        """Reset the filter to a start; its sums stay."""
+        """Reset the filter to a start; its sums are kept."""
         fresh = self._array.start([start], [self._replay.timeline.nominal_interval])[0]
         added_up = slice(R.SQ_POSITION, R.OK + 1)
         fresh[added_up] = self._rows[0, added_up]

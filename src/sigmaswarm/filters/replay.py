@@ -57,7 +57,7 @@ class Targets:
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
-        """Nothing to compare with."""
+        """Targets without moments."""
         weight, x, y, theta, counts, noise = run.NO_TARGETS
         return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), noise)
 
@@ -91,7 +91,7 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One pass over a drive, ready for any number of filters: where they start, step, and are compared."""
+    """One pass over a drive for any number of filters: their start, steps and comparison times."""
 
     timeline: Timeline
     initial: InitialState
@@ -105,10 +105,16 @@ class Replay:
         return int(self.timeline.hides.sum())
 
     def arrays(
-        self, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False, ay: bool = False
+        self,
+        velocity: bool,
+        lateral: bool,
+        standstill: bool,
+        odometer: bool = False,
+        ay: bool = False,
+        heading: bool = False,
     ) -> "DriveArrays":
         """The drive as the kernel reads it; the flags depend on the measurements that a filter uses."""
-        taken = velocity, lateral, standstill, odometer, ay
+        taken = velocity, lateral, standstill, odometer, ay, heading
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, *taken)
@@ -120,7 +126,7 @@ class Replay:
 
 
 DriveArrays = tuple[
-    *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint8]],
+    *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint16]],
     *tuple[Array, Array, Array, run.TargetColumns, NDArray[np.int32]],
 ]
 """steps, samples, driving, flags, fixes, speeds, lever, targets and their ends: see `compiled.run.run_lanes`."""
@@ -166,7 +172,7 @@ def require_readable(replay: Replay, array: KernelArray) -> None:
     """Raise `InputError` where a drive lacks data that the filters read."""
     if array.reads in replay.readable:
         return
-    model, accuracy, (*_, odometer, _) = array.reads
+    model, accuracy, (_, _, _, odometer, *_) = array.reads
     require_axes(replay.timeline.drive, model)
     if accuracy:
         require_accuracy(replay.timeline)

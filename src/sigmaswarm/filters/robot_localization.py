@@ -1,4 +1,4 @@
-"""The extended Kalman filter of ROS's robot_localization in ``two_d_mode``: its eight states that matter.
+"""The extended Kalman filter of ROS's robot_localization in ``two_d_mode``: the eight states that matter in the plane.
 
 State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). Over d seconds, all from the old
 state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
@@ -7,8 +7,8 @@ state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
     vx += d ax                          vy += d ay                          P = J P J' + d Q
 
 The velocity does not turn with the body, so an ay that is fused becomes sideways speed in a turn. Measurements are
-states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix. A fix, gz or ax with
-nu' S^-1 nu >= threshold^2 is left out.
+states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, yaw of two antennas, whose
+innovation is wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out.
 z, roll, pitch and their rates stay at 0 in ``two_d_mode`` and decouple. Read from
 https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
 """
@@ -53,10 +53,11 @@ class TextbookRobotLocalization:
         self.covariance = jacobian @ self.covariance @ jacobian.T + d * self._q
 
     def correct(self, states: list[int], z: Array, variances: Array, gate: float = np.inf) -> None:
-        """Update with measurements of some states, in Joseph's form; with a NIS from ``gate`` on not at all."""
+        """Update with measurements of some states, in Joseph's form; a NIS of ``gate`` or more is rejected."""
         p, r = self.covariance, np.diag(np.maximum(variances, SMALLEST))
         h = np.eye(8)[states]
         nu, s = z - self.mean[states], h @ p @ h.T + r
+        nu = wrap_angle(nu) if states == [YAW] else nu
         if nu @ np.linalg.solve(s, nu) >= gate:
             return
         gain = np.linalg.solve(s, h @ p).T
@@ -66,7 +67,10 @@ class TextbookRobotLocalization:
         self.covariance = kept @ p @ kept.T + gain @ r @ gain.T
 
     def imu(self, gz: float, ax: float, ay: float | None = None) -> None:
-        """Update with an IMU sample; ``ay`` where it is fused, as many configurations do and the tuned model never."""
+        """Update with an IMU sample.
+
+        ``ay`` only if it is fused, as in many configurations but never in the tuned model.
+        """
         (r_gyro, r_accel, *_), (gyro_gate, accel_gate) = self.parameters.imu_noise, self.parameters.imu_gate
         self.correct([VYAW], np.array([gz]), np.array([r_gyro]), gyro_gate)
         self.correct([AX], np.array([ax]), np.array([r_accel]), accel_gate)
@@ -80,6 +84,10 @@ class TextbookRobotLocalization:
     def odometer(self, speed: float) -> None:
         """Update with the wheels' speed forward, m/s."""
         self.correct([VX], np.array([speed]), np.array([self.parameters.odometer_noise]))
+
+    def heading(self, yaw: float, stated: float) -> None:
+        """Update with a yaw, rad, and the variance that its message states, rad2."""
+        self.correct([YAW], np.array([yaw]), np.array([stated + (self.parameters.heading_noise or 0.0)]))
 
     def fix(self, position: Array, stated: Array) -> None:
         """Update with a fix, (2,) m, and the variances that it states, (2,) m2."""

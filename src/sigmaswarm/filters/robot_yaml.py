@@ -18,11 +18,13 @@ from sigmaswarm.wording import shown
 YAML = (".yaml", ".yml")
 """Endings of such files."""
 PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
-"""Places of the eight states among robot_localization's 15."""
+"""Indices of the eight states among robot_localization's 15."""
 PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 IMU_NOISE = (1e-4, 1e-2)
 """Usual variances of gz ((rad/s)2) and ax ((m/s2)2)."""
+HEADING_NOISE = math.radians(0.5) ** 2
+"""rad2: usual variance of the heading of two antennas."""
 SPEED_NOISE = 0.1**2
 """Usual variance of a measured speed, (m/s)2."""
 SMALLEST = 1e-9
@@ -42,7 +44,7 @@ def read_configuration(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the file is no such configuration.
+        If the file is not such a configuration.
 
     Warns
     -----
@@ -72,6 +74,7 @@ def read_configuration(path: Path) -> dict[str, Any]:
         ),
         "lateral_noise": SPEED_NOISE if no_slip else None,
         "odometer_noise": SPEED_NOISE if wheels else None,
+        "heading_noise": HEADING_NOISE if any(e[_YAW] for e in inputs.values()) else None,
     }
 
 
@@ -137,7 +140,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """The squared Mahalanobis distance of the first threshold that is there; None if there is no limit."""
+    """The squared Mahalanobis distance of the first stated threshold; None if there is no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
@@ -151,7 +154,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
-    """Clauses on what the model does not have."""
+    """Clauses on settings that the model does not have."""
     if block.get("two_d_mode") is not True:
         yield "evaluated in two_d_mode, which it does not set"
     if block.get("dynamic_process_noise_covariance") is True:
@@ -162,6 +165,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: differential and relative left out"
         if entries[_YAW]:
-            yield f"{name}: yaw left out"
+            yield f"{name}: yaw is that of the fixes, left out where a drive has no heading"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: yaw rate left out"

@@ -1,4 +1,4 @@
-"""One filter over one drive: `run_filter` compiled, `run_textbook` in the textbook's form."""
+"""One filter over one drive: `run_filter` compiled, `run_textbook` in textbook form."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -10,7 +10,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.gyro_seen import GyroSeen, together
 from sigmaswarm.drives.odometer import slot_of
-from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.drives.timeline import FIX_VAR_THETA, Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, add_start, known_states
 from sigmaswarm.filters.models import MODELS, SENSORS, THETA, CarModel
@@ -26,6 +26,7 @@ STANDSTILL = 16  # the car stands
 HIDDEN = 32  # a fix that is hidden from the filter: its prediction is scored
 ODOMETER = 64  # update with the wheels' speed
 COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
+HEADING = 256  # the fix has a heading
 
 LATERAL_INTERVAL = 0.1
 """s between two lateral updates: the error is not white, so more of them add no information."""
@@ -37,26 +38,32 @@ SLIP_GATE = 9.0
 """The largest NIS of a wheel speed that is used: three sigmas. Wheels that slip or lock are wrong for seconds, with
 equal readings, so that a small weight for each would still add up. Unlike fixes, the last of a long run of them is
 rejected, too: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
+HEADING_GATE = 9.0
+"""The largest NIS of a heading: one farther off has a larger variance, so that its NIS is this (G. Chang, Robust Kalman
+filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). So wrong headings
+move the filter little, and a filter that is wrong recovers."""
 MOST_REJECTED = 5
-"""Fixes in a row that the gate may reject; the next one is used, or a filter that has diverged would never recover."""
+"""Number of consecutive fixes that the gate may reject; the next one is used, so that a diverged filter can recover."""
 
 GAP_TURN_STD = 0.1
-"""rad/s: standard deviation of the turn rate in a gap of the IMU, around the mean of the samples next to it. Values
-of 0.05 to 0.3 do as well on real drives."""
+"""rad/s: standard deviation of the turn rate in a gap of the IMU, around the mean of the samples next to it.
+
+Values of 0.05 to 0.3 are as good on real drives.
+"""
 GAP_ACCELERATION_STD = 1.0
-"""m/s2 per axis: standard deviation of the acceleration in a gap. Values of 0.5 to 2 do as well on real drives."""
+"""m/s2 per axis: standard deviation of the acceleration in a gap. Values of 0.5 to 2 are as good on real drives."""
 GAP_TILT_STD = 0.01
-"""rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 does as well on a real drive."""
+"""rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 is as good on a real drive."""
 
 
-Switches = tuple[bool, bool, bool, bool, bool]
+Switches = tuple[bool, bool, bool, bool, bool, bool]
 
 
 def switches(p: FilterParameters) -> Switches:
-    """Measurements other than fixes that a parameter set uses: velocity, lateral, standstill, odometer, ay."""
+    """Measurements other than fixes that a parameter set uses: velocity, lateral, standstill, odometer, ay, heading."""
     velocity, lateral = p.velocity_noise is not None, p.lateral_noise is not None
     stands, wheels, ay = p.standstill_noise is not None, p.odometer_noise is not None, len(p.imu_noise) > 2
-    return velocity, lateral, stands, wheels, ay
+    return velocity, lateral, stands, wheels, ay, p.heading_noise is not None
 
 
 def require_odometer(drive: Drive) -> None:
@@ -131,20 +138,30 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
 
 def flags_of(
-    line: Timeline, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False, ay: bool = False
-) -> NDArray[np.uint8]:
-    """Events at the end of each step, as bits FIX ... ODOMETER, shape (k,).
+    line: Timeline,
+    velocity: bool,
+    lateral: bool,
+    standstill: bool,
+    odometer: bool = False,
+    ay: bool = False,
+    heading: bool = False,
+) -> NDArray[np.uint16]:
+    """Events at the end of each step, as bits FIX ... HEADING, shape (k,).
 
-    With an odometer, the car does not stand while the wheels turn. ``ay``: robot-localization fuses it, which has no
-    standstills and takes their bit for it.
+    With an odometer, the car does not stand while the wheels turn. ``ay``: robot-localization fuses it; it has no
+    standstills, and their bit marks these samples.
     """
     wheels = line.wheels if odometer else None
-    flags = np.zeros(len(line.absorbs), dtype=np.uint8)
+    flags = np.zeros(len(line.absorbs), dtype=np.uint16)
     flags[line.absorbs] |= FIX
     flags[line.hides] |= HIDDEN
     flags[line.sampled] |= IMU
     if velocity and line.has_velocity:
         flags[line.absorbs] |= VELOCITY
+    if heading:
+        found = np.zeros(len(flags), dtype=np.bool_)
+        found[line.absorbs | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
+        flags[found & line.absorbs] |= HEADING
     if lateral:
         flags[_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)] |= LATERAL
     if standstill:
@@ -158,7 +175,7 @@ def flags_of(
 
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
-    """The first wanted step of each interval of time."""
+    """The first selected step of each interval of time."""
     slots = slot_of(line.end[wanted], line.start, interval)
     first = np.ones(len(slots), dtype=np.bool_)
     np.not_equal(slots[1:], slots[:-1], out=first[1:])
@@ -208,7 +225,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """Gyro observations of starts, and of which: all at once where all have one, since each call takes 50 us."""
+    """Gyro observations of starts, and their starts: all at once if all have one, since each call takes 50 us."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]

@@ -1,7 +1,7 @@
 """Smoothing: the Rauch-Tung-Striebel smoother behind any compiled filter.
 
-It runs the filter forward and then backward over the log of the forward pass: see `compiled.smoothing`. It knows no
-measurements; it takes each update, weight or rejection as the filter decided it.
+It runs the filter forward and then backward over the log of the forward pass: see `compiled.smoothing`. It needs no
+measurements; each update, weight or rejection is as in the forward pass.
 
 Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece. The backward pass runs the
 filter again from each checkpoint, the last one first, and keeps the smoothed state at the checkpoints alone. A third
@@ -70,7 +70,7 @@ def smooth(
 
 @dataclass(frozen=True, eq=False)
 class _Checkpoint:
-    """All from which a run goes on."""
+    """The state from which a run continues."""
 
     rows: Array
     place: Array
@@ -92,7 +92,7 @@ class _ForwardLog:
 class _Forward(Recording):
     """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
-    All of it goes through one kernel: another one rounds otherwise, and the estimates would depend on the checkpoints.
+    All passes use one kernel: another one rounds differently, and the estimates would depend on the checkpoints.
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:

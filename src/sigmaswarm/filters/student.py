@@ -9,9 +9,9 @@ ITERATIONS = 3
 OUTLYING = 0.25
 """A fix of a smaller weight is an outlier."""
 OUTLIERS = 3
-"""This many outliers in a row, at least, ..."""
+"""At least this many consecutive outliers ..."""
 OUTLIERS_SPAN = 5.0
-"""... which span this many s, at least, are no outliers: the filter is wrong."""
+"""... over at least this many s are not outliers: the filter is wrong."""
 
 # c of an objective is 2 x with x e^x E1(x) = v / (v + 2), E1 being the exponential integral. Then the mean of
 # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as it is for

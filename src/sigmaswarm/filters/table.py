@@ -14,11 +14,12 @@ from sigmaswarm.filters.schedule import Switches, switches
 
 _ABSENT: dict[str, float] = {
     **dict.fromkeys(
-        ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "gate"), math.inf
+        ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "heading_noise", "gate"),
+        math.inf,
     ),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
-"""The number that stands for None in the fields that may be None."""
+"""The number for None in the fields that may be None."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,11 +3,11 @@
 The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
 roll left side up. A filter on it keeps its mean as such angles and its covariance as that of a small rotation ``e``
 about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
-error-state Kalman filter, 2017, section 7: the global error). e takes the places of roll, pitch and theta. When it
-is injected into R, the covariance stays as it is: a reset would change it by second order in e.
+error-state Kalman filter, 2017, section 7: the global error). In the state vector e has the indices of roll, pitch and
+theta. When it is injected into R, the covariance is not changed: a reset would change it by second order in e.
 
-There is no vertical channel: the car stays on the road. So the Jacobians take the specific force
-along the third axis of the local frame to be gravity; the bumps of a road would make them noisy otherwise.
+There is no vertical channel: the car stays on the road. So the Jacobians assume that the specific force along the third
+axis of the local frame is gravity; otherwise bumps of the road would make them noisy.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.geodesy import wrap_angle
+
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """m/s2."""
 ATTITUDE = (8, 9, 4)
-"""The places of the error about east, north and up, those of roll, pitch and theta."""
+"""Indices of the error about east, north and up, which are those of roll, pitch and theta."""
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
-"""The places of the biases: forward, left; and about forward, left, up."""
+"""Indices of the biases: forward, left; and about forward, left, up."""
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
 """The states whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Any
 square root is right. With these states fixed, process and measurements are linear in all others."""
@@ -108,7 +110,7 @@ def minus(state: Array, other: Array) -> Array:
 
 
 def nearest(error: Array, near: Array) -> Array:
-    """The error (12,) that turns by the same rotation, whole turns more or less, and is nearest to another."""
+    """The error (12,) with the same rotation, up to whole turns, that is nearest to another."""
     vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
     angle = np.linalg.norm(vector)
     if not angle > 0:
@@ -178,7 +180,7 @@ class Antenna:
 
 @dataclass(frozen=True)
 class RearAxle:
-    """The velocity to the left (m/s) at the rear axle: a car on its wheels has none, and none up from the road.
+    """The velocity to the left (m/s) at the rear axle: 0 for a car on its wheels, as the velocity up from the road.
 
     Attributes
     ----------
@@ -234,6 +236,23 @@ class Wheels:
         return h
 
 
+@dataclass(frozen=True)
+class Heading:
+    """Heading (rad) of two antennas: the yaw of the attitude, within half a turn of ``near``."""
+
+    near: float
+
+    def __call__(self, state: Array) -> Array:
+        return self.near + wrap_angle(state[[ATTITUDE[2]]] - self.near)
+
+    def jacobian(self, state: Array) -> Array:
+        """H, (1, 12), of a small rotation of the forward axis."""
+        east, north, up = rotation(state)[:, 0]
+        h, level2 = np.zeros((1, N)), east**2 + north**2
+        h[0, [*ATTITUDE]] = -east * up / level2, -north * up / level2, 1.0
+        return h
+
+
 def _along_the_road(state: Array, up: Array) -> Array:
     """The velocity (3,) of a car that stays on its road; ``up`` (3,) is the road's normal."""
     vx, vy = state[2:4]
@@ -251,7 +270,7 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
 
 @dataclass(frozen=True)
 class States:
-    """Some of the states themselves: a velocity, or the gyro's biases at rest."""
+    """A measurement of states: a velocity, or the gyro's biases at rest."""
 
     places: tuple[int, ...]
 

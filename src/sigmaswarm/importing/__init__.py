@@ -1,6 +1,6 @@
-"""Reading the logs that people have, as drives.
+"""Import of logs of other formats as drives.
 
-A log is a `Log`: named tables of columns, whatever the file format. The way of a table:
+A log is a `Log`: named tables of columns, whatever the file format. The steps of a table:
 
 bytes -> table        `readers/` decode a format; of text, `readers/dialect.py` finds separator, header and units
 table -> columns      `names.py` reads names, `units.py` units, `quantities.py` makes expressions in SI units
@@ -9,5 +9,5 @@ expressions -> rows   `gather.py` evaluates them by batches (`expressions.py`, `
 rows -> time line     `timeline.py` unwraps, chooses a recording, spreads and sorts; `joining.py` joins a role's tables
 time line -> drive    `places.py` checks positions, `mounting.py` turns the IMU, `assemble.py` makes the drive
 
-A `Recipe` holds the expressions; the user may change it with `--map`. `convert.py` runs all steps, `look.py` shows all.
+A `Recipe` has the expressions; the user may change it with `--map`. `convert.py` runs all steps, `look.py` shows all.
 """

@@ -1,4 +1,4 @@
-"""A drive of joined columns: one clock, one frame, the IMU rotated, missing truth columns computed."""
+"""Assemble a drive from joined columns: one clock, one frame, the IMU rotated, missing truth columns computed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -19,15 +19,15 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
 
 SEED = 0
-"""Seed of the noise of fixes that are made from the truth."""
+"""Seed of the noise of fixes made from the truth."""
 MOST_FIXES = 10_000_000
-"""That are made of the truth."""
+"""Largest number of fixes made from the truth."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 """Required columns of each role."""
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m) of the local frame."""
 LONGEST_OFFSET = 4e9
-"""s: 126 years, beyond which times in ns leave 64 bits."""
+"""s: 126 years, beyond which times in ns exceed 64 bits."""
 
 
 @np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
@@ -71,7 +71,7 @@ def assemble(
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
     if recipe.gps_from_truth:
         if truth is None:
-            raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
+            raise InputError(f"{name}: fixes can't be made from the truth, since there is none")
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
     drive = Drive(
@@ -87,7 +87,7 @@ def assemble(
     if shortage := shortage_of(drive.imu, drive.gps):
         if "overlap" in shortage:
             offset = drive.imu.time[0] - drive.gps.time[0]
-            shortage += f", with --gps-offset (were both begun together: {offset:.3f})"
+            shortage += f", with --gps-offset (if both began together: {offset:.3f})"
         raise InputError(f"{name}: {shortage}")
     return drive
 
@@ -105,7 +105,7 @@ def _imu(time: Array, values: Values, recipe: Recipe) -> Imu:
 
 
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
-    """The keys of drive.toml; ``zero`` is the second at which the times begin."""
+    """The keys of drive.toml; ``zero`` is the time origin, s."""
     metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
     if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
@@ -121,7 +121,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
         if not abs(offset) < LONGEST_OFFSET:
-            raise InputError(f"--{role}-offset {offset:g} can't be; give seconds")
+            raise InputError(f"--{role}-offset {offset:g}: must be a number of seconds")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
     # a stamp years before all others is broken, and would cost them their last digits
@@ -132,7 +132,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
 
 
 def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Values, Origin | None]:
-    """The fixes' columns as a drive has them, and the origin of the local frame."""
+    """The fixes' columns of a drive, and the origin of the local frame."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
@@ -143,13 +143,11 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
         values["course"] = np.asarray(wrap_angle(values["course"]))
     if "lat" in values and "lon" in values:
         if not len(values["lat"]):
-            raise InputError("the gps: no fix is left; --show shows what the log holds")
+            raise InputError("gps: no fix is left; --show shows the contents of the log")
         origin = origin or _first_place(values)
         values = level(values, values.get("alt", origin[2]), origin, "gps")
     elif not {"x", "y"} <= set(values):
-        raise InputError(
-            "the gps: nothing gives a position; map lat and lon (deg), or x and y (m east, north)"
-        )
+        raise InputError("gps: no column gives a position; map lat and lon (deg), or x and y (m east, north)")
     for lone, mate in (("std_x", "std_y"), ("std_y", "std_x")):
         if lone in values and mate not in values:
             values[mate] = values[lone]
@@ -165,10 +163,10 @@ def _first_place(values: Values) -> Origin:
 
 
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
-    """The truth with x and y, m; about its own first place where no fixes have set an origin.
+    """The truth with x and y, m; relative to its own first position if no fixes have set an origin.
 
-    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand meters
-    between the two would stretch one of them by 16 cm a kilometre.
+    Fixes without altitude are assumed to be level with the origin, and the truth then, too: a thousand meters between
+    the two would stretch one of them by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -178,13 +176,16 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
         values = level(values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth")
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(
-            "the truth: nothing gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
+            "truth: no column gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
         )
     return values, origin
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    """Return the sentence on truth in meters with fixes in degrees: its origin, and how far the fixes are from it."""
+    """Return the sentence on truth in meters with fixes in degrees.
+
+    Its origin, and the distance of the fixes from it.
+    """
     said = "truth is in meters: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
@@ -202,10 +203,10 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Fixes at a rate, Hz, that lie where the truth is, with white noise, m per axis."""
+    """Fixes at a rate, Hz, at the position of the truth, with white noise, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
-        raise InputError(f"{given} can't be; give a rate in Hz and a deviation in m, as 5,1")
+        raise InputError(f"{given} can't be used; give a rate in Hz and a deviation in m, as 5,1")
     if not (truth.time[-1] - truth.time[0]) * rate <= MOST_FIXES:
         raise InputError(f"{given} would make more than {MOST_FIXES} fixes; check the truth's times")
     time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
@@ -237,13 +238,13 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         apart = np.hypot(east, north)
         if apart > 1000.0:
             say(
-                f"truth: lies {apart:.0f} m from the fixes on the whole; if it has another origin, give --origin"
+                f"truth: lies {apart:.0f} m from the fixes on average; if it has another origin, give --origin"
             )
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Course (n,), rad, of a velocity; while it is slow, the last one known, or else the first."""
+    """Course (n,), rad, of a velocity; at low speed the last known course, or else the first."""
     moving = np.hypot(vx, vy) > MOVING
     if not moving.any():
         return np.zeros(len(vx))

@@ -26,7 +26,7 @@ class Request:
 
     Attributes
     ----------
-    source : the log; it must hold the IMU
+    source : the log; it must contain the IMU
     gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
     form : the source's format, if given
     recipe : settings, and parts that take the place of the guess
@@ -99,7 +99,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     ----------
     request : Request
     name : str
-        Of the drive.
+        Name of the drive.
     progress : callable
         Called with the share that is done, 0 to 1.
 
@@ -171,7 +171,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """The reader's guess; a log that is named for a role and has one table holds it, whatever its name."""
+    """The reader's guess; if a log is named for a role and has one table, this is the table, whatever its name."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -180,7 +180,7 @@ def _guess(log: Log, request: Request) -> Guess:
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
-    """The recipe with the parts that the user left to the guess, from the logs that were named for them."""
+    """The recipe with the guessed parts, from the logs that were named for them."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role in ROLES:
         guessed = guesses[request.home(role)].roles
@@ -246,8 +246,8 @@ def _require_sensors(
 ) -> None:
     """Refuse logs in which no IMU or no fixes were found, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (
-        ("imu", "IMU samples", "name the log that holds them as SOURCE"),
-        ("gps", "position fixes", "name a log that holds them with --gps"),
+        ("imu", "IMU samples", "name the log that contains them as SOURCE"),
+        ("gps", "position fixes", "name a log that contains them with --gps"),
     )
     for role, what, remedy in wanted:
         if role not in roles or recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):
@@ -266,7 +266,7 @@ def _require_sensors(
 def _gather_all(
     request: Request, logs: Mapping[Path, Log], recipe: Recipe, progress: Progress
 ) -> dict[Role, list[Gathered]]:
-    """Each log is read once, for all the roles that it gives."""
+    """Read each log once, for all its roles."""
     gathered: dict[Role, list[Gathered]] = {}
     sizes = {path: _size(path) for path in logs}
     total, before = sum(sizes.values()), 0

@@ -10,7 +10,7 @@ Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
 """ns."""
 LONG_AGO = 1_000_000 * SECOND
-"""Clocks beyond this (12 days) count from 1970 or a phone's start: a drive then counts from its own beginning."""
+"""Times above this (12 days) count from 1970 or a phone's start; a drive then counts from its own beginning."""
 GPS_EPOCH = 315_964_800
 """s from 1970-01-01 to 1980-01-06, the beginning of GPS time (IS-GPS-200)."""
 WEEK = 604_800
@@ -23,7 +23,7 @@ _LEAP_DAYS = (
     *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
     *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
 )
-"""Days that began with a leap second just past (IERS Bulletin C); none has been announced since."""
+"""Days before which a leap second was inserted (IERS Bulletin C); none has been announced since."""
 LEAP_SECONDS = np.array(_LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
 """When, in GPS time as s since 1970, each of them has passed."""
@@ -46,7 +46,7 @@ def gps_time(week: pl.Expr, seconds: pl.Expr) -> pl.Expr:
 
 
 def as_text(columns: Sequence[str]) -> pl.Expr:
-    """The columns' cells as one text, parted by a space: a day in one, the time of day in another."""
+    """The columns' cells as one text, separated by a space: a day in one, the time of day in another."""
     cells = [pl.col(name).cast(pl.String).str.strip_chars() for name in columns]
     return cells[0] if len(cells) == 1 else pl.concat_str(cells, separator=" ")
 

@@ -1,7 +1,7 @@
 """Expressions over a table's columns, as polars expressions. Text is parsed and checked, never executed.
 
 ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``,
-```Acceleration x (m/s^2)` ``: names are columns; a column whose name is no plain name goes between backticks.
+```Acceleration x (m/s^2)` ``: names are columns; a column whose name is not a plain name goes between backticks.
 
 Everything is a number. An empty cell is null, and so is every result of it. A comparison is 1 or 0 in arithmetic, and a
 number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0. A time can also be made whole
@@ -24,9 +24,9 @@ from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
-"""Most characters of an expression, to limit its nesting."""
+"""Largest number of characters of an expression, to limit its nesting."""
 MOST_USES = 1000
-"""Times that polars computes a column, since functions in functions may use their arguments several times."""
+"""Largest number of times that polars computes a column: nested functions may use their arguments several times."""
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -44,7 +44,7 @@ def _where(condition: pl.Expr, a: pl.Expr, b: pl.Expr) -> pl.Expr:
 
 
 def _ddmm(a: pl.Expr) -> pl.Expr:
-    """Degrees of a place in degrees and minutes, 4807.038 for 48 deg 7.038 min."""
+    """Degrees of a position in degrees and minutes, 4807.038 for 48 deg 7.038 min."""
     whole = (a.abs() / 100).floor()
     return (whole + (a.abs() - whole * 100) / 60) * a.sign()
 
@@ -205,7 +205,8 @@ class _Compiler:
                 uses, function = _FUNCTIONS[f]
                 if len(args) != len(uses):
                     raise InputError(
-                        f"{f} in {quoted(self.text)} takes {len(uses)} value(s), not {len(args)}; mend the expression"
+                        f"{f} in {quoted(self.text)} takes {len(uses)} value(s), not {len(args)}; correct the "
+                        "expression"
                     )
                 return function(*(_number(self._argument(a, n)) for a, n in zip(args, uses, strict=True)))
             case _:
@@ -263,7 +264,7 @@ class _Compiler:
         if len(names) < len(args) or not names:
             raise InputError(
                 f"utc(...) in {quoted(self.text)} takes the name of a column, or of two, and how dates are written, as "
-                "utc(date, '%d.%m.%Y %H:%M:%S'); mend the expression"
+                "utc(date, '%d.%m.%Y %H:%M:%S'); correct the expression"
             )
         for name in names:
             self._use(name)
@@ -287,7 +288,7 @@ def _rounded(expression: Expression) -> pl.Expr:
 
 
 def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
-    """One ``column * number`` in ns, where its column holds whole numbers or dates; else None."""
+    """One ``column * number`` in ns, where its column contains whole numbers or dates; else None."""
     scaled = integer_scale(text, frame.columns)
     if scaled is None:
         return None
@@ -310,7 +311,7 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
     """The column and the factor where a text is just ``column`` or ``column * number``, else None.
 
-    Whole numbers of nanoseconds since 1970 have more digits than a float holds: such a time is best scaled as integers.
+    Whole numbers of nanoseconds since 1970 have more digits than a float holds: so such a time is scaled as integers.
     """
     tree, factor = _parse(text), 1.0
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult | ast.Div):
@@ -329,6 +330,6 @@ def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | No
 
 
 def _scaled(count: pl.Expr, factor: int) -> pl.Expr:
-    """A count (64 bits) times a factor; null where that leaves 64 bits, instead of some other time."""
+    """A count (64 bits) times a factor; null where that exceeds 64 bits, instead of a wrong time."""
     most = (2**63 - 1) // max(factor, 1)
     return pl.when(count.is_between(-most, most)).then(count * factor)

@@ -1,4 +1,4 @@
-"""The formats that can be read: one file and one line each, in the order in which they are looked for."""
+"""The formats that can be read: one file and one line each, in the order of detection."""
 
 import difflib
 from collections.abc import Generator, Sequence
@@ -35,10 +35,10 @@ A module has ``recognizes(path)``, True if a file or folder looks like the forma
 the format's library; and ``open_log(path, limits, stack)``, which returns a `Log` and has the stack close its files.
 """
 _MIXED = ("nmea", "gnss-logger")
-"""Texts that have lines of several types."""
+"""Formats of text with lines of several types."""
 _TEXTS = (*_MIXED, "rtklib", "csv")
 _LINES_OF_ROW, _TITLES = 10, 1000
-"""Lines of a mixed text for a row of a table, and lines above the rows, at most."""
+"""Largest number of lines of a mixed text per row of a table, and of lines above the rows."""
 NOT_READ: dict[tuple[str, ...], str] = {
     (".xlsx", ".xls", ".ods"): "a spreadsheet; save it as CSV",
     (
@@ -64,11 +64,11 @@ NOT_READ: dict[tuple[str, ...], str] = {
         ".npy",
         ".npz",
         ".pkl",
-    ): "arrays of Python; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
+    ): "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
     (".h5", ".hdf5"): "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv",
     (".gz", ".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz"): "packed; unpack it",
     (".db", ".sqlite"): "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
-    (".pcap", ".pcapng"): "packets of a network; decode them with the sensor's own program, and export CSV",
+    (".pcap", ".pcapng"): "network packets; decode them with the sensor's own program, and export CSV",
 }
 """Endings of unsupported formats: their names, and how to convert them."""
 _MAGIC = {b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"}
@@ -82,7 +82,7 @@ def open_log(
     limits: Limits | None = None,
     definitions: Sequence[Path] = (),
 ) -> Generator[Log]:
-    """Open a log of a format that is named, or found out by looking.
+    """Open a log of a named or detected format.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def open_log(
 
 
 def _texts(path: Path, form: str) -> list[Path]:
-    """The texts in a log that are read line by line or by polars, which would take any line or unpack any size."""
+    """The texts in a log that are read line by line or by polars, which limit neither lines nor unpacked data."""
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) != b"PAR1" else []
     inside = path.rglob("*") if form in ("kitti", "comma2k19") else path.iterdir()
@@ -119,7 +119,7 @@ def _texts(path: Path, form: str) -> list[Path]:
 
 
 def format_of(path: Path) -> str:
-    """The name of the format that a log is in."""
+    """The name of the format of a log."""
     for name in READERS:
         if _reader(name).recognizes(path):
             return name
@@ -130,9 +130,7 @@ def format_of(path: Path) -> str:
     for endings, what in NOT_READ.items():
         if kinds & set(endings):
             raise InputError(f"{path}: is not read, since it is {what}")
-    raise InputError(
-        f"{path}: is of no format that is known here; name it with --format: {', '.join(READERS)}"
-    )
+    raise InputError(f"{path}: has an unknown format; name it with --format: {', '.join(READERS)}")
 
 
 def _reader(name: str) -> Any:

@@ -126,7 +126,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
 
 
 def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
-    """A part as complete ones: where it names no table, one for each table whose columns it uses.
+    """Complete a part: one that names no table becomes one for each table whose columns it uses.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
 
 
 def _complete(part: Part, log: Log, role: Role) -> Part:
-    """A part with a time: the column that looks like one where none is named.
+    """A part with its time: by default the column that looks like one.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def _complete(part: Part, log: Log, role: Role) -> Part:
 
 
 def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """The tables of a part that names none, or that names a file, of another day's log: the only one."""
+    """The tables of a part that names none, or a file of another log: the only table."""
     if part.table in log.tables:
         return [part]
     if len(log.tables) == 1:

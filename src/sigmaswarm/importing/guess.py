@@ -22,10 +22,13 @@ _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
     re.IGNORECASE,
 )
-"""Tables whose x, y, z are neither a place nor the IMU's."""
+"""Tables whose x, y, z are neither a position nor the IMU's."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
-    "gps": ("lat", "lon", "alt", "x", "y", "std_x", "std_y", "speed", "course", "bearing", "vx", "vy"),
+    "gps": (
+        *("lat", "lon", "alt", "x", "y", "std_x", "std_y"),
+        *("speed", "course", "bearing", "std_heading", "vx", "vy"),
+    ),
     "truth": ("lat", "lon", "alt", "x", "y", "vx", "vy", "theta", "bearing"),
     "odometer": ("wheel_speed", "speed"),
 }
@@ -60,7 +63,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
                 f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the columns of {best}, and only {best} "
-                f"is taken for the {role}; choose with --{role}-table, and import each log into a drive of its own"
+                f"is taken for the {role}; choose with --{role}-table, and import each log as a separate drive"
             )
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
@@ -94,7 +97,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
-    """The tables that could give each role; where one has latitude and longitude, x and y are no fixes."""
+    """The tables that could give each role; where one has latitude and longitude, x and y are not fixes."""
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
@@ -124,13 +127,21 @@ def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
     if located and role in ("gps", "truth"):
         yield from place(columns, role).items()
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
-    skipped |= {"bearing"} if ("theta" if role == "truth" else "course") in columns else set()
+    # a receiver with one antenna may call its course so
+    heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
+    heads = heads and ("course" in columns or "std_heading" in columns)
+    course = "theta" if role == "truth" else "course"
+    skipped |= {"bearing"} if course in columns and not heads else set()
+    skipped |= set() if heads else {"std_heading"}
     skipped |= {"speed"} if role == "odometer" and "wheel_speed" in columns else set()
     for what in _WANTED[role]:
         if what not in columns or what in skipped:
             continue
         if what in ("course", "bearing", "theta"):
-            yield ("theta" if role == "truth" else "course"), heading(columns, what, role)
+            yield ("heading" if what == "bearing" and heads else course), heading(columns, what, role)
+        elif what == "std_heading" and columns.names[what].unit is None:
+            degrees = "radians" in heading(columns, "bearing", role).expression
+            yield what, Found(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             yield what.removeprefix("wheel_"), quantity(columns, what, role)
 

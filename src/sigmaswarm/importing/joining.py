@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Gathered
@@ -16,13 +17,13 @@ from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
-"""m: a stated standard deviation not above it means that the receiver states none."""
+"""m: a stated standard deviation up to this means that the receiver states none."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """Columns of angles, with a full turn: rad, rad, deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
 POSITIONS = ("lat", "lon", "x", "y")
-TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
+TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 """Columns that are left out together."""
 
 
@@ -41,9 +42,9 @@ def join(
             continue
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
-            say(f"{role}: {left} rows left out, since not all its tables have begun or still go on there")
+            say(f"{role}: {left} rows left out, since not all tables of the sensor cover them")
         if not inside.any():
-            raise InputError(f"the {role}: its tables have no time in common; put them on one clock")
+            raise InputError(f"the {role}: its tables do not overlap in time; put them on one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
         for name, column in other.items():
@@ -52,14 +53,27 @@ def join(
                 target = name.removeprefix("+")
                 added = values.get(target, 0.0) if name.startswith("+") else 0.0
                 values[target] = added + _between(at, known_at[known], column[known], TURNS.get(target))
-    return _complete_rows(time, values, role, required, say)
+    return _complete_rows(time, _with_known_headings(values), role, required, say)
+
+
+def _with_known_headings(values: Values) -> Values:
+    """Rows without a heading keep their fix: the deviation of their heading is `NO_HEADING`."""
+    heading = values.get("heading", np.zeros(0))
+    std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
+    if not known.any() or (known.all() and not np.isfinite(std).any()):
+        return {name: column for name, column in values.items() if name != "std_heading"}
+    std = np.where(
+        std > LEAST_STD, std, LEAST_STD
+    )  # where it is not stated, the filter's own variance is left
+    std = np.where(known, std, NO_HEADING)
+    return {**values, "heading": np.where(known, heading, 0.0), "std_heading": std}
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
     """Values (n,) at times (n,), s, straight between those (m,) at times (m,), s; of an angle the short way round.
 
-    An angle that its neighbors have within half a turn stays there; others, unwrapped or no angle at all, stay near
-    their neighbors, so that a wrong unit is still seen.
+    An angle within half a turn of its neighbors is not changed. Others (unwrapped, or not an angle) stay near their
+    neighbors, so that a wrong unit can still be detected.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -85,10 +99,10 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     if part.timeless:
         say(f"{role}: {part.timeless} rows of {table} without a time left out")
     if not len(time):
-        why = "no usable row; --show shows what it holds"
+        why = "no usable row; --show shows its contents"
         if part.timeless:
             why = "no time within 292 years of 1970; give its column and unit with --time"
-        raise InputError(f"the {role}: {table} holds {why}")
+        raise InputError(f"the {role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
     filled = _finite(values, len(time)).any(axis=0)
@@ -120,7 +134,7 @@ def _finite(values: Values, count: int) -> NDArray[np.bool_]:
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
-    """Rows without gaps: columns mostly empty are left out, then rows with an empty cell."""
+    """Rows without gaps: columns that are mostly empty are left out, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(

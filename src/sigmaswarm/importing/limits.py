@@ -27,7 +27,9 @@ class Limits:
         """Refuse a table of too many rows."""
         if count > self.rows:
             where = path if path.name == table else f"{path}, {table}"
-            raise InputError(f"{where}: holds more than {self.rows} rows; split the log, or raise --max-rows")
+            raise InputError(
+                f"{where}: contains more than {self.rows} rows; split the log, or raise --max-rows"
+            )
 
     def check_unpacked(self, count: int, path: Path) -> None:
         """Refuse data of too many bytes."""
@@ -38,11 +40,11 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """All names but empty ones, which count as well: fields without a number take their time, too."""
+        """All names but empty ones, which count towards the limit, too, since fields without a number take time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
-                f"{path}: has more than {self.columns} columns; raise --max-columns if it is sound"
+                f"{path}: has more than {self.columns} columns; raise --max-columns if this is right"
             )
         return tuple(name for name in found if name)
 

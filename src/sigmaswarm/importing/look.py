@@ -28,12 +28,12 @@ from sigmaswarm.importing.times import numbers_of, time_of
 SAMPLE = 5000
 """Rows of a table from which ranges are computed."""
 LOOKED_AT = 25_000
-"""Rows of all tables together, where they come mixed: one that is not met by then is shown without values."""
+"""Rows of all tables together if they are mixed; a table that does not occur among them is shown without values."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """A column's values over the rows looked at: smallest, median, largest; None where it holds no numbers."""
+    """A column's values over the rows looked at: smallest, median, largest; None where it contains no numbers."""
 
     column: str
     low: float | None

@@ -1,4 +1,4 @@
-"""How an IMU sits in the vehicle: from the sensor's axes to x forward, y left, z up."""
+"""The mounting of an IMU: from the sensor's axes to x forward, y left, z up."""
 
 import math
 import re
@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 
 AUTO = "auto"
-"""As a mounting: the one that the log itself shows."""
+"""The mounting that is found in the log."""
 _AXES = "xyz"
 
 
@@ -26,7 +26,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     """
     mounting = gather(drive).mounting
     if mounting is None or mounting.confidence == "no":
-        reason = mounting.reason if mounting else "it takes ax, ay, az, gx, gy, gz and a vehicle that drives"
+        reason = mounting.reason if mounting else "it takes ax, ay, az, gx, gy, gz and a moving vehicle"
         raise InputError(
             f"mount auto: the log does not show the mounting ({reason}); state it, as in mount 0,10,90"
         )
@@ -44,14 +44,14 @@ def parse_mount(text: str) -> Array:
     Parameters
     ----------
     text : str
-        ``"90"``: the sensor is turned by so many degrees about z, counter-clockwise seen from above.
+        ``"90"``: the sensor is turned by 90 degrees about z, counter-clockwise seen from above.
         ``"0,10.5,90"``: roll, pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z.
         ``"x=-y,y=x"``: the vehicle's axes as the sensor's; an axis that is left out follows from the others.
 
     Raises
     ------
     InputError
-        It is none of these, or a mirror image.
+        It has none of these forms, or is a mirror image.
     """
     parts = text.replace(" ", "").split(",")
     if all("=" in part for part in parts):
@@ -62,7 +62,8 @@ def parse_mount(text: str) -> Array:
         angles = []
     if len(angles) not in (1, 3) or not all(map(math.isfinite, angles)):
         raise InputError(
-            f"mount {text!r} is no mounting; write degrees about z (90), roll,pitch,yaw (0,10,90), or axes (x=-y,y=x)"
+            f"mount {text!r} is not a mounting; write degrees about z (90), roll,pitch,yaw (0,10,90), or axes "
+            "(x=-y,y=x)"
         )
     roll, pitch, yaw = angles if len(angles) == 3 else (0.0, 0.0, angles[0])
     return _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
@@ -82,13 +83,16 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """The matrix of the given rows: one that is left out is the others' cross product; of two, z or x stays put."""
+    """The matrix of the given rows.
+
+    A missing one is the others' cross product; if two are missing, z or x is unchanged.
+    """
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:
         found = re.fullmatch(r"([xyz])=([+-]?)([xyz])", part)
         if not found or found[1] in rows:
-            raise InputError(f"mount {text!r}: {part!r} is no axis; write for example x=-y,y=x")
+            raise InputError(f"mount {text!r}: {part!r} is not an axis; write for example x=-y,y=x")
         rows[found[1]] = -unit[found[3]] if found[2] == "-" else unit[found[3]]
     if len(rows) == 1:
         stays = "z" if "z" not in rows else "x"
@@ -99,7 +103,8 @@ def _from_axes(text: str, parts: list[str]) -> Array:
     matrix = np.array([rows[axis] for axis in _AXES])
     if round(float(np.linalg.det(matrix))) != 1:
         raise InputError(
-            f"mount {text!r} is a mirror image or uses an axis twice, no rotation; check signs with the right hand"
+            f"mount {text!r} is a mirror image or uses an axis twice, no rotation; check the signs by the "
+            "right-hand rule"
         )
     return matrix
 

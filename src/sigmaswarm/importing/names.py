@@ -17,7 +17,7 @@ CLOCK = (
     "received|boot|up_?time|ticks?|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
-"""Names of times that are taken where a table has none of the usual ones."""
+"""Names of times that are used if a table has none of the usual ones."""
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"
 """The time of a ROS message's header, in tables made of bags."""
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
@@ -53,6 +53,7 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("vy", "vy|vn|v_?north|north_?vel(?:ocity)?|vel(?:ocity)?_?n(?:orth)?"),
     ("std_x", f"std_?x|sigma_?x|std_?e(?:ast)?|sd_?e|std_?lon|(?:lon(?:gitude)?|east(?:ing)?)_?{_STD}"),
     ("std_y", f"std_?y|sigma_?y|std_?n(?:orth)?|sd_?n|std_?lat|(?:lat(?:itude)?|north(?:ing)?)_?{_STD}"),
+    ("std_heading", f"std_?(?:heading|yaw|hdg)|(?:heading|yaw|hdg)_?(?:{_STD}|acc(?:uracy)?)|acc_?heading"),
     (
         "wheel_speed",
         "(?:wheels?|vehicle|car|can|odo(?:meter)?)_?(?:speed|velocity)|speed_?(?:can|wheels?)|odometer",
@@ -70,7 +71,7 @@ _PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix)_(?=...)")
 
 @dataclass(frozen=True)
 class Name:
-    """A column's name: as it stands, in plain small letters without its unit, and the unit."""
+    """A column's name: unchanged, in plain lower case without its unit, and the unit."""
 
     column: str
     plain: str
@@ -94,7 +95,7 @@ class Name:
 
 
 def plain_words(text: str) -> list[str]:
-    """The words of a name in small letters, without what stands in brackets."""
+    """The words of a name in lower case, without text in brackets."""
     return re.findall(r"[a-z0-9]+", text[:LONGEST_NAME].lower())
 
 
@@ -131,7 +132,7 @@ def read_name(column: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """A name whose last words, before an axis, are a unit; without a unit where they are none."""
+    """A name whose last words, before an axis, are a unit; else a name without a unit."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

@@ -1,4 +1,4 @@
-"""Positions and headings: rows that are no fix, longitudes beyond 180 degrees, headings of another convention."""
+"""Positions and headings: rows without a fix, longitudes beyond 180 degrees, headings of another convention."""
 
 from collections.abc import Callable
 
@@ -13,17 +13,17 @@ Say = Callable[[str], None]
 Values = dict[str, Array]
 
 FARTHEST = 100_000.0
-"""m from the median of all fixes, beyond what the fastest car drives in the time."""
+"""m from the median of all fixes: farther than any car drives in the time of a log."""
 FASTEST = 150.0
 """m/s."""
 FIT = 0.35
 """rad: a heading that agrees with the course within this, by its median, is in that convention."""
 MOVING = 1.0
-"""m/s; slower than this, the course says nothing about the heading."""
+"""m/s; at lower speeds the course does not show the heading."""
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Which rows (n,) hold a place: not 0, 0, within the range of degrees, and not far from all others."""
+    """A mask of rows (n,) with a position: not 0, 0, within the range of degrees, and not far from all others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
@@ -100,7 +100,7 @@ def level(values: Values, altitude: Array | float, origin: tuple[float, float, f
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):
             raise InputError(
-                f"the {role}: {name} = {wrong[0]:g} is no degrees; map it, for example --map {name}={name}*1e-7"
+                f"the {role}: {name} = {wrong[0]:g} is not in degrees; map it, for example --map {name}={name}*1e-7"
             )
     enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
     return {**values, "x": enu[:, 0], "y": enu[:, 1]}

@@ -1,4 +1,4 @@
-"""A whole ``--map`` for columns that no guess recognizes: read from their names, tried, and judged by the doctor.
+"""A whole ``--map`` for columns that no guess recognizes: interpreted by name, tried, and checked by the doctor.
 
 A proposal is shown and never applied, since names are unreliable about signs and units. The doctor checks the drive
 that it makes, and its evidence on signs, axes and units corrects the expressions.
@@ -37,7 +37,7 @@ TURNING = (
     ("gy", {**LEFT, "pitch": 1}),
 )
 MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
-"""Words for directions, and the sign of what goes there in x forward, y left, z up."""
+"""Words for directions, and their signs in x forward, y left, z up."""
 FORCE = {"a", "acc", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
     *(
@@ -63,11 +63,11 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Of which a receiver states the accuracy, too: that says nothing of the position, by which R goes."""
+"""Quantities whose accuracy a receiver states, too; it is not the accuracy of the position."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-"""Repairs that are done to a proposal's expressions; the others are of the drive."""
+"""Repairs that are applied to a proposal's expressions; the others change the drive."""
 EXCHANGED = 0.2
-"""A rotation whose elements are this near to whole numbers exchanges axes or turns their signs."""
+"""A rotation whose elements are this close to integers exchanges axes or changes their signs."""
 DOUBTS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
 """Warnings that deny that signs, axes and units agree."""
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -117,7 +117,7 @@ def meaning_of(name: str) -> Meaning | None:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A way to read a log.
+    """An interpretation of a log.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class Proposal:
 
     @property
     def options(self) -> str:
-        """As the command line takes it: a shell must not run what stands in backticks, or in a log's header."""
+        """Options for the command line, quoted: a shell must not run text in backticks, or in a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
         return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
@@ -203,7 +203,7 @@ def _plausible(drive: Drive) -> Drive:
 
 
 def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
-    """How many findings are serious, and how many could be corrected in the expressions: fewer is better."""
+    """The number of serious findings, and of those that could be corrected in the expressions; fewer is better."""
     mended = [f for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
     return sum(f.severity == "serious" for f in diagnosis.findings), len(mended)
 
@@ -211,8 +211,8 @@ def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
     """Apply the doctor's repairs to the expressions: signs, exchanges, factors.
 
-    The repairs are done to an IMU whose columns are the unit vectors: a column that becomes a multiple of one of them
-    becomes that multiple of its expression.
+    The repairs are applied to an IMU whose columns are the unit vectors: a column that becomes a multiple of one of
+    them becomes that multiple of its expression.
     """
     units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))

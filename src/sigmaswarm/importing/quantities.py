@@ -16,16 +16,16 @@ PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
 DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
-    **dict.fromkeys(("lat", "lon", "course", "bearing", "theta"), "angle"),
+    **dict.fromkeys(("lat", "lon", "course", "bearing", "theta", "std_heading"), "angle"),
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
 """Columns whose unit must be known; others of an unknown unit are left out."""
 MOST_FORCE = 100.0
-"""m/s2: a car's accelerometer shows no more, but for bumps."""
+"""m/s2: largest acceleration of a car, except bumps."""
 FASTEST = 700.0
-"""deg/s: a car's gyro shows no more."""
+"""deg/s: largest angular rate of a car."""
 _ACCELEROMETERS = "usual 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000"
 
@@ -41,7 +41,7 @@ class Columns:
         return what in self.names
 
     def has(self, *whats: str) -> bool:
-        """Return True if all of them are there."""
+        """Return True if all of them exist."""
         return self.names.keys() >= set(whats)
 
     def numbers(self, what: str) -> pl.Series:
@@ -50,11 +50,11 @@ class Columns:
         return values.filter(~values.is_in(PLACEHOLDERS))
 
     def largest(self, what: str) -> float:
-        """The 99th percentile of a column's size."""
+        """The 99th percentile of a column's absolute values."""
         return float(self.numbers(what).abs().quantile(0.99) or 0.0)
 
     def norm(self, axes: Sequence[str]) -> float:
-        """The median size of a vector (3,); 0 where it has not three numbers."""
+        """The median magnitude of a vector (3,); 0 if it has fewer than three numbers."""
         series = [self.frame[self.names[a].column] for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return 0.0
@@ -62,12 +62,12 @@ class Columns:
         return median_of(sum(squares[1:], squares[0]).sqrt())
 
     def text(self, what: str) -> str:
-        """A column as an expression names it."""
+        """A column as written in an expression."""
         return written(self.names[what].column)
 
 
 def quantity(columns: Columns, what: str, role: Role) -> Found:
-    """A column in a drive's units; angles of places and headings in the unit that ``what`` has in a drive."""
+    """A column in a drive's units; angles of positions and headings in the unit that ``what`` has in a drive."""
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
     if name.unit is None:
         return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
@@ -80,9 +80,9 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
-    """Accelerations in g or mg, where that makes gravity of the three axes; rates in deg/s, where they exceed 5.
+    """Accelerations in g or mg if their magnitude is then gravity; rates in deg/s if they exceed 5.
 
-    Others are in SI units, or raw counts, where no car accelerates or turns so fast.
+    Others are in SI units, or raw counts if they are too large for a car.
     """
     text = columns.text(what)
     letter = what[0]
@@ -124,9 +124,7 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
         seen = f"they reach {max(columns.largest(a) for a in axes):.5g}"
     named = ", ".join(quoted(columns.names[a].column) for a in axes)
     maps = _maps(columns, role, axes, form)
-    return (
-        f"columns {named} hold raw counts, or an unknown unit: {seen}; give their scale, as {maps} ({about})"
-    )
+    return f"columns {named} contain raw counts, or have an unknown unit: {seen}; give their scale, as {maps} ({about})"
 
 
 def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
@@ -181,7 +179,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         return Found("{}*1e-7", "latitude and longitude taken as 1e-7 degrees")
     said = f"{_maps(columns, role, both, '{}*1e-7')} (or another factor)"
-    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are no degrees; write {said}"
+    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {said}"
     return Found("", fault=fault)
 
 

@@ -1,4 +1,4 @@
-"""How a log becomes a drive, as a record that can be saved as TOML and used again."""
+"""A recipe: the settings by which a log becomes a drive, which can be saved as TOML and used again."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz", "keep"),
     "gps": (
         *("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y"),
-        *("speed", "course", "heading", "vx", "vy", "keep"),
+        *("speed", "course", "heading", "std_heading", "vx", "vy", "keep"),
     ),
     "truth": (
         *("t", "x", "y", "lat", "lon", "alt", "vx", "vy"),
@@ -36,7 +36,7 @@ _SETTINGS: dict[str, type | int] = {
     **dict.fromkeys(("gps_offset_s", "truth_offset_s", "odometer_offset_s"), float),
     **{"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2},
 }
-"""Kinds of the settings; for several numbers how many."""
+"""Types of the settings; for several numbers their count."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Recipe:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a recipe that ``save`` or a person wrote."""
+        """Read a recipe that was written by ``save`` or by hand."""
         try:
             text = read_toml_text(path)
         except OSError as error:
@@ -74,7 +74,7 @@ class Recipe:
         try:
             content = tomllib.loads(text)
         except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
-            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; mend that line") from None
+            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; correct that line") from None
         known = (*ROLES, *_SETTINGS)
         if unknown := sorted(set(content) - set(known)):
             raise InputError(f"{path}: {quoted(unknown[0])} is unknown; the keys are {', '.join(known)}")
@@ -143,7 +143,7 @@ def with_maps(
     Raises
     ------
     InputError
-        An entry is no ``column=expression``, or no role has such a column.
+        An entry is not ``column=expression``, or no role has such a column.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()
@@ -164,7 +164,7 @@ def with_maps(
 
 
 def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
-    """The roles whose columns are mapped, other than their time; entries that are wrong are refused later."""
+    """The roles whose columns are mapped, other than their time; wrong entries are refused later."""
     roles: set[str] = set()
     for text in maps:
         with suppress(InputError):
@@ -178,7 +178,7 @@ def _entry(text: str) -> tuple[Role, str, str]:
     target, equals, expression = text.partition("=")
     prefix, dot, column = target.strip().rpartition(".")
     if not equals:
-        raise InputError(f'--map {text!r} is no mapping; write for example --map "ax=-acc_y*9.80665"')
+        raise InputError(f'--map {text!r} is not a mapping; write for example --map "ax=-acc_y*9.80665"')
     if dot and prefix not in ROLES:
         raise InputError(
             f"--map {text!r}: {prefix!r} is none of {', '.join(ROLES)}; write for example gps.t=stamp"

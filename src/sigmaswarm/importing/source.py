@@ -19,7 +19,7 @@ ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer")
 CHUNK = 5000
 """Rows of a batch, where they are decoded one by one."""
 FILES = "columns"
-"""The kind of tables that are files of columns, named as the files are."""
+"""The kind of tables that are files of columns, with the names of the files."""
 Progress = Callable[[float], None]
 """Called with the share of the log that is read, 0 to 1."""
 Wanted = Mapping[str, Collection[str]]
@@ -39,7 +39,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Part:
-    """One table's share in a role: a drive's columns (``t`` among them) as expressions over the table's columns."""
+    """The part of one table in a role: a drive's columns (with ``t``) as expressions over the table's columns."""
 
     table: str
     columns: Mapping[str, str]
@@ -71,7 +71,7 @@ class Placement:
     frames: tuple[str, str, str]
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe the parts of it that an import with a mounting and a lever arm has."""
+        """Describe the parts that are used by an import with a mounting and a lever arm."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
@@ -116,7 +116,7 @@ class Choice:
     ----------
     tables : by role, the table that was named
     receive_times : times of receipt are taken, not the stamps of headers
-    mapped : roles whose columns the user maps, so that their table may hold anything
+    mapped : roles whose columns the user maps, so that their table may contain anything
     """
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -144,7 +144,7 @@ class Log:
     mixed: bool = False
 
     def guessed(self, guess: Guess) -> "Log":
-        """The same log with a guess that leaves no choice."""
+        """The same log with a fixed guess."""
         return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
 
 
@@ -188,7 +188,7 @@ def of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """The parts whose tables are there; of a tuple of expressions the first whose columns are there, else none."""
+    """The parts whose tables exist; of a tuple of expressions the first whose columns exist, else none."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:
@@ -235,7 +235,7 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 @contextmanager
 def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
-    """Turn what a library raises on damaged bytes, which may be anything, into one line."""
+    """Turn any exception of a library on damaged bytes into one line."""
     try:
         yield
     except InputError:

@@ -1,4 +1,4 @@
-"""Make a time line of a table's times: unwrap counters, choose a recording, spread repeated stamps, sort."""
+"""Make a time line from a table's times: unwrap counters, choose a recording, spread repeated stamps, sort."""
 
 from itertools import pairwise
 
@@ -22,18 +22,18 @@ WRAPS: tuple[tuple[int, str], ...] = (
 )
 """Periods after which clocks restart, ns."""
 FEWEST_ROWS = 20
-"""Of a recording of its own; fewer rows out of order are sorted."""
+"""Least number of rows of a recording of its own; fewer rows out of order are sorted."""
 LEAST_FALL = 0.2
-"""s that a clock falls back by, at least, where a second recording begins; and some steps."""
+"""s: least step back of a clock at which a second recording begins; and the same in steps."""
 STEPS = 2
 REPEATED = 0.02
-"""The share of rows with the time of the row before, above which they are more than a few double rows."""
+"""The share of rows with the time of the row before, above which these are not just a few duplicates."""
 UNEVEN = 0.1
-"""The share of stamps whose rows may be counted otherwise than usual."""
+"""The share of stamps whose number of rows may differ from the usual one."""
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Unwrap a counter that restarted, and report it in a sentence, else empty."""
+    """Unwrap a counter that restarted; return the times, and a sentence about it or ""."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not (steps < 0).any():
@@ -69,10 +69,10 @@ def recordings(time: Nanoseconds) -> list[slice]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
-    """The rows of the recording that is wanted; refused where there are several and none was chosen."""
+    """The rows of the chosen recording; several without a choice are refused."""
     parts = recordings(time)
     if len(parts) == 1:
-        return parts[0], f"{where}: its clock does not restart; all its rows are taken" if part else ""
+        return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     said = f"{where}: the clock restarts at row {parts[1].start + 1}: {len(parts)} recordings ({names_shown(lengths)})"
     if part is None:
@@ -99,8 +99,9 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
             return time, ""
         lost, rate = len(time) - len(new), usual * SECOND / step
         raise InputError(
-            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and how many "
-            f"share one varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; name a "
+            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and the number "
+            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too "
+            "coarse; name a "
             f"finer one with --map {role}.t=..., or count rows where the rate is known, as "
             f'--map "{role}.t=row/{rate:.6g}"'
         )
@@ -120,7 +121,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
 def in_order(
     time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
 ) -> tuple[Nanoseconds, NDArray[np.int64]]:
-    """A table's times (n,), strictly increasing, and the places of their rows in the table."""
+    """A table's times (n,), strictly increasing, and the indices of their rows in the table."""
     time, note = unwrap(time)
     taken, chosen = choose_part(time, part, where)
     rows, time = np.arange(len(time))[taken], time[taken]
@@ -130,7 +131,7 @@ def in_order(
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
         moved = int(np.count_nonzero(order != np.arange(len(order))))
-        say(f"{where}: {moved} rows came out of order ({backwards} falls of the time); sorted by time")
+        say(f"{where}: {moved} rows were out of order ({backwards} falls of the time); sorted by time")
         time, rows = time[order], rows[order]
     time, note = spread(time, role, where)
     if note:
@@ -142,14 +143,16 @@ def in_order(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse times in another unit than seconds: steps that no sensor of a car has."""
+    """Refuse times in another unit than seconds: steps that are impossible for a sensor of a car."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
     if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
         return
     units = {
         unit: factor for unit, factor in UNITS.items() if SHORTEST_STEP < step * factor < LONGEST_STEP[role]
     }
-    more = next((f'; were they in {u}, write --map "{role}.t=({text})*{f:g}"' for u, f in units.items()), "")
+    more = next(
+        (f'; if they are in {u}, write --map "{role}.t=({text})*{f:g}"' for u, f in units.items()), ""
+    )
     raise InputError(
-        f"{where}: {text} as seconds puts {step:.4g} s between two rows of the {role}{more or '; map its time'}"
+        f"{where}: with {text} in seconds, two rows of the {role} are {step:.4g} s apart{more or '; map its time'}"
     )

@@ -1,4 +1,4 @@
-"""The time of a table: which column or columns hold it, and the expression that makes it seconds."""
+"""The time of a table: its column or columns, and the expression in seconds."""
 
 import re
 from collections.abc import Sequence
@@ -13,9 +13,9 @@ from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0}
-"""s between samples that is still likely."""
+"""s: largest likely interval between samples."""
 SHORTEST_STEP = 1e-4
-"""s: no car's sensor is faster."""
+"""s: shortest interval of a car's sensor."""
 DATE_FORMATS = (
     "",
     "%d-%b-%Y %H:%M:%S%.f",
@@ -31,7 +31,7 @@ DATE_FORMATS = (
     "%Y%m%d %H:%M:%S%.f",
     "%H:%M:%S%.f",
 )
-"""Of dates in text, in the order in which they are tried; the first is ISO 8601."""
+"""Formats of dates in text, in the order of trial; the first is ISO 8601."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
 """Units of times, s; those that clocks count in come first."""
@@ -67,7 +67,7 @@ def written(column: str) -> str:
 
 
 def numbers_of(values: pl.Series) -> pl.Series:
-    """The numbers among a column's values; lists and bytes are none."""
+    """The numbers among a column's values, without lists and bytes."""
     if values.dtype.is_nested() or isinstance(values.dtype, pl.Binary | pl.Object):
         return pl.Series([], dtype=pl.Float64)
     if values.dtype == pl.String:
@@ -135,7 +135,7 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     else:
         long = (numbers_of(frame[tow.column]) > 604_800).any()
         seconds = _scaled(written(tow.column), "ms" if long else "s")
-    return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week made UTC")
+    return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week converted to UTC")
 
 
 def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
@@ -151,7 +151,7 @@ def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """A column called as times are, unless it is 0 in all rows, as unset stamps are; or else a clock that runs."""
+    """A column with a name of a time, unless it is 0 in all rows (unset stamps); or else one that increases."""
     for name in names:
         numbers = numbers_of(frame[name.column]) if name.meaning == "t" else None
         if numbers is not None and not (len(numbers) > 1 and (numbers == 0).all()):
@@ -183,7 +183,7 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
-    """Dates in text, by the first format that reads them all; those that two formats read otherwise are refused."""
+    """Dates in text, by the first format that reads them all; dates that two formats read differently are refused."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d"))
     fitting = [f for f in DATE_FORMATS if len(texts) and _reads(texts, f)]
@@ -229,7 +229,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
         if likely and begin < low and high < end:
             return Found(f"({text} - {epoch})*86400", f"{column} taken as days since {whose}")
     if likely and low > 1e-3 and high < 1:
-        return Found(f"{text}*86400", f"{column} taken as shares of a day (days)")
+        return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
     said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes'
     fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}"
     return Found("", fault=fault)
@@ -238,8 +238,8 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     """Describe an error in the unit of a time, ``column`` or ``column*number``, with the remedy; else empty.
 
-    Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely; best one that
-    makes it a date of our days.
+    Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely; preferably one
+    that gives a present-day date.
     """
     plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
     name = plain[1].strip("`") if plain else ""
@@ -257,6 +257,6 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     times = "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")
     option = '--time "' if role == "imu" else f'--map {role}.t="'
     return (
-        f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is "
+        f"with {text} in s, two rows of the {role} are {step * scale:.4g} s apart; in {unit} "
         f'{step * factor:.4g} s: write {option}{plain[1]}{times}"'
     )

@@ -82,7 +82,7 @@ _MORE: tuple[tuple[Dimension, float, str], ...] = (
     ("speed", 1e-3, "mmps"),
     ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7"),
 )
-"""Words for units that are no product of base units."""
+"""Words for units that are not products of base units."""
 _WORDS: dict[str, tuple[Dimension, float]] = {
     word: (dimension, factor) for dimension, factor, text in _MORE for word in text.split()
 }
@@ -104,7 +104,7 @@ NONE = (
     ),
     *("body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu"),
 )
-"""Words in brackets that are no unit."""
+"""Words in brackets that are not units."""
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
 """Units of a sensor's raw counts."""
 _PLAIN = str.maketrans(
@@ -129,7 +129,7 @@ class Unit:
 
 
 def parse_unit(text: str) -> Unit | None:
-    """The unit that a text states; None where it states none, an unknown one where it is no unit that is known."""
+    """The unit that a text states; None if it states none, an unknown unit if it is not recognized."""
     plain = text.strip().lower().translate(_PLAIN)
     if plain in NONE:
         return None
@@ -155,7 +155,7 @@ def parse_unit(text: str) -> Unit | None:
 
 
 def in_si(unit: Unit, text: str) -> str:
-    """The expression that makes a column's expression SI."""
+    """The expression of a column in SI units."""
     if math.isclose(unit.factor, 1.0):
         return text
     if unit.dimension in ("rate", "angle") and math.isclose(unit.factor, _DEGREE, rel_tol=1e-12):
@@ -170,7 +170,7 @@ def in_si(unit: Unit, text: str) -> str:
 
 
 def _times(text: str, factor: float) -> str:
-    """A text times a power of ten, or divided by a short number; empty where it is neither."""
+    """A text times a power of ten, or divided by a short number; else ""."""
     power, inverse = round(math.log10(factor)), 1 / factor
     if math.isclose(factor, 10.0**power, rel_tol=1e-12):
         return f"{text}*1e{power}"

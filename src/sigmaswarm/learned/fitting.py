@@ -23,7 +23,7 @@ Loss = Callable[[Any, tuple[Any, ...]], Any]
 DECAY = 1e-4
 """Weight decay of a step, times the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
 LARGEST_GRADIENT = 1.0
-"""Longer ones are shortened: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
+"""Largest norm of a gradient; longer ones are shortened: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The folder of a training; it holds no pickle.
+"""The folder of a training, without pickles.
 
 tuning.toml, seen.npz   the filter, as its tuning wrote them
 learned.toml            type of network, settings, and training data
@@ -52,7 +52,7 @@ class TrainingRecord(BaseModel):
     search: int
     driven_s: float
     labelled_s: float = 0.0
-    """Driving with truth: none is used."""
+    """s of driving with truth, which is 0."""
     epochs: int
     loss_before: float
     loss: float

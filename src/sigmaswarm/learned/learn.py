@@ -76,7 +76,7 @@ LEARNERS: Mapping[str, type[OutageLearner] | type[NoiseLearner]] = {
 
 @dataclass(frozen=True, eq=False)
 class LearnConfig:
-    """What is trained on what: saved as config.json.
+    """The network, its settings and its data: saved as config.json.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class LearnConfig:
     search : int
         Number of further settings (units, window, learning rate) to try; the best on the held-out data is kept.
     seed : int
-        Same seed, same bits on the same machine.
+        The same seed gives the same bits on the same machine.
     """
 
     kind: NetworkName
@@ -146,7 +146,7 @@ def learn(
     Raises
     ------
     InputError
-        If JAX is missing, a filter or a drive is unsuitable, or the folder holds another training.
+        If JAX is missing, a filter or a drive is unsuitable, or the folder contains another training.
     """
     if config.kind not in LEARNERS:
         raise InputError(f"{config.kind!r}: no such network; choose one of {', '.join(LEARNERS)}")

@@ -1,4 +1,4 @@
-"""The extended Kalman filter of planar5 and planar8 in JAX, which `noise-gru` is trained through by its gradient.
+"""The extended Kalman filter of planar5 and planar8 in JAX, through which `noise-gru` is trained by gradient.
 
 It is the textbook form, with the steps of `schedule`; a test compares it with the compiled filter. It has no recovery
 after divergence, no velocity of the receiver and no odometer.
@@ -33,8 +33,11 @@ from sigmaswarm.learned.cells import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales
 
 N_COLUMNS = 14
-"""Of a step: dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y (m) of the
-fix and the variances that the receiver states (m2)."""
+"""Columns of a step.
+
+Dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y (m) of the fix and the
+variances that the receiver states (m2).
+"""
 
 
 def require_supported(parameters: FilterParameters) -> None:
@@ -47,10 +50,12 @@ def require_supported(parameters: FilterParameters) -> None:
     """
     p = parameters
     if p.model not in ("planar5", "planar8"):
-        raise InputError(f"noise-gru is not trained through {p.model}; tune planar8, and learn for that")
+        raise InputError(
+            f"noise-gru is not trained through {p.model}; tune planar8, and train noise-gru for it"
+        )
     if p.kind not in ("ukf", "ekf"):
-        raise InputError(f"{p.kind} adapts its noises itself; tune a ukf or an ekf for noise-gru")
-    for name in ("velocity_noise", "odometer_noise", "fix_error"):
+        raise InputError(f"{p.kind} adapts its own noises; tune a ukf or an ekf for noise-gru")
+    for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:
             raise InputError(f"noise-gru is not trained through a filter with {name}; tune one without")
 
@@ -189,7 +194,7 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    """Update with a velocity of zero, and with a gyro that shows its bias."""
+    """Update with a velocity of zero, and with the gyro's reading, which is its bias."""
     import jax.numpy as jnp
 
     n = len(m)

@@ -2,7 +2,7 @@
 
 After each fix the network takes one step. Its inputs are the innovation in the car's frame, in units of its expected
 size, its NIS, and the time since the last fix. Its outputs, in bounds, are a factor of R and one of all of Q, from the
-next IMU sample to the one after the next fix. So a factor never depends on the fix that it weighs.
+next IMU sample to the one after the next fix. So a factor never depends on the fix that it applies to.
 
 It runs on the compiled filter, whose parameters change between two samples; `noise_filter` is its differentiable form.
 """

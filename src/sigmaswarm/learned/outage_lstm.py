@@ -1,12 +1,12 @@
 """outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
 
-The network sees windows of the IMU and estimates the displacement in the last second, forward and left, with its
-standard deviations: a faster car shakes more, and turns less for the same lateral acceleration. The update is that
-of `relative`. The filter's speed is no input: a network would return it, and the update would count it twice.
+The network reads windows of the IMU and estimates the displacement in the last second, forward and left, with its
+standard deviations: a faster car vibrates more, and turns less for the same lateral acceleration. The update is that
+of `relative`. The filter's speed is not an input: a network would return it, and the update would use it twice.
 
-Errors of the forecasts persist with road and car; they are modeled as Gauss-Markov processes. With fixes the error
-is the difference from the filter's velocity; in an outage the last one is subtracted, with decay. The rest is not
-white either, and a filter tuned on fixes is often overconfident of its velocity without them. So two factors, of the
+Errors of the forecasts persist with road and car; they are modeled as Gauss-Markov processes. With fixes the error is
+the difference from the filter's velocity; in an outage the last one is subtracted, with decay. The rest is not white
+either, and the velocity covariance of a filter tuned on fixes is often too small without them. So two factors, of the
 forecasts' variance and of the velocity's Q in an outage, maximize the likelihood of hidden fixes on held-back drives.
 Where that is not clearly better than the filter alone, the network is not used.
 """

@@ -80,7 +80,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
-    """Place outages on held-back data, several times, where they fit; replays, and the begin of the data, s."""
+    """Place outages on held-back data several times; return the replays, and the start of the data, s."""
     cases: list[tuple[Replay, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -185,7 +185,7 @@ class OutageLearner:
 
 
 def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
-    """Fit kept exp(-t / lasts) to the autocorrelation of errors on the held-back data."""
+    """Fit ``kept`` exp(-t / ``lasts``) to the autocorrelation of errors on the held-back data."""
     parts: list[Array] = []
     for track in tracks:
         end, features, moved = _windows_of(track, network.axes, network.window)

@@ -1,4 +1,4 @@
-"""The outages of `outage-lstm` and its inputs, windows of the IMU; all of it is causal."""
+"""The outages of `outage-lstm` and its inputs, windows of the IMU; all causal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _GRAVITY = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Moments in the outages of a drive, and the inputs at them.
+    """Times in the outages of a drive, and the inputs at them.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Windows:
 
 
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
-    """Divide a drive's outages into windows of `HORIZON`; hidden fixes do not exist.
+    """Divide a drive's outages into windows of `HORIZON`; hidden fixes are ignored.
 
     An outage begins `OUTAGE_AFTER` after a fix.
 
@@ -93,7 +93,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
 def all_windows(
     line: Timeline, *, axes: Sequence[str], window: float, every: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Make windows all over a drive, one ``every`` so many s: begin, end and features as of `Windows`."""
+    """Make windows over a whole drive, one per ``every`` s: begin, end and features as of `Windows`."""
     begin, end = _pairs(line.imu_time, line.start, np.inf, every)
     return begin, end, features_at(line, end, axes=axes, window=window)
 

@@ -1,6 +1,6 @@
 """Update a filter with a displacement between two moments, without the first in its state.
 
-A displacement measures motion, not position: as a fix at the last position plus the displacement it would count the
+A displacement measures motion, not position: used as a fix at the last position plus the displacement, it would add the
 error of that position again each time. So the measurement depends on the state at its begin, too, as in stochastic
 cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
 

@@ -22,7 +22,8 @@ from sigmaswarm.noise.spectrum import Interval, fit, spectrum_of
 from sigmaswarm.noise.static import AXES, fault_of, find_stretches
 
 TUNED = (
-    "a tuned Q also holds the errors of the filter's model, such as slopes, tilt and wheel slip: expect larger values "
+    "a tuned Q also contains the errors of the filter's model, such as slopes, tilt and wheel slip: expect larger "
+    "values "
     "than the sensor's own"
 )
 
@@ -75,7 +76,7 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
     Parameters
     ----------
     parameters : FilterParameters
-        With ``nominal_interval``, as every tuning has it.
+        Parameters with ``nominal_interval``, which every tuning has.
     name : str
 
     Raises

@@ -57,11 +57,11 @@ class AxisNoise:
     deviation: Array
 
     def bias(self, longest: float) -> tuple[float, float]:
-        """Return standard deviation (unit) and correlation time (s) of the Gauss-Markov bias that a filter takes.
+        """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
-        ``longest``: length (s) of the log's longest stretch, taken as the correlation time where none is seen. Flicker
-        noise counts by the peak of its Allan variance. Where a log shows no bias process, the upper end of the walk's
-        interval is taken.
+        ``longest``: length (s) of the log's longest stretch, used as the correlation time if none is found. Flicker
+        noise is represented by the peak of its Allan variance. If a log shows no bias process, the upper end of the
+        walk's interval is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0
@@ -95,7 +95,7 @@ class Noise:
 
     @property
     def longest(self) -> float:
-        """Length of the longest stretch, s; an hour, where there is none."""
+        """Length of the longest stretch, s; an hour if there is none."""
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:

@@ -22,11 +22,11 @@ STATIC = 0.95
 UNLIKELY = 0.1
 """Relative error of gravity above which the unit is doubtful."""
 ROUGH_GYRO = 3e-3
-"""rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise that no sensor of a vehicle has, but many have it in deg/s."""
+"""rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise above that of any sensor of a vehicle in rad/s, but usual in deg/s."""
 MANY = 30.0
-"""Averages of a stretch of which the Allan deviation is sure,"""
+"""Number of averages of a stretch from which the Allan deviation is accurate,"""
 MISFIT = 1.5
-"""and its ratio to the model, or the inverse, that is reported."""
+"""and the ratio to the model, or its inverse, from which it is reported."""
 TREND = 4.0
 """Standard deviations by which a trend exceeds the fitted processes."""
 COARSE = 0.5
@@ -34,7 +34,7 @@ COARSE = 0.5
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
-    """Return what the stretches show and do not show."""
+    """Return remarks on what the stretches show."""
     total, longest = sum(lengths), max(lengths)
     remarks: list[str] = []
     if stretches.gaps:
@@ -48,8 +48,8 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
         )
     if longest < LONG:
         remarks.append(
-            f"the longest stretch has {longest:.0f} s: it shows the white noise; of bias instability and rate random "
-            "walk only what grows within that time, so take the upper ends of their intervals; log an hour at rest"
+            f"the longest stretch has {longest:.0f} s: it shows the white noise, but bias instability and rate random "
+            "walk only as far as they grow in that time: take the upper ends of their intervals, or log an hour at rest"
         )
     return remarks
 

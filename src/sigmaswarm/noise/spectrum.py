@@ -4,10 +4,10 @@ The two-sided spectral density is
 
     S(f) = N^2 + B^2 / (2 pi f) + K^2 / ((2 pi f)^2 + 1 / T^2)
 
-with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias that walks by K (rate
-random walk) and, with a finite correlation time T, returns: a first-order Gauss-Markov process of the variance
-K^2 T / 2. Whittle's likelihood (1953) of the periodogram gives the best values and, by its profile, intervals. Unlike
-lines that are laid along an Allan deviation, it separates processes that overlap, and knows what a log does not show.
+with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias with rate random walk
+K. If its correlation time T is finite, the bias is a first-order Gauss-Markov process with variance K^2 T / 2.
+Whittle's likelihood (1953) of the periodogram gives the best values and, by its profile, intervals. Unlike lines fitted
+to an Allan deviation, it separates overlapping processes, and shows which ones a log does not determine.
 """
 
 import math
@@ -23,9 +23,9 @@ from sigmaswarm.drives.tables import Array
 BAND = 0.1
 """Highest frequency used, over the sampling rate: above, sensors filter, and engines shake."""
 ENOUGH = 200
-"""Frequencies that are used at least, if need be up to half the sampling rate."""
+"""Least number of frequencies used, if necessary up to half the sampling rate."""
 FIRST = 2
-"""Lowest frequency used, periods per stretch: the trend, which is taken off, contains most of the lower ones."""
+"""Lowest frequency used, periods per stretch: the trend, which is subtracted, contains most of the lower ones."""
 PER_DECADE = 24
 """Bands of frequencies that are averaged."""
 TAPER = 1.5
@@ -36,11 +36,11 @@ unknown correlation time widens the others' intervals. They cover 93 to 100% (be
 POINTS = 11
 """Values of a parameter at which its profile is computed in each pass."""
 PASSES = 3
-"""Passes that close in on an end of an interval."""
+"""Passes that refine an end of an interval."""
 TIMES = 8
 """Finite correlation times that are tried."""
 STEPS = 15
-"""Fisher's scoring has converged after so many."""
+"""Iterations of Fisher's scoring until convergence."""
 SHORTEST = 10.0
 """s: a shorter correlation time looks like a sensor's low-pass filter."""
 
@@ -115,7 +115,7 @@ def fit(spectrum: Spectrum, duration: float) -> Fit:
 
 
 def _walk(angle: Array, interval: float, rate: float) -> Array:
-    """Density of a sampled bias that walks by 1 and returns at a rate (1/s), at angular frequencies (n,) per sample."""
+    """Density of a sampled Gauss-Markov bias with unit walk and a decay rate (1/s); frequencies (n,) per sample."""
     keep = math.exp(-rate * interval)
     return interval**2 / ((1 - keep) ** 2 + 4 * keep * np.sin(angle / 2) ** 2)
 

@@ -14,27 +14,27 @@ AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 SHORTEST = 10.0
 """s: shorter stretches are left out."""
 FEWEST = 50
-"""Samples of a stretch, at least."""
+"""Least number of samples of a stretch."""
 BLOCK = 1.0
-"""s over which a mean and a deviation show motion."""
+"""s: length of the blocks whose mean and deviation show motion."""
 SMALLEST = 20
-"""Samples of a block, at least: the deviations of fewer scatter too much."""
+"""Least number of samples of a block: the deviations of fewer scatter too much."""
 JUMP = {"a": 0.1, "g": np.radians(0.5)}
 """m/s2, rad/s: change of a sensor's mean from one block to the next that shows motion."""
 RESTLESS = 3.0
-"""Deviation within a block over the quietest ones that shows motion,"""
+"""Ratio of a block's deviation to that of the quietest ones that shows motion,"""
 CALM = {"a": 0.02, "g": np.radians(0.1)}
 """m/s2, rad/s: unless it stays below this,"""
 ROUGH = 0.3
-"""m/s2: and always where an accelerometer's exceeds this."""
+"""m/s2: deviation of an accelerometer that always shows motion."""
 FIX_SPEED = 0.5
 """m/s: speed of a straight line through a stretch's fixes that shows motion."""
 SAMPLE = 100_000
-"""Samples that show the step."""
+"""Number of samples from which the quantization step is determined."""
 PILED = 3.0
-"""Samples at the end of an axis's range over those at the next value that show saturation,"""
+"""Ratio of samples at the end of an axis's range to those at the next value that shows saturation,"""
 LEAST_PILED = 1e-3
-"""if they are more than this share."""
+"""if they exceed this share."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,12 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     """
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):
-        raise InputError(f"{len(imu)} samples with increasing times are no log; give {SHORTEST:g} s at least")
+        raise InputError(
+            f"{len(imu)} samples with increasing times are not a log; give {SHORTEST:g} s at least"
+        )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
-        raise InputError(f"{wrong[0]} has values that are no numbers; leave these samples out")
+        raise InputError(f"{wrong[0]} has values that are not numbers; leave these samples out")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), SMALLEST)
     gap = max(gaps.MANY * interval, gaps.SHORTEST)
@@ -81,7 +83,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
         raise InputError(
-            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU lying still, an hour for all noises"
+            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU at rest, for an hour to show all noises"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
@@ -90,7 +92,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 def _calm_blocks(
     imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which blocks are as quiet as the quietest, with the means of their neighbors."""
+    """Return a mask of the blocks that are as quiet as the quietest, with the means of their neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

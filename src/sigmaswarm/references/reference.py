@@ -1,8 +1,9 @@
 """`reference`: the fixes of a good receiver, smoothed with the drive's IMU, as truth with standard deviations.
 
 The filter is tuned on these fixes alone, and smoothed (`filters.smoothing`). The smoother's standard deviations are
-checked: fixes are hidden from it for some seconds, several times, and the deviations are stretched until they cover
-those. The receiver's own deviation is added, since its errors last: the mean of many fixes is as wrong as one.
+checked: fixes are hidden from it for some seconds, several times, and the deviations are multiplied until they cover
+these fixes. The receiver's own deviation is added, since its errors last, and the mean of many fixes is not better than
+one.
 """
 
 import math
@@ -34,18 +35,18 @@ from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
 ACCURACY = 0.1
-"""m per axis: what is not known as well is left out."""
+"""m per axis: less accurate positions are left out."""
 HIDDEN = (2.0, 20.0)
-"""s for which fixes are hidden from the smoother: what it bridges to a decimeter with the IMUs of cars, and beyond."""
+"""s for which fixes are hidden from the smoother: as long as IMUs of cars bridge to a decimeter, and longer."""
 HIDDEN_FIRST = 10.0
 """s from the start before fixes are hidden, and between two windows."""
 PLACEMENTS = 3
 """Of the hidden windows."""
 COVERED = 0.95, 1.96
-"""Share of the hidden fixes that is to lie within so many sigma, by axis."""
+"""Required share of the hidden fixes within this many sigma, per axis."""
 OBJECTIVE = "innovation-t"
 SLIP = math.radians(0.1)
-"""rad: added to the heading's deviation. A rear axle slips sideways by as much for seconds; fixes do not show it."""
+"""rad: added to the heading's deviation, for sideways slip of the rear axle over seconds, which fixes do not show."""
 
 
 class ReferenceOptions(TypedDict, total=False):
@@ -82,11 +83,11 @@ def reference(
     progress: Callable[[Progress], None] | None = None,
     **options: Unpack[ReferenceOptions],
 ) -> Drive:
-    """Make truth of the fixes of a good receiver (RTK) that drove along, and of the drive's IMU.
+    """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
 
-    A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes that
-    the receiver itself does not know to ``accuracy``, are left out: their errors last, so that no mean of them is
-    better. The IMU bridges them.
+    A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes with a
+    stated deviation above ``accuracy``, are left out: their errors last, so a mean of them is not better. The IMU
+    bridges them.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def reference(
     accuracy : float
         m: truth that is not known to this standard deviation on each axis is left out; 0.1 by default.
     fix_std : float, optional
-        m per axis: the least standard deviation of a fix, whatever it states; that of fixes that state none.
+        m per axis: lower limit of a fix's standard deviation, which fixes without a stated one get.
     seed : int
         Decides the tuning, and which fixes are hidden; 0 by default.
 
@@ -150,12 +151,12 @@ def _smoothed(
     ready = PreparedDrive(receiver)
     estimate = smooth(ready, parameters)
     if estimate.failure:
-        raise SigmaswarmError(f"{name}: {estimate.failure}; look at the log with sigmaswarm doctor")
+        raise SigmaswarmError(f"{name}: {estimate.failure}; check the log with sigmaswarm doctor")
     stretched = _stretch(ready, parameters, np.random.default_rng(options.seed))
     truth = _truth(estimate, receiver.gps, stretched, accuracy)
     if truth is None:
         raise InputError(
-            f"{name}: the car's place is nowhere known to {accuracy:g} m; raise --accuracy, or look at the log with "
+            f"{name}: the position is never known to {accuracy:g} m; raise --accuracy, or check the log with "
             "sigmaswarm doctor"
         )
     share = share_known(truth, float(receiver.imu.time[0]), float(receiver.imu.time[-1]))
@@ -174,8 +175,8 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the filter that suits the drive on the good receiver's fixes.
 
-    Without ``standstill``: tuned on fixes to a centimeter it is taken so strictly that one wrongly detected standstill,
-    in an outage, moves the track by meters and leaves the covariance small.
+    It does not use ``standstill``: tuned on fixes accurate to a centimeter, its noise is so small that one wrongly
+    detected standstill, in an outage, moves the track by meters and leaves the covariance small.
     """
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
@@ -275,7 +276,7 @@ def _antenna(mean: Array, drive: Drive) -> Array:
 
 
 def _truth(estimate: Estimate, good: Gps, stretched: float, accuracy: float) -> Truth | None:
-    """Return the rows in which the place is known well enough, or None where there are fewer than two."""
+    """Return the rows in which the position is known well enough, or None if there are fewer than two."""
     mean, time = estimate.mean, estimate.time
     deviation = stretched * np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
     std_x, std_y = (

@@ -16,7 +16,7 @@ STATED = ("objective", "particles", "generations", "trials", "seed", "model", "u
 """Options that the command names even at their defaults."""
 DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
 GUARDS = ("prior", "inflation")
-"""Those whose default in `tune` depends on the objective."""
+"""Options whose default in `tune` depends on the objective."""
 
 
 def tune_command(
@@ -38,7 +38,7 @@ def tune_command(
     for name, value in options.items():
         words += _option(f"--{name.replace('_', '-')}", value)
     words += ["--validation", *validation] if validation else []
-    return shlex.join(words), "Drives are called by their names: put the ways to your folders instead."
+    return shlex.join(words), "Drives are given by name: replace the names by the paths of your folders."
 
 
 def evaluate_command(

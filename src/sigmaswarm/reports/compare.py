@@ -42,13 +42,19 @@ def comparison_table(comparison: Comparison) -> Table:
             cells += [row[f"{m}_median"], (row[f"{m}_low"], row[f"{m}_high"]), row[f"{m}_worst"]]
             cells.append(row[f"{m}_p"] if tested else None)
         rows.append((*cells, row["steps_share"], str(row["touched_bounds"]).replace(" ", ", ") or "-"))
+    alone = comparison.fixes_alone_rmse
+    rival = (
+        ""
+        if alone is None
+        else f" A filter of the fixes alone, without the IMU, has a held-out RMSE of {alone:.4g} m."
+    )
     few = "" if tested else f"\n\nToo few seeds for a test: {FEWEST_SEEDS} or more."
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Median [95% interval of the median], worst "
         f"run, and p: paired Wilcoxon test against {comparison.contenders[0].label}, corrected after Holm over the "
-        "rows. Steps: filter steps spent, of what the budget takes on all drives. Touched bounds: in how many runs a "
+        "rows. Steps: filter steps spent, as a share of the budget on all drives. Touched bounds: in how many runs a "
         f"parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
-        f"held out: {', '.join(comparison.test) or 'none'}.{few}"
+        f"held out: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)
 

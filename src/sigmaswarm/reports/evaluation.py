@@ -100,7 +100,7 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
 
 
 def comparison(evaluation: Evaluation) -> Figure:
-    """Bars of the mean scores of each method, where there are any."""
+    """Bars of the mean scores of each method, if there are any."""
     charts = method_bars(evaluation.view, titled=True)
     if not charts:
 
@@ -117,8 +117,8 @@ def comparison(evaluation: Evaluation) -> Figure:
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
     """Bars of the means over the drives, a chart for each measure that any method has.
 
-    IMU only and fixes alone do not set the scale: their bars end at the longest other bar, with an arrow at the text.
-    ``titled``: the measure is the title, not the label of the axis.
+    IMU only and fixes alone do not determine the scale: their bars end at the longest other bar, with an arrow at the
+    text. ``titled``: the measure is the title, not the label of the axis.
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
@@ -250,7 +250,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Weights of the filters of a swarm over time, stacked, and their distance from the tuning."""
+    """Weights of the filters of a bank over time, stacked, and their distance from the tuning."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()
@@ -270,6 +270,6 @@ def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
         ax.set(xlabel="time, s", ylabel="decades of variance")
 
     return (
-        Chart(f"{tracks.name}: weights of the filters of the swarm", weights),
-        Chart(f"{tracks.name}: distance of the swarm from its tuning", distance),
+        Chart(f"{tracks.name}: weights of the filters of the bank", weights),
+        Chart(f"{tracks.name}: distance of the bank from its tuning", distance),
     )

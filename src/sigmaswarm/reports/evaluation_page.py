@@ -20,7 +20,13 @@ from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, method_names
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
-from sigmaswarm.scoring.view import EvaluationView, explained_consistency, explained_scores, with_training
+from sigmaswarm.scoring.view import (
+    EvaluationView,
+    explained_consistency,
+    explained_radius,
+    explained_scores,
+    with_training,
+)
 from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
@@ -33,7 +39,7 @@ VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unkn
 BANK = (
     "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate "
     "depend on how well they predicted the last minute. Every 10 s while the vehicle moves, those with the lowest "
-    "weights are replaced by what a search over the last minute finds. Where the parameters move far from the "
+    "weights are replaced by the results of a search over the last minute. Where the parameters move far from the "
     "tuning, the vehicle, its sensors or its surroundings differ from those that the filter was tuned for: one "
     "decade is a factor of ten in a variance."
 )
@@ -69,6 +75,11 @@ def evaluation_report(folder: Path) -> Report:
             _comparison(view),
             *((Section("The swarm", (BANK,), charts=swarm),) if swarm else ()),
             Section("Consistency", (explained_consistency(nees),), (view.consistency_table(),)),
+            *(
+                (Section("Position radius", (explained_radius(),), (view.radius_table(),)),)
+                if scores.radius
+                else ()
+            ),
             parameters_section(file),
             *convergence_section(file, folder),
             data_section("Drives of the evaluation", setup.data),

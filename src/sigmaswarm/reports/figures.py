@@ -19,6 +19,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import Formatter
@@ -62,7 +63,7 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
 
 
 def logarithmic(axis: Axis) -> None:
-    """Use a logarithmic scale with plain numbers: few powers of ten lie within a small range."""
+    """Use a logarithmic scale with plain numbers: a small range has few powers of ten."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(_Between())
@@ -131,7 +132,7 @@ def _legend_below(figure: Figure, columns: int) -> None:
 
 
 def _plain(artist: Artist) -> None:
-    """Draw titles and legends literally, since names of drives are no formulas.
+    """Draw titles and legends literally, since names of drives are not formulas.
 
     Numbers of axes are left out: they may have powers, and their ticks are expensive to create.
     """
@@ -186,7 +187,7 @@ def _svg(figure: Figure, **settings: str) -> str:
     look: dict[Any, Any] = {"svg.hashsalt": "sigmaswarm", **settings}
     with rc_context(look), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")
-        figure.savefig(file, format="svg", metadata=metadata)
+        FigureCanvasSVG(figure).print_svg(file, metadata=metadata)  # once: see `save`
     return re.sub(
         r'<g id="hover-([^"]*)">',
         lambda found: f"<g><title>{escape(urlsafe_b64decode(found[1]).decode())}</title>",

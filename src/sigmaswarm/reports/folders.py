@@ -25,7 +25,7 @@ def read_report(folder: Path) -> Report:
     if (folder / "config.json").exists() and list(folder.glob("checkpoint-*.npz")):
         raise InputError(f"{folder}: the tuning is not finished; repeat its command with --resume")
     raise InputError(
-        f"{folder}: holds no results (none of {', '.join(REPORTS)}); give a folder that "
+        f"{folder}: contains no results (none of {', '.join(REPORTS)}); give a folder that "
         "tune, evaluate or study wrote"
     )
 

@@ -1,7 +1,7 @@
 """A report as one HTML file: it needs no network and no other file.
 
-Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are explored with plotly.js, of which the page
-holds the basic bundle (MIT license, see assets/); the bundle and the tracks are compressed.
+Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are interactive by plotly.js, whose basic bundle is
+in the page (MIT license, see assets/); the bundle and the tracks are compressed.
 """
 
 import base64
@@ -33,7 +33,8 @@ TERMS = {
     "NIS": "normalized innovation squared: a fix's deviation from its prediction, relative to the predicted covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
-    "whiteness p": "probability that white innovations look as correlated as these (Ljung-Box test over ten fixes)",
+    "whiteness p": "probability that white innovations are at least as correlated as these (Ljung-Box test over ten "
+    "fixes)",
     "correlation": "of neighboring innovations; 0 where the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
     "95% gate": "share of the fixes whose NIS is below 5.99; 95% where the filter is consistent",
@@ -106,8 +107,8 @@ class Report:
 def page(report: Report) -> str:
     """Render the page.
 
-    Every text of the report is escaped, and the page's policy forbids any request, so that neither a drive's name nor
-    anything else can reach out of it.
+    Every text of the report is escaped, and the page's policy forbids any request, so that no text, such as a drive's
+    name, can run code or load anything.
     """
     tracks = next((section.tracks for section in report.sections if section.tracks), None)
     return (

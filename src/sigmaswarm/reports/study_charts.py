@@ -41,7 +41,7 @@ COLORS = {
 }
 """Colors of the protocols."""
 REACH = 12
-"""The scale ends at this multiple of the lowest mean, so that the good ones can be told apart."""
+"""The scale ends at this multiple of the lowest mean, so that the good ones can be distinguished."""
 DRAWN: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
     f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
@@ -167,7 +167,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw the middle 80% of the trials, their median, and where it settles."""
+    """Draw the middle 80% of the trials, their median, and the generation at which it settles."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_LOOKS[key].color if key in STUDY_LOOKS else GREEN
     whole, settles = course.group == ALL, course.stable
@@ -198,7 +198,7 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
                 mean, low, high = np.array([(p.mean, *p.interval) for p in own], np.float64).T
                 band(ax, x, low, high, Look(look.color, opacity=0.15))
                 curve(ax, x, mean, Look(look.color, 2.0, look.style, "o"), results.label(own[0].method))
-            ax.set(xlabel="minutes learned from; 0: the filter alone", ylim=(0.0, None))
+            ax.set(xlabel="minutes of training data; 0: the filter alone", ylim=(0.0, None))
 
         return Chart(results.measures[measure], draw, broad=True)
 
@@ -227,7 +227,7 @@ def trajectory_chart(picture: Picture) -> Chart:
 
 
 def error_charts(picture: Picture) -> tuple[Chart, ...]:
-    """Draw position and heading error over time with the filter's 3 sigma: two charts a filter."""
+    """Draw position and heading error over time with the filter's 3 sigma: two charts per filter."""
 
     def chart(title: str, columns: Columns, look: Look, what: str, *, last: bool) -> Chart:
         def draw(ax: Axes) -> None:

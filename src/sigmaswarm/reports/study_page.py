@@ -165,7 +165,7 @@ def _intervals(results: Results) -> Section:
         "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the uncertainty by swarm and split; "
         "it covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
         "95% of the time in a study of full size, 85 to 95% in small ones.",
-        "An arrow: the mean lies beyond the scale.",
+        "An arrow means that the mean is beyond the scale.",
     )
     charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT)))
     return Section("Intervals of the means", text, charts=charts)
@@ -180,7 +180,7 @@ def _spread(record: StudyRecord) -> Section:
     results, spreads = record.results, record.spreads
     charts = [spread_chart(results, spreads, measure) for measure in ERRORS]
     text = (
-        "One value a drive, the mean over its trials. Box: quartiles; whiskers: 5 to 95% of drives.",
+        "One value per drive, the mean over its trials. Box: quartiles; whiskers: 5 to 95% of drives.",
         "The mean NIS of a consistent filter is 2; above 2 it is overconfident, below underconfident. Position errors "
         "alone do not determine the scale of the covariances.",
     )
@@ -201,8 +201,8 @@ def _tracks(record: StudyRecord) -> tuple[Section, ...]:
 
 def _comparisons(results: Results) -> Section:
     text = (
-        f"{results.label(MAIN)} against every other method, drive by drive. Improvement (equation 5): how much less "
-        "its mean error is; its interval is by bootstrap over drives.",
+        f"{results.label(MAIN)} against every other method, drive by drive. Improvement (equation 5): the relative "
+        "reduction of the mean error, with a bootstrap interval over drives.",
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. Rank-biserial correlation is the "
         "effect size: 1 is better on every drive, -1 worse on every drive.",
     )

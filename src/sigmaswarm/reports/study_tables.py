@@ -41,7 +41,7 @@ AWAY = {
 """The measures of drives elsewhere and of learning curves."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
-    "One value a drive, the mean over its trials, of drives on which neither failed; 95% "
+    "One value per drive, the mean over its trials; drives on which one of the two failed are left out; 95% "
     "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
@@ -53,7 +53,7 @@ INTERVALS = (
 EFFORT = (
     "Labelled: driving with truth that the tuning used. Learned: driving that a network learned from, without truth. "
     "Numbers: free numbers of tuning and training. Drifts with the 95% interval for new drives (bootstrap over drives "
-    "and trials), of outages placed once in each drive; - where no drive has room for one."
+    "and trials), of outages placed once in each drive; -: no drive is long enough."
 )
 TIMES = (
     "Training: processor time of a trial, a network's without its filter's. A sample: processor time of an IMU sample "
@@ -224,7 +224,8 @@ def objectives_compared(results: Results) -> str:
         return ""
     return (
         "Why there are two objectives: the paper's compares the estimate with the GPS fix that the filter has just "
-        "used, so the filter that copies the fixes wins. Its PSO-UKF is {:.2f} m from the fixes but {:.2f} m from the "
+        "used, so a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from the fixes but "
+        "{:.2f} m from the "
         "truth, where the fixes themselves are {:.2f} m from it; tuned against truth by the same swarm it has {:.2f} m."
     ).format(*means)
 
@@ -373,7 +374,7 @@ def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> 
         drifts = (_mean_cells(results.summary(e.protocol, e.method, m)) for m in LENGTHS)
         rows.append((*row, *(cell for cells in drifts for cell in cells)))
     note = f"{EFFORT} {TIMES if times else 'Times are in runtime-rivals.md.'}"
-    return _table("Rivals: data, numbers, and drift over outages", columns, rows, results, note)
+    return _table("Rivals: training data, parameters, and drift over outages", columns, rows, results, note)
 
 
 def _gains_table(results: Results, rivals: RivalResults) -> Table:
@@ -383,7 +384,7 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
     )
     caption = f"Networks against {results.label(BESIDE, 'honest')} without them"
-    kept = "Measures that a network does not change, as positions with fixes, are omitted."
+    kept = "Measures that a network does not change, such as the position while fixes arrive, are omitted."
     return Table(caption, columns, rows, note=f"{PAIRED.format('network')} {kept}")
 
 

@@ -37,7 +37,7 @@ MEANINGS = {
 }
 """Explanations of parameters whose name and unit do not suffice."""
 SIGMA_POINTS = {"alpha", "beta", "kappa"}
-"""An extended filter has none."""
+"""Sigma-point parameters, which an extended filter does not have."""
 
 
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
@@ -166,8 +166,8 @@ def parameters_section(file: TuningRecord) -> Section:
         rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
-        "From and to: the values at which the cost is 1% higher, all other parameters unchanged; at the bound: "
-        "it is less than 1% higher at the bound of the search."
+        "From and to: the values at which the cost is 1% higher, all other parameters unchanged. At the bound: "
+        "the cost at the bound of the search is less than 1% higher."
     )
     table = Table("", tuple(map(Column, titles)), tuple(rows))
     return Section("Parameters", (text,) if ranges else (), (table,))
@@ -178,7 +178,7 @@ def _end(end: End | None) -> Cell:
 
 
 def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
-    """Return the name in the search, where some share one: q_x and q_y are q_xy, q_roll is q_tilt."""
+    """Return the name in the search, which several may share: q_x and q_y are q_xy, q_roll is q_tilt."""
     model = MODELS.get(str(file.filter.get("model")))
     shared = {f"q_{state.name}": f"q_{state.shared}" for state in (model.states if model else ())}
     return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)
@@ -224,7 +224,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
-    """The drives; for evaluated ones whether they were held out, where that is known."""
+    """The drives; for evaluated ones whether they were held out, if that is known."""
 
     def held_out(drive: DriveRecord) -> Cell:
         if drive.seen_s:

@@ -17,11 +17,11 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
 GATE_95 = -2 * math.log(0.05)
-"""NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
+"""NIS below which 95% of the fixes are if the filter is consistent: 5.99."""
 FAR_NEES = 4.0
 """Mean NEES above which errors are clearly too large: by a factor of 1.4; NEES has no band."""
 RIGHT_NEES = 1.5
-"""Mean NEES from which, up to `FAR_NEES`, a filter's position covariance is taken to be right."""
+"""Mean NEES from which, up to `FAR_NEES`, a filter's position covariance counts as right."""
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
@@ -34,7 +34,7 @@ _KEYS = {
     "expected": "expected_m",
     "own_sigma": "own_sigma_m",
 }
-"""Names in scores.json, where they differ."""
+"""Names in scores.json that differ."""
 _CONFIG = ConfigDict(
     frozen=True,
     alias_generator=lambda name: _KEYS.get(name, name),
@@ -50,7 +50,7 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        2 where the filter is consistent; above, it is optimistic.
+        2 where the filter is consistent; above, the filter is overconfident.
     nis_band : (float, float)
         95% band of the mean of this many independent values.
     inside_gate : float
@@ -134,14 +134,14 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Optimistic: innovations are larger than their covariances; pessimistic: smaller.
+"""Too confident: innovations are larger than their covariances; pessimistic: smaller.
 
-Alike: smaller, and neighbors are much alike, so that nothing is known without truth.
+Alike: smaller, and neighbors are nearly equal, so that nothing is known without truth.
 Lasting: smaller, and the errors against truth are as large as the covariances; predictions share the fixes' errors.
 Correlated: as large as the covariances, but neighbors are correlated; without truth.
 """
 ALIKE = 0.5
-"""Correlation of neighboring innovations from which they are much alike."""
+"""Correlation of neighboring innovations from which they are nearly equal."""
 CORRELATED = 0.2
 """The same, from which a consistent NIS is not sufficient."""
 FORECASTS = "this covers predictions of the fixes; position errors cannot be judged without truth"
@@ -172,7 +172,7 @@ VERDICTS: dict[Kind, str] = {
 
 
 def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
-    """Sentences on the consistency on several drives, one for each kind that holds for a drive."""
+    """Sentences on the consistency on several drives, one for each kind of verdict."""
     known = [one for one in found if one]
     of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)
@@ -210,9 +210,12 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
 def _size(mean_squares: Sequence[float], what: str) -> str:
     """Compare sigmas with the right ones, from mean NIS or NEES, which should be 2."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
-    ratio = math.sqrt(2 / mean) if mean > 0 else math.inf
+    return f"{size_of(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
+
+
+def size_of(ratio: float) -> str:
+    """Describe sigmas by their ratio to the right ones."""
     size = "large" if ratio > 1 else "small"
-    off = f"{100 * abs(ratio - 1):.0f}% too {size}"
-    if not 0.5 < ratio < 2:
-        off = f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"
-    return f"{off} (mean {what} {mean:.2g}, should be 2)"
+    if 0.5 < ratio < 2:
+        return f"{100 * abs(ratio - 1):.0f}% too {size}"
+    return f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"

@@ -13,8 +13,8 @@ from sigmaswarm.geodesy import wrap_angle
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
     """Return a function of means (k, n), at the log's times, to the RMSE of the model's ``scored`` states.
 
-    It is sqrt(mean(e^T e)) over moments of truth; e = estimate - truth, the estimate linear in between. Without
-    ``scored`` all states count whose truth the log has.
+    It is sqrt(mean(e^T e)) over moments of truth; e = estimate - truth, the estimate linear in between. By default all
+    states are scored whose truth the log has.
 
     Raises
     ------

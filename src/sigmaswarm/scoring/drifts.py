@@ -59,6 +59,8 @@ class Outages:
     """The outages of one length on a drive in several placements, and the drifts of methods over them.
 
     ``seeds`` are those of the placements, none where no outage fits; ``failed`` the methods that failed in one of them.
+    ``stated`` has the ends of the outages, s, with the tuned filter's position variances per axis there, m2, and its
+    errors, m.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -70,6 +72,12 @@ class Outages:
         self._ends = [ends[each] for each in self.seeds]
         self._each: dict[str, list[float]] = {}
         self.failed: set[str] = set()
+        self._stated: list[Array] = []
+
+    @property
+    def stated(self) -> tuple[Array, Array, Array]:
+        """Times, variances and errors at the ends of the outages, if the tuned filter ran."""
+        return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
         """Add an estimate that uses no fix, so it needs no further run."""
@@ -97,8 +105,7 @@ class Outages:
         """Run one placement; a separate function, to free its memory before the next one."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         if watched:
-            each = [Recording(outages, p, recover=True).finished().sums for p in filters.values()]
-            sums = joined(each, axis=1)
+            sums = joined([self._recorded(m, outages, p).sums for m, p in filters.items()], axis=1)
         else:
             sums = run_replays([outages], [*filters.values()])
         scores = scores_of({"outages": [outages]}, {"outages": sums})
@@ -111,6 +118,23 @@ class Outages:
                 here = ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])]  # each is a sample's time
                 places.append(piece.mean[np.searchsorted(piece.time, here), :2])
             self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
+
+    def _recorded(self, method: str, outages: Replay, parameters: FilterParameters) -> Recording:
+        """Run a filter; of the tuned one keep what is stated at the ends of the outages."""
+        recording = Recording(outages, parameters, recover=True)
+        if method != "tuned":
+            return recording.finished()
+        ends = self._ends[len(self._each.get(method, ()))]
+        reference = drift_reference(self._ready)
+        for piece in recording:
+            here = ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])]
+            rows = np.searchsorted(piece.time, here)
+            true = [np.interp(here, reference.time, column) for column in (reference.x, reference.y)]
+            off = np.hypot(*(piece.mean[rows, :2].T - true))
+            self._stated.append(
+                np.vstack([here, piece.covariance[rows][:, [0, 1], [0, 1]].mean(axis=1), off])
+            )
+        return recording
 
     def _add(self, method: str, drift: float, *, failed: bool) -> None:
         self._each.setdefault(method, []).append(drift)

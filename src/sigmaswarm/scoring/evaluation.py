@@ -12,7 +12,7 @@ import polars as pl
 from sigmaswarm import notebook
 from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.doctor.diagnose import findings_of
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -24,12 +24,13 @@ from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.replay import Replay, joined
-from sigmaswarm.filters.run import Estimate, Innovations
+from sigmaswarm.filters.run import Estimate, Innovations, estimate_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import FIXES, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure, measures, method_names
+from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
     ASKED_FILE,
@@ -45,6 +46,7 @@ from sigmaswarm.scoring.targets import (
     LONG_OUTAGE_LENGTH,
     OUTAGE_LENGTH,
     SHORT_OUTAGE_LENGTH,
+    outage_replay,
     outage_windows,
     tracking_replay,
 )
@@ -85,7 +87,7 @@ class Options:
         Further methods, by names of `ALSO`: callables that run on a replay, such as a trained network.
     fixes_alone : MotionNoise, optional
         Noises of the filter of the fixes alone, ``tuning.fixes_alone``. None: they are fitted to each drive, so its
-        scores are optimistic.
+        scores are lower bounds.
     """
 
     against: FilterParameters | None = None
@@ -115,7 +117,7 @@ class Evaluated:
     Scores, times of resets (s), and drifts with the number of outages are by method or measure. Consistency and
     innovations are those of the tuned filter. ``tracks`` are those of tracks.npz, ``picture`` has more points, for
     print. ``frozen`` counts stale fixes, which no filter used. ``findings`` are the doctor's, ``truth_offset`` is a
-    sentence on a constant offset between fixes and truth.
+    sentence on a constant offset between fixes and truth. ``radius`` is that of `ScoresRecord`.
     """
 
     scores: Mapping[str, Score]
@@ -129,6 +131,7 @@ class Evaluated:
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
     findings: tuple[str, ...] = ()
     truth_offset: str = ""
+    radius: Mapping[str, RadiusRecord] = field(default_factory=dict[str, RadiusRecord])
 
     def called(self, name: str) -> "Evaluated":
         """The same under another name, where two drives have one."""
@@ -180,7 +183,7 @@ class Evaluation:
 
     @property
     def consistency(self) -> Mapping[str, Consistency | None]:
-        """Of the tuned filter, by drive; None where it failed or saw too few fixes."""
+        """Consistency of the tuned filter, by drive; None if it failed or had too few fixes."""
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
@@ -243,6 +246,7 @@ class Evaluation:
             improvement_percent={m: {k: self.improvement(m, k) for k in MEASURES} for m in rivals},
             drifts={name: dict(found.drifts) for name, found in drives.items() if found.drifts},
             failed={name: methods for name, methods in failed.items() if methods},
+            radius={name: dict(found.radius) for name, found in drives.items() if found.radius},
             stale_fixes={name: found.frozen for name, found in drives.items() if found.frozen},
         )
 
@@ -319,12 +323,13 @@ def evaluate(
     cluster: "Client | None" = None,
     **options: Any,
 ) -> Evaluation:
-    """Compare tuned parameters with the same filter by data sheet, raw GPS and IMU only.
+    """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only.
 
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Preferably none of the tuning's. Without truth only the outage drift is computed, against the hidden fixes.
+        Preferably drives that the tuning did not use. Without truth only the outage drift is computed, against the
+        hidden fixes.
     parameters : FilterParameters
         The tuned ones.
     seen : sequence of Landmarks, optional
@@ -419,8 +424,23 @@ def _evaluated(
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
         findings=findings_of(drive),
         truth_offset=truth_offset(drive),
+        radius=_radii(
+            drive, parameters, {TRACKING: tracker.stated, **{m: o.stated for m, o in outages.items()}}
+        ),
     )
     return drive.name, found, marks
+
+
+def _radii(
+    drive: Drive, parameters: FilterParameters, stated: Mapping[str, tuple[Array, Array, Array | None]]
+) -> dict[str, RadiusRecord]:
+    """Radii of the tuned filter, by where they were stated: times, variances and errors."""
+    known = drive.truth is not None
+    found = {
+        where: radius_record(variance, lasting_variance(drive, parameters, time), error if known else None)
+        for where, (time, variance, error) in stated.items()
+    }
+    return {where: record for where, record in found.items() if record}
 
 
 @dataclass(frozen=True, eq=False)
@@ -465,3 +485,12 @@ def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed
     windows = outage_windows(ready.drive, estimate.initial, length=length, seed=seed)
     drift = rms_drift(ready, estimate, windows[:, 1])
     return replace(score_estimate(ready.drive, estimate), outage_drift=drift, failed=False)
+
+
+def score_fixes_alone(ready: PreparedDrive, noise: MotionNoise, length: float, seed: int) -> Score:
+    """Score the filter of the fixes alone: errors against truth, and the drift at the ends of the outages."""
+    whole = estimate_of(FixesAlone(tracking_replay(ready), noise), recover=False)
+    windows = outage_windows(ready.drive, whole.initial, length=length, seed=seed)
+    hidden = estimate_of(FixesAlone(outage_replay(ready, length=length, seed=seed), noise), recover=False)
+    drift = rms_drift(ready, hidden, windows[:, 1])
+    return replace(score_estimate(ready.drive, whole), outage_drift=drift, failed=False)

@@ -1,7 +1,7 @@
 """Jobs of a batch: some replays by some parameter sets each, run by an executor.
 
-A kernel runs up to `most_lanes` parameter sets at once, and fewer of them take more time each. So jobs are as large as
-that, but for those that would leave workers idle at the end.
+A kernel runs up to `most_lanes` parameter sets at once, and fewer of them take more time each. So jobs have this size,
+except those that would leave workers idle at the end.
 """
 
 import os
@@ -22,7 +22,7 @@ SHORT = 20_000
 
 @dataclass(frozen=True)
 class Job:
-    """Some replays of the pass ``name``, of so many steps together, by some of the parameter sets."""
+    """Some replays of the pass ``name``, with their total number of steps, by some of the parameter sets."""
 
     name: str
     replays: range
@@ -52,7 +52,7 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
 
 
 def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
-    """Group consecutive replays of each pass into parts of at least so many steps."""
+    """Group consecutive replays of each pass into parts with a least number of steps."""
     for name, each in steps.items():
         first, total = 0, 0
         for last, more in enumerate(each):

@@ -28,7 +28,7 @@ ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
 
 
 def filter_called(kind: str, model: str) -> str:
-    """Return the display name of a filter: its type, and its model where that is not the paper's."""
+    """Return the display name of a filter: its type, and its model if that is not the paper's."""
     name = kind.replace("-", " ").replace("ukf", "UKF").replace("ekf", "EKF")
     return name if model == "planar5" else f"{name}, {model}"
 
@@ -43,7 +43,7 @@ def method_names(
     """Return the display names of the methods, with the type and model of the tuned filter.
 
     ``also``: optional rows, `OWN` (the other filter, which comes first) and those of `ALSO`.
-    ``against``: type and model of `OWN`, where they are known.
+    ``against``: type and model of `OWN`, if they are known.
     """
     first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
@@ -96,6 +96,6 @@ def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
 
 MEASURES = measures()
 DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
-"""Measures of forecasts, which a filter with an IMU should do better than the fixes alone."""
+"""Measures of forecasts, in which a filter with an IMU should be better than the fixes alone."""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
 """Measures in which a filter is compared with the raw fixes, and their names in sentences."""

@@ -12,14 +12,15 @@ from sigmaswarm.files import write_json
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.consistency import Consistency
+from sigmaswarm.scoring.radius import RadiusRecord
 
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 
 Measured = dict[str, float | None]
-"""By measure; None where it is not known."""
+"""Scores by measure; None if unknown."""
 
 FEW = 4
-"""Outages of one placement: with fewer, all placements hide much the same fixes."""
+"""Least number of outages of one placement: with fewer, all placements hide nearly the same fixes."""
 
 
 class DriftRecord(BaseModel):
@@ -50,13 +51,15 @@ class ScoresRecord(BaseModel):
     """By drive and measure."""
     failed: dict[str, list[str]] = Field(default_factory=dict)
     """By drive: methods that failed."""
+    radius: dict[str, dict[str, RadiusRecord]] = Field(default_factory=dict)
+    """By drive: of the tuned filter with all fixes, ``tracking``, and by measure of drift at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
     """By drive: fixes that repeat an earlier one although the vehicle may have moved; filters do not use them."""
 
     def drift_said(self, measure: str, method: str = "tuned") -> str:
         """Describe the number of outages behind a drift, and the range of drifts of a single placement.
 
-        Empty if unknown, or where the method failed in any placement: the others have other outages.
+        Empty if unknown, or if the method failed in any placement, since the others have other outages.
         """
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]
@@ -118,7 +121,7 @@ _SEALED = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
 
 
 def seal(folder: Path) -> None:
-    """Write into evaluation.json which files belong to the evaluation."""
+    """Write the files that belong to the evaluation into evaluation.json."""
     record = load_record(EvaluationRecord, folder / ASKED_FILE)
     found = {name: _sha256(folder / name) for name in _SEALED if (folder / name).exists()}
     write_json(folder / ASKED_FILE, record.model_copy(update={"files": found}).model_dump())

@@ -30,7 +30,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
-    """Return the number of drives, and how much of them the tuning saw."""
+    """Return the number of drives, and the time of them that the tuning used."""
     called = counted(len(data), "drive")
     each = [
         f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
@@ -120,10 +120,11 @@ def said_of_position(found: Consistency) -> str:
     """Estimate the position error of a filter on a drive without truth, in a sentence.
 
     It is the RMS of its sigmas, checked against its predictions of the fixes. Where these deviate far less than
-    expected, the receiver smooths its fixes or their errors last: then the filter may be off by as much as the fixes.
+    expected, the receiver smooths its fixes or their errors last: then the error of the filter may be as large as that
+    of the fixes.
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
-    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} where 2 is right"
+    (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} (2 is consistent)"
     alike = found.autocorrelation[0] > CORRELATED
     if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
         guess = ""

@@ -1,4 +1,4 @@
-"""Scores on the drives of a cluster's workers: parameter sets travel there, and numbers come back."""
+"""Scores on the drives of a cluster's workers: parameter sets are sent there, and numbers come back."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor

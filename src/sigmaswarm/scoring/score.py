@@ -64,9 +64,10 @@ class Score:
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
     """Negative log-likelihood of innovations with outliers: ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c).
 
-    The negative logarithm of Student's t in two dimensions with v degrees of freedom, but for a constant, if c = v. A c
-    of its own makes it least for Gaussian innovations where their mean NIS is 2: see `sigmaswarm.filters.student`.
-    ``innovation`` (f, 2) is nu, ``covariance`` (f, 2, 2) is S, ``dof`` and ``scale`` are v and c; the result is (f,).
+    The negative logarithm of Student's t in two dimensions with v degrees of freedom, up to a constant, if c = v. The
+    value of c is chosen so that for Gaussian innovations the minimum is at a mean NIS of 2: see
+    `sigmaswarm.filters.student`. ``innovation`` (f, 2) is nu, ``covariance`` (f, 2, 2) is S, ``dof`` and ``scale`` are
+    v and c; the result is (f,).
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
     half_log_det = 0.5 * np.log(np.linalg.det(covariance))
@@ -74,17 +75,18 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that come in pieces, as of `score_estimate`; ``initial`` is where the method started."""
+    """Errors of estimates that come in pieces, as of `score_estimate`; ``initial`` is the start of the method."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth
         self._first = self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
         self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
         self._off: list[Array] = []
+        self._variance: list[Array] = []
         self._turned: list[Array] = []
 
-    def add(self, time: Array, mean: Array) -> None:
-        """The next estimates: times (r,) in s, and means (r, n) of a model's states."""
+    def add(self, time: Array, mean: Array, variance: Array | None = None) -> None:
+        """The next estimates: times (r,) in s, means (r, n) of a model's states, and variances for `errors`, (r,)."""
         truth, first = self._truth, self._next
         self._next = int(np.searchsorted(truth.time, time[-1], side="right"))
         at, nodes = slice(first, self._next), np.concatenate([[self._time], time])
@@ -93,7 +95,16 @@ class PieceErrors:
         x, y, theta = (np.interp(truth.time[at], nodes, pose[:, i]) for i in (0, 1, THETA))
         self._off.append(np.hypot(x - truth.x[at], y - truth.y[at]))
         self._turned.append(wrap_angle(theta - truth.theta[at]))
+        if variance is not None:
+            self._variance.append(np.interp(truth.time[at], time, variance))
         self._time, self._pose = time[-1], pose[-1]
+
+    @property
+    def errors(self) -> tuple[Array, Array, Array]:
+        """Times of truth so far, s, with the variances that were given, m2, and the position errors, m."""
+        none = np.empty(0)
+        variance, off = (np.concatenate([none, *of]) for of in (self._variance, self._off))
+        return self._truth.time[self._first : self._next], variance, off
 
     @property
     def score(self) -> Score:

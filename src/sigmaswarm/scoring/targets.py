@@ -22,9 +22,9 @@ FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 """s: outages over which the drift of a tuned filter is compared with that of a filter of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""On a drive: this many determine its drift to about a tenth."""
+"""Number of outages of a drive that determines its drift to about a tenth."""
 MOST_PLACEMENTS = 8
-"""Most placements of outages on a drive: more would hide the same seconds again."""
+"""Largest number of placements of outages on a drive: more would hide the same seconds again."""
 OUTAGE_FIRST_AFTER = 10.0
 """s from the start to the first outage, at least."""
 OUTAGE_APART = 5.0

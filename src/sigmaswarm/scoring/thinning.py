@@ -11,10 +11,10 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
 class Thinned:
-    """At most so many rows of a series of n, with all peaks of the error or of the NIS.
+    """A limited number of rows of a series, with all peaks of the error or of the NIS.
 
-    Kept are the first row, the last, and of each of equal parts in between the rows with the smallest and the largest
-    error (the first and the last row where there is no error). The choice does not depend on the pieces.
+    The first row and the last are kept, and from each of equal parts in between the rows with the smallest and the
+    largest error (without an error the first and the last row). The choice does not depend on the pieces.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -61,7 +61,7 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 class CloseUp:
-    """All rows of a series near a place (2,), m, with a gap where it leaves.
+    """All rows of a series near a position (2,), m, with a gap where it leaves.
 
     Twice the ``side``, m, is kept, since axes of equal scale may show more.
     """

@@ -1,6 +1,6 @@
 """Tracks and errors over time of every method on a drive, thinned while the methods run, and their file.
 
-`tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array a column, called
+`tracks.npz` contains, for drive number ``i`` in ``names`` and each of its series, one array per column, called
 ``i/series/column``. The same result gives the same bytes; the file has no date.
 """
 
@@ -32,7 +32,7 @@ from sigmaswarm.scoring.truth_noise import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
-"""Ends the name of the series that holds a filter's NIS."""
+"""Ending of the name of the series of a filter's NIS."""
 SHARES, MOVED = ".shares", ".moved"
 """Endings of the series of the weights of a filter bank, and of its distance from its tuning."""
 MOST_POINTS = 1500
@@ -50,7 +50,7 @@ class Tracks:
     Attributes
     ----------
     name : str
-        Of the drive.
+        Name of the drive.
     series : mapping of str to mapping of str to ndarray, shape (n,)
         ``truth``, ``raw_gps``, ``imu_only`` and the filters have time (s), x, y (m); methods also position_error (m),
         filters and ``imu_only`` heading_error (deg), filters position_3sigma (m) and heading_3sigma (deg). ``F.nis``
@@ -86,8 +86,9 @@ class Tracker:
     """Keeps thinned tracks of methods while they run over a drive; complete estimates are not stored.
 
     ``scores`` are those of position and heading of each method that ran, ``own_sigma`` the RMS of the position's
-    standard deviation according to each filter, m. Series have ``most_points``; with ``picture`` the data of a printed
-    picture is kept, too.
+    standard deviation according to each filter, m. ``stated`` has times, the tuned filter's position variances per
+    axis, m2, and with truth its errors, m, at the times of truth. Series have ``most_points``; with ``picture`` the
+    data of a printed picture is kept, too.
     """
 
     def __init__(
@@ -100,6 +101,7 @@ class Tracker:
         self._close: dict[str, Columns] = {}
         self.scores: dict[str, Score] = {}
         self.own_sigma: dict[str, float] = {}
+        self.stated: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
         truth = ready.drive.truth
         if truth is not None:
             self._theta = np.unwrap(truth.theta)
@@ -131,20 +133,28 @@ class Tracker:
         truth, imu_time = self._ready.drive.truth, self._ready.drive.imu.time
         errors = None if truth is None else PieceErrors(truth, initial)
         variance, count = 0.0, 0
+        blind: list[Array] = []
 
         def pieces() -> Iterator[Columns]:
             nonlocal variance, count
             for piece in run:
-                if errors:
-                    errors.add(piece.time, piece.mean)
+                each = None
                 if len(piece.covariance):
-                    variance += float(piece.covariance[:, [0, 1], [0, 1]].sum())
+                    both = piece.covariance[:, [0, 1], [0, 1]]
+                    variance += float(both.sum())
                     count += len(piece.time)
+                    each = both.mean(axis=1) if series == "tuned" else None
+                if errors:
+                    errors.add(piece.time, piece.mean, each)
+                elif each is not None:
+                    blind.append(np.vstack([piece.time, each]))
                 yield self._columns(piece)
 
         self._keep(series, pieces(), int((imu_time > self._ready.initial.time).sum()))
         self.own_sigma[series] = float(np.sqrt(variance / count)) if count else np.nan
         self.scores[series] = errors.score if errors else Score()
+        if series == "tuned":
+            self.stated = errors.errors if errors else (*np.hstack(blind), None)
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
         """Keep the track of an estimate."""
@@ -241,7 +251,7 @@ def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool)
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Where the car turns most within 4 s while a filter runs, m east and north: the median of the fixes around."""
+    """Where the car turns most within 4 s while a filter runs, m east and north: the median of the fixes around it."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]

@@ -1,4 +1,4 @@
-"""Truth with stated standard deviations: the weight of each moment, and where truth is known at all."""
+"""Truth with stated standard deviations: the weight of each moment, and the times at which truth is known."""
 
 import math
 
@@ -11,7 +11,7 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """m per axis: the accuracy of the best filters of cheap receivers, beyond which better truth gets no more weight.
 
-Without it only open sky would have weight, where a reference is best and every filter good.
+Without this limit only stretches under open sky would have weight, where a reference is best and every filter good.
 """
 HEADING_FLOOR = math.radians(0.3)
 """rad, likewise."""

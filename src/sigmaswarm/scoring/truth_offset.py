@@ -7,11 +7,11 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.scoring.truth_noise import is_known
 
 BLOCKS = 8
-"""Stretches of a drive: the spread of their means is that of errors that last."""
+"""Number of stretches of a drive, whose means show the spread of lasting errors."""
 CLEAR = 5.0
-"""Deviations of the mean from which on an offset is reported."""
+"""Standard deviations of the mean from which an offset is reported."""
 SIMILAR = 0.5
-"""Share of the other frame's deviations from which on both are reported: a straight road does not tell them apart."""
+"""Share of the other frame's deviations from which both are reported: a straight road does not distinguish them."""
 LEAST = 0.3, 0.3
 """m, and share of the fixes' scatter: smaller offsets do not matter."""
 
@@ -41,7 +41,7 @@ def truth_offset(drive: Drive) -> str:
     )
     length = arm + body
     lever = (
-        "the antenna is away from the point of the truth: write "
+        "the antenna is not at the position of the truth: write "
         f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] into drive.toml"
     )
     causes = [
@@ -57,7 +57,7 @@ def truth_offset(drive: Drive) -> str:
 
 
 def _constant(error: Complex) -> tuple[complex, float]:
-    """Return the mean of the means of stretches, m, and its size over its standard deviation."""
+    """Return the mean of the means of stretches, m, and its ratio to its standard deviation."""
     if len(error) < 2 * BLOCKS:
         return 0j, 0.0
     means = np.array(

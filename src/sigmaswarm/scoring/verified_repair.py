@@ -19,7 +19,7 @@ from sigmaswarm.scoring.batch import Replayer
 
 CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
-"""Repairs that change the motion that a filter sees: axes, signs, units and clocks."""
+"""Repairs that change the motion of a filter: axes, signs, units and clocks."""
 WORSE = 1.05
 """A forecast error that is larger by more contradicts a repair."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
@@ -29,7 +29,7 @@ LEAST_STD = 0.5
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
-    """Return the filter whose forecasts judge every repair: planar8 with the lateral constraint, by hand."""
+    """Return the filter whose forecasts verify every repair: planar8 with the lateral constraint, without tuning."""
     dt = drive.nominal_interval
     std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
     return FilterParameters(
@@ -47,7 +47,7 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
-    """Return the baseline of the mended drive's default filter, which judges repairs of clocks, too."""
+    """Return the baseline of the mended drive's default filter, which verifies repairs of clocks too."""
     model = "tilted12" if has_attitude(mended) else "planar8"
     like = FilterParameters(
         *(0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0, 1.0)),
@@ -63,9 +63,9 @@ def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all faults repaired that can be.
 
-    A filter set by hand runs over the log before and after, for a repair of clocks also the default filter's baseline.
-    Where the forecasts of either, of the next fix or of fixes hidden for 3 to 5 s, get worse by more than 5%, the
-    repair of axes or clocks that is to blame is withheld.
+    A filter without tuning runs over the log before and after; for a repair of clocks, so does the default filter's
+    baseline. Where the forecasts of either, of the next fix or of fixes hidden for 3 to 5 s, get worse by more than 5%,
+    the responsible repair of axes or clocks is withheld.
 
     Parameters
     ----------

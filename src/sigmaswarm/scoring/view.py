@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
-from sigmaswarm.scoring.consistency import FORECASTS, Consistency, verdicts
+from sigmaswarm.scoring.consistency import FORECASTS, Consistency, size_of, verdicts
 from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import DRIFTS, HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
+from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     how_far,
@@ -24,19 +25,19 @@ _Row = tuple[str, str, Mapping[str, float | None]]
 """Drive, method, and scores by measure."""
 
 LATE = 5.0
-"""s into a drive: a start of the scores after it is reported."""
+"""s after the start of a drive: a later start of the scores is reported."""
 MOST_REMARKS = 3
 """Remarks that `print` shows of an evaluation."""
 NO_TRUTH = (
-    "without truth there are no errors of position and heading. What remains: how far each filter drifts while fixes "
-    "are hidden from it, measured against those fixes (whose own errors are in these figures, too), and whether its "
-    "predictions of the fixes agree with its covariances (NIS)"
+    "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
+    "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
+    "predictions of the fixes (NIS)"
 )
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluationView:
-    """An evaluation as people read it, from memory or from its files.
+    """An evaluation as tables and sentences, from memory or from its files.
 
     Attributes
     ----------
@@ -132,6 +133,33 @@ class EvaluationView:
         )
         return Table("", (Column("drive"), *(column for column, _ in columns)), rows)
 
+    def radius_table(self) -> Table:
+        """The stated radius of the tuned filter's position, and the share of the errors inside."""
+        percent = "{:.1f}".format
+        columns = [Column("95% radius", "m"), Column("99.9% radius", "m"), Column("lasting fix error", "m")]
+        if not self.blind:
+            columns += [
+                Column("errors", number="{:.0f}".format),
+                Column("in 95% radius", "%", percent),
+                Column("in 99.9% radius", "%", percent),
+                Column("sigma of the filter alone"),
+            ]
+
+        def cells(of: RadiusRecord) -> tuple[Cell, ...]:
+            known: tuple[Cell, ...] = (None,) * 4
+            if of.inside_95 is not None and of.inside_999 is not None and of.sigma_ratio is not None:
+                known = float(of.n), 100 * of.inside_95, 100 * of.inside_999, size_of(of.sigma_ratio)
+            return (of.radius_95_m, of.radius_999_m, of.lasting_m, *known)[: len(columns)]
+
+        where = {TRACKING: "all fixes"} | {m: self.measures[m].title.removesuffix(" drift") for m in DRIFTS}
+        rows = tuple(
+            (drive, where[key], *cells(record))
+            for drive, records in self.scores.radius.items()
+            for key, record in records.items()
+            if key in where
+        )
+        return Table("Stated radius of the position", (Column("drive"), Column("with"), *columns), rows)
+
     # ---- sentences ----
 
     def result(self) -> str:
@@ -190,6 +218,24 @@ class EvaluationView:
             *([] if OWN in methods else [f"{HOW_AGAINST}."]),
         )
 
+    def radii(self) -> tuple[str, ...]:
+        """Sentences on the stated radius of the position on each drive."""
+        said: list[str] = []
+        for drive, records in self.scores.radius.items():
+            if (found := records.get(TRACKING)) is None:
+                continue
+            inside, ratio = found.inside_95, found.sigma_ratio
+            held = "" if inside is None else f", and {100 * inside:.0f}% do"
+            sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
+            lasts = (
+                f", with {found.lasting_m:.2g} m per axis of fix errors that last" if found.lasting_m else ""
+            )
+            said.append(
+                f"{drive}: 95% of the position errors should be within {found.radius_95_m:.2g} m (median){lasts}{held}"
+                f"{sigma}."
+            )
+        return tuple(said)
+
     def verdicts(self) -> dict[str, str]:
         """Sentences about the consistency of the tuned filter, by kind."""
         found = verdicts([*self.scores.consistency.values()])
@@ -200,14 +246,17 @@ class EvaluationView:
         data = self.setup.data
         said: list[str] = []
         if any(drive.seen_s for drive in data):
-            said.append(
-                "the filter was tuned on some of these drives: its scores there are better than on others"
-            )
+            said.append("the filter was tuned on some of these drives: its scores there are too good")
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             said.append(f"the tuned filter failed on {', '.join(failed)}")
         said += worse_than_raw(self.scores)
         said += worse_than_untuned(self.scores, self.measures)
         said += restarted(self.scores)
+        said += [
+            f"on {drive} the stated 95% radius contains only {100 * found.inside_95:.0f}% of the position errors"
+            for drive, of in self.scores.radius.items()
+            if (found := of.get(TRACKING)) and found.inside_95 is not None and found.inside_95 < LOW
+        ]
         said += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
             said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
@@ -220,7 +269,7 @@ class EvaluationView:
     def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
         """All sentences for the terminal, the most important first; ``more`` follow the warnings."""
         positions = map(_sentence, how_far(self.scores, self.setup.data))
-        said = (self.result(), *positions, *self.warnings(), *more, *self.verdicts().values())
+        said = (self.result(), *positions, *self.warnings(), *more, *self.verdicts().values(), *self.radii())
         return tuple(dict.fromkeys((*said, *self.coverage(), *self.drifts(), *self.explanations())))
 
     def drifts(self) -> tuple[str, ...]:
@@ -267,14 +316,27 @@ def explained_consistency(nees: bool) -> str:
     )
 
 
+def explained_radius() -> str:
+    """Explain the table of the stated radius."""
+    factors = [factor_of(level) for level in LEVELS]
+    return (
+        "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
+        "Its variance per axis is the filter's plus that of fix errors that last, which the log does not show: the "
+        "square of what the receiver states, else of 2.1 m, minus the white noise of the fixes. The radii are "
+        f"{factors[0]:.2f} and {factors[1]:.2f} sigma, as of Student's t with {DOF:g} degrees of freedom, since a "
+        "training drive determines a covariance from few independent errors. The estimates and the filter's own "
+        "covariance, also in exports, do not contain this addition."
+    )
+
+
 def explained_scores(view: EvaluationView) -> str:
     """Explain the tables of scores."""
     with_truth = view.scores.known(view.names, view.measures)[1][0] == "position_rmse_m"
     drifts = rmse = ""
     if view.scores.drifts:
         drifts = (
-            " Each method runs again with the fixes hidden, by as many placements of the outages as the drive has room "
-            "for, at most eight; a drift is the RMS over all of them, at the end of each."
+            " Each method runs again with the fixes hidden, for up to eight placements of the outages; a drift "
+            "is the RMS over the ends of all of them."
         )
         if not with_truth:
             drifts += " Without truth it is against the hidden fixes and includes their own errors."

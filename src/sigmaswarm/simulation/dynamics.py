@@ -89,7 +89,7 @@ class Vehicle(NamedTuple):
 
 
 class Drivetrain(NamedTuple):
-    """What the four wheels share at a moment."""
+    """Common quantities of the four wheels at a moment."""
 
     tangent: float  # of the steering angle
     peak: float  # slip where the force of a tire peaks
@@ -142,7 +142,7 @@ def _tire(
     friction: float,
     car: Vehicle,
 ) -> tuple[float, float, float, float]:
-    """Force of a tire, N, with its longitudinal and its combined slip, both over what linear grip would need.
+    """Force of a tire, N, with its longitudinal and its combined slip, both relative to linear grip.
 
     The similarity method: slips normalized by stiffness over friction add up as a vector, whose length goes
     through the magic formula [P]. So the force never leaves the circle friction x load.
@@ -158,7 +158,7 @@ def _tire(
 
 @cached(nogil=True, error_model="numpy")
 def _relax(rate: float, deflection: float, sliding: bool) -> float:
-    """Return the rate of a tire's deflection: a sliding tire does not deflect any further."""
+    """Return the rate of a tire's deflection; a sliding tire does not deflect further."""
     return 0.0 if sliding and rate * deflection > 0.0 else rate
 
 
@@ -183,8 +183,8 @@ def _spin_up(
 ) -> float:
     """Angular acceleration of a wheel, rad/s2, under torques (N m) and its tire's force (N).
 
-    Anti-lock and traction control, idealized: from the slip of the tire's peak (1) on the torques fade, and
-    are gone at twice that slip.
+    Anti-lock and traction control, idealized: from the slip of the tire's peak (1) the torques fall, to 0 at twice that
+    slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake
@@ -351,9 +351,9 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 
 @cached(nogil=True, error_model="numpy")
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
-    """Wanted steering angle, rad; the nearest point's index; the way gone along the path, m.
+    """Desired steering angle, rad; the nearest point's index; the distance along the path, m.
 
-    Feedforward of the previewed curvature, and feedback that lets an offset die like a second-order system
+    Feedforward of the previewed curvature, and feedback by which an offset decays like a second-order system
     whose frequency grows with speed up to 1.5 rad/s.
     """
     while nearest < len(path) - 2:
@@ -384,7 +384,7 @@ def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) ->
 
 @cached(nogil=True, error_model="numpy")
 def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> float:
-    """Wanted pedal, -1 to 1. Rows of the plan: speed m/s, acceleration m/s2, way m."""
+    """Desired pedal, -1 to 1. Rows of the plan: speed m/s, acceleration m/s2, distance m."""
     if soon[0] < 0.02 and abs(s[VX]) < 0.3:
         return -0.25  # stand on the brake
     speed = max(s[VX], 0.0)

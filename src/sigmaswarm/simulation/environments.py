@@ -1,7 +1,8 @@
 """Environments: friction of the road, and the assumed effect of weather on satellite navigation.
 
 Weather does not change traction in CARLA (carla-simulator/carla#655), nor do darkness and fog in reality. So clear,
-night and fog share one physics and are labels of the paper's 25 conditions; only three of the five differ.
+night and fog have the same physics and are only labels in the paper's 25 conditions; three of the five environments
+differ.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ class Environment:
 
     @property
     def physics(self) -> str:
-        """Name of the physics that environments of this friction share: dry, wet or snow."""
+        """Name of the physics of environments with this friction: dry, wet or snow."""
         return {0.85: "dry", 0.65: "wet", 0.25: "snow"}.get(self.friction, f"friction {self.friction:g}")
 
 
@@ -48,7 +49,7 @@ ENVIRONMENTS = {
         Environment("night", 0.85, 1.0, _DRY),
         Environment("rain", 0.65, 1.3, "Bosch Automotive Handbook: new tires, wet, 50 km/h"),
         Environment("fog", 0.85, 1.1, _DRY),
-        Environment("slippery", 0.25, 1.2, "packed snow, 0.2-0.3: recalled, not verified"),
+        Environment("slippery", 0.25, 1.2, "packed snow, 0.2-0.3: from memory, not verified"),
     )
 }
 """Environments by name, in the paper's order."""

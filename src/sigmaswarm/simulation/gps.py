@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
 
@@ -25,7 +26,7 @@ METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
 
 @dataclass(frozen=True)
 class GpsGrade:
-    """A named quality of receiver.
+    """A named grade of receiver.
 
     Attributes
     ----------
@@ -75,7 +76,8 @@ GPS_GRADES = {
             0.5,
             math.sqrt(2.1**2 - 0.5**2),
             velocity_std=0.05,
-            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is recalled",
+            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is from memory, not "
+            "verified",
         ),
         GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
         GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),
@@ -86,6 +88,55 @@ GPS_GRADES = {
     )
 }
 """Grades by name."""
+
+
+@dataclass(frozen=True)
+class HeadingGrade:
+    """A named quality of the heading that a receiver gives with each fix.
+
+    Attributes
+    ----------
+    white_std, markov_std : float
+        rad: standard deviation of each heading's white noise, and of the first-order Gauss-Markov error.
+    markov_time : float
+        s, correlation time.
+    mounting : float
+        rad: angle of the antennas' baseline, counter-clockwise from forward, which the receiver does not know.
+    """
+
+    name: str
+    white_std: float
+    markov_std: float = 0.0
+    markov_time: float = 60.0
+    mounting: float = 0.0
+    source: str = ""
+
+
+HEADING_GRADES = {
+    g.name: g
+    for g in (
+        HeadingGrade("ideal", 0.0, source="no errors at all"),
+        HeadingGrade(
+            "dual-antenna",
+            math.radians(0.3),
+            math.sqrt(math.radians(0.4) ** 2 - math.radians(0.3) ** 2),
+            source="u-blox ZED-F9P data sheet: 0.4 deg at a baseline of 1 m; its split into white and correlated noise "
+            "is an assumption",
+        ),
+    )
+}
+"""Grades by name."""
+
+
+def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
+    """Add the heading of a vehicle whose yaw, (n,) rad at times (n,) s, is known; there is none at other times."""
+    interval = float(np.median(np.diff(time)))
+    noise = grade.white_std * rng.standard_normal(len(time))
+    noise += grade.markov_std * gauss_markov(rng, len(time), 1, interval / grade.markov_time)[:, 0]
+    theta = (yaw + grade.mounting + noise)[np.searchsorted(time, fixes.time)]
+    std = math.hypot(grade.white_std, grade.markov_std)
+    stated = np.full(len(theta), std) if std > 0 else None
+    return replace(fixes, heading=np.asarray(wrap_angle(theta)), std_heading=stated)
 
 
 def degrade(grade: GpsGrade, factor: float) -> GpsGrade:
@@ -101,7 +152,7 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Measure the antenna's motion, given at the fixes' time stamps (n,), s, less the grade's latency.
+    """Measure the antenna's motion, at the fixes' time stamps (n,), s, minus the grade's latency.
 
     There are no fixes in the outages, (start, end) in s. The number of draws does not depend on the grade.
     """

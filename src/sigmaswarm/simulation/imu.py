@@ -1,9 +1,9 @@
 """The IMU: grades with their sources, and the errors of each.
 
-Sources, cited behind the values:
+Sources, cited after the values:
 
 [T] the datasheet of the chip. [I] i2Nav's awesome-gins-datasets: found by tuning on a car. [N] NaveGo.
-[G] gnss-ins-sim. [L] the CARLA Leaderboard's sensor set-up. [R] recalled, not verified.
+[G] gnss-ins-sim. [L] the CARLA Leaderboard's sensor set-up. [R] from memory, not verified.
 """
 
 import math
@@ -54,7 +54,7 @@ class Triad:
 
 @dataclass(frozen=True)
 class ImuGrade:
-    """A named quality of IMU; `bias_time` (s) is the correlation time of both Gauss-Markov biases."""
+    """A named grade of IMU; `bias_time` (s) is the correlation time of both Gauss-Markov biases."""
 
     name: str
     accel: Triad = field(default_factory=Triad)
@@ -153,7 +153,7 @@ def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np
 def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
     """Measure the motion of the IMU's position at ``times`` (n,), s.
 
-    Of a `carla` grade the acceleration is CARLA's (see `carla_force`), and the first two samples are missing.
+    For a `carla` grade the acceleration is CARLA's (see `carla_force`), and the first two samples are missing.
     """
     force, rate = motion.specific_force, motion.angular_rate
     if grade.carla:
@@ -166,10 +166,10 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
 
 
 def carla_force(times: Array, motion: Motion) -> Array:
-    """Specific force as CARLA's IMU sensor forms it, shape (n - 2, 3): the first belongs to the third sample.
+    """Specific force as computed by CARLA's IMU sensor, shape (n - 2, 3): the first belongs to the third sample.
 
-    The second difference of the last three positions, which lags by one tick, plus gravity, seen from the
-    present attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
+    The second difference of the last three positions, which lags by one tick, plus gravity, in the present attitude
+    (carla-simulator/carla, InertialMeasurementUnit.cpp).
     """
     steps = np.diff(times)[:, None]
     speeds = np.diff(motion.position, axis=0) / steps

@@ -19,7 +19,7 @@ KMH = 1 / 3.6
 """m/s in a km/h."""
 QUARTER = math.pi / 2
 HARD_EASE = 0.2
-"""s, over which a hard-driving driver builds up an acceleration."""
+"""s: time in which a hard-driving driver reaches an acceleration."""
 _LIMIT = 0.96  # of the friction, which leaves a margin for steering
 
 

@@ -46,7 +46,7 @@ LeverArm = tuple[float, float, float]
 FORCE_DENSITY = (0.06, 0.025, 0.04)
 """m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
 RATE_DENSITY = (0.002, 0.003, 0.0005)
-"""rad/s/sqrt(Hz) about the same axes. About the second one, the one recording that has it shows 0.010."""
+"""rad/s/sqrt(Hz) about the same axes. About the second axis, the only recording with it shows 0.010."""
 FULL_SPEED = 5.0
 """m/s; below it the vibration is proportional to the speed."""
 SPRINGS = 1.0

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OdometerGrade:
-    """A named quality of odometer.
+    """A named grade of odometer.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class OdometerGrade:
     teeth : int
         Pulses per turn of the wheels.
     scale_std : float
-        Standard deviation of the scale error, drawn for each drive: reading over true speed, less 1.
+        Standard deviation of the scale error, drawn for each drive: reading / true speed - 1.
     resolution : float
         m/s, of the number on the bus.
     slowest : float
@@ -50,17 +50,22 @@ ODOMETER_GRADES = {
     for grade in (
         OdometerGrade("ideal", 100.0, 0.002, 1_000_000, 0.0, source="the wheels themselves: slip is left"),
         OdometerGrade(
-            "pulses", 50.0, 0.1, 96, source="a ring of 48 teeth on each rear wheel, counted; recalled"
+            "pulses",
+            50.0,
+            0.1,
+            96,
+            source="a ring of 48 teeth on each rear wheel, counted; from memory, not verified",
         ),
         OdometerGrade(
             *("can", 83.0, 0.05, 10_000),
             resolution=0.01 / 3.6,
             slowest=0.3,
-            source="comma2k19's CAN: 83 Hz, fine; the times between pulses are measured. Its cutoff is recalled",
+            source="comma2k19's CAN: 83 Hz, fine; the times between pulses are measured. Its cutoff is from memory, "
+            "not verified",
         ),
     )
 }
-"""By name. A scale of 1%: tires' wear and pressure, recalled; comma2k19's car is 0.8% low."""
+"""Grades by name. The scale of 1% for wear and pressure of tires is from memory; comma2k19's car is 0.8% low."""
 
 
 def measure_odometer(

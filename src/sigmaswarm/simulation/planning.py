@@ -94,7 +94,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 
 
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
-    """Return the plan, shape (m, 3): speed m/s, acceleration m/s2, way m, every `LOOK` s.
+    """Return the plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `LOOK` s.
 
     The car stands for ``stand`` s before the start; None starts in motion, at the first leg's speed.
     """
@@ -121,7 +121,7 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
 
 
 def _in_time(way: Array, speed: Array, waits: Array, ease: Array) -> Array:
-    """Sample the speed along the way at the driver's looks, and ease its kinks by a moving average."""
+    """Sample the speed along the path every `LOOK` s, and smooth its kinks by a moving average."""
     step = 2 * np.diff(way) / (speed[1:] + speed[:-1])  # exact where the acceleration is constant
     arrival = np.concatenate([[0.0], np.cumsum(step + waits[:-1])])
     times = np.column_stack([arrival, arrival + waits]).ravel()

@@ -16,7 +16,15 @@ from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import STEP, Vehicle
 from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, named
-from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade, degrade, measure_gps
+from sigmaswarm.simulation.gps import (
+    GPS_GRADES,
+    HEADING_GRADES,
+    GpsGrade,
+    HeadingGrade,
+    degrade,
+    measure_gps,
+    with_heading,
+)
 from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, measure_imu
 from sigmaswarm.simulation.journey import achieved_figures, take_journey
 from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample, vibrate
@@ -48,6 +56,7 @@ class Scenario:
     gnss_degradation: bool = False
     terrain: str | Terrain = "flat"
     odometer: str | OdometerGrade | None = None
+    heading: str | HeadingGrade | None = None
 
     def __post_init__(self) -> None:
         for what in ("imu_rate", "gps_rate"):
@@ -99,11 +108,13 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
         data. The path in the plane, and so the truth, is the same (within millimeters, as the IMU is above the center).
     odometer : str or OdometerGrade, optional
         "pulses", "can" or "ideal": see `ODOMETER_GRADES`. No odometer by default.
+    heading : str or HeadingGrade, optional
+        "dual-antenna" or "ideal": the receiver gives a heading, see `HEADING_GRADES`. None by default.
 
     Returns
     -------
     Drive
-        With truth at the IMU's nominal times; its metadata hold the models, and target and achieved figures.
+        With truth at the IMU's nominal times; its metadata has the models, and target and achieved figures.
 
     Raises
     ------
@@ -145,10 +156,14 @@ def _drive(s: Scenario) -> Drive:
     if s.vibration > 0:
         felt = vibrate(felt, s.imu_rate, s.vibration, stream("vibration"))
     fixes = measure_gps(stamps, seen, gps, stream("gps"), journey.outages)
-    odometer, about = None, {}
+    odometer, about = None, dict[str, Any]()
+    if s.heading:
+        two = named(s.heading, HEADING_GRADES, "heading")
+        fixes = with_heading(fixes, stamps, seen.yaw, two, stream("heading"))
+        about["heading"] = {"grade": two.name, "mounting_rad": two.mounting}
     if wheels:
         odometer, scale = measure_odometer(record, car, wheels, stream("odometer"))
-        about = {"odometer": {"grade": wheels.name, "scale": round(scale, 6)}}
+        about["odometer"] = {"grade": wheels.name, "scale": round(scale, 6)}
     x, y, vx, vy = np.hstack([true.position[:, :2], true.velocity[:, :2]]).T
     return Drive(
         name=drive_name(s.maneuver, where.name, s.run),

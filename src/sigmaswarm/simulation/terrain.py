@@ -7,15 +7,15 @@ the suspension, gravity's component along the road. Both depend on the distance 
     grade pitch p(s), bank roll f(s);  road's slope ahead  -tan p,  to the left  tan f / cos p
     height' = slope ahead x vx + slope to the left x vy,  so that the velocity lies in the road
 
-Grade and bank are second-order Gauss-Markov processes along the way, autocovariance std^2 (1 + d/L) exp(-d/L) (R. G.
+Grade and bank are second-order Gauss-Markov processes along the path, autocovariance std^2 (1 + d/L) exp(-d/L) (R. G.
 Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3), through cubic splines:
 the body's turning accelerates without jumps. The bank adds a crossfall to the right and leans into bends.
 
-Sources, cited behind the values:
+Sources, cited after the values:
 
 [M] measured by `benchmarks/road_slopes.py`: KITTI's residential and hill drives, rtklibexplorer's Colorado drive.
 [A] AASHTO, "A Policy on Geometric Design of Highways and Streets": cross slope, superelevation in towns and in snow.
-[R] recalled or chosen, not verified.
+[R] from memory or chosen, not verified.
 """
 
 import math
@@ -130,7 +130,7 @@ class Road:
 
 
 def _wander(rng: np.random.Generator, count: int, std: float, length: float, limit: float) -> Array:
-    """Second-order Gauss-Markov sequence at the knots; near the limit it eases off."""
+    """Second-order Gauss-Markov sequence at the knots, saturated smoothly near the limit."""
     keep = np.exp(-_KNOTS / length)
     settled = int(10 * length / _KNOTS)
     drawn = lfilter([1.0], [1.0, -2 * keep, keep**2], rng.standard_normal(settled + count))
@@ -201,7 +201,7 @@ def _integral(values: Array) -> Array:
 def _swing(target: Array, frequency: float, damping: float) -> Array:
     """Second-order response (n, 3), its rate and its acceleration, from rest at the first target.
 
-    The response is linear, so what the road adds to the target adds to the response (exact for a target that is
+    The response is linear, so the road's addition to the target is added to the response (exact for a target that is
     linear between milliseconds).
     """
     a, b = [[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]], [[0.0], [frequency**2]]

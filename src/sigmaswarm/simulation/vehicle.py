@@ -1,11 +1,10 @@
 """Named cars: a Tesla Model 3, and CARLA's model of it.
 
-Sources, cited behind the values:
+Sources, cited after the values:
 
-[C] CARLA 0.9's vehicle.tesla.model3 as listed by public scoring scripts, and pedal maps measured in CARLA.
-[O] opendbc and other public lists of the real car's measures.
-[R] recalled or typical of the class, not verified.
-[D] derived from the others.
+[C] CARLA 0.9's vehicle.tesla.model3 as listed by public scoring scripts, and pedal maps measured in CARLA. [O] opendbc
+and other public lists of the real car's measures. [R] from memory or typical of the class, not verified. [D] derived
+from the others.
 """
 
 import math

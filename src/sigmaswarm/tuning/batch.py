@@ -78,8 +78,8 @@ def run_batch(
     Raises
     ------
     InputError
-        If the objective is unknown, or needs truth that a drive does not have; if something is no drive, no parameters
-        or no executor.
+        If the objective is unknown, or needs truth that a drive does not have; if something is not a drive, not
+        parameters or not an executor.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
@@ -103,7 +103,7 @@ def run_batch(
 
 
 def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> None:
-    """Raise `InputError` where the objective can't be computed on the drives."""
+    """Raise `InputError` if the objective can't be computed on the drives."""
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
     missing = [drive.name for drive in map(sensors_of, drives) if not drive.truth]

@@ -15,7 +15,7 @@ from sigmaswarm.tuning.options import Scale
 BoxEnd = Literal["lower", "upper"]
 NOISES = (
     *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
-    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
+    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "heading_noise"),
 )
 """Fields of `FilterParameters` that are noise variances; all of them times one factor scale the covariance."""
 
@@ -24,7 +24,7 @@ NOISES = (
 class TouchedBound:
     """A parameter that ended at a bound: the optimum may lie beyond it.
 
-    Files hold its text: ``q_x at its lower bound (1e-05)``.
+    Files contain its text: ``q_x at its lower bound (1e-05)``.
     """
 
     parameter: str
@@ -53,9 +53,9 @@ class TouchedBound:
 
 @dataclass(frozen=True)
 class Dimension:
-    """One parameter that is searched: its field of FilterParameters, and its range.
+    """One tuned parameter: its field of FilterParameters, and its range.
 
-    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 where the field is a plain
+    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 if the field is a plain
     number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
     of its factor; ``least``: the lower limit that it applies.
     """

@@ -33,7 +33,7 @@ SYNONYMS = {
     **dict.fromkeys(("filter", "filter_type"), "kind"),
     **dict.fromkeys(("output", "output_dir", "folder"), "out"),
 }
-"""Names that other libraries give to our options."""
+"""Names of our options in other libraries."""
 C = TypeVar("C", bound="SearchConfig")
 
 
@@ -42,7 +42,7 @@ def _qualified_name(optimizer: Any) -> str:
 
 
 OwnOptimizer = Annotated[Callable[..., Any], PlainSerializer(_qualified_name, return_type=str)]
-"""A class of the user's own; files hold its module and name."""
+"""A class of the user's own; files contain its module and name."""
 OwnOptimizerName = Annotated[str, Field(pattern=r"^[\w.]+:[\w.<>]+$")]
 
 
@@ -112,7 +112,7 @@ class TuneConfig(SearchConfig):
     kind: FilterKind = "ukf"
     """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy; the first that the model has."""
     use: tuple[Option, ...] = ()
-    """Measurements and constraints besides position fixes; chosen by the logs by default. See docs/method.md."""
+    """Measurements and constraints in addition to position fixes; chosen by the logs by default. See docs/method.md."""
     outage_seed: int = Field(default=0, ge=0)
     """Seed of the outage windows, for objectives that hide fixes."""
     as_recorded: bool = False

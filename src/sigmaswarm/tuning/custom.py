@@ -24,7 +24,7 @@ from sigmaswarm.tuning.space import SCALING
 
 MODEL_OBJECTIVES = {
     "truth-rmse": "root mean square of the scored states' errors against truth",
-    "innovation-nll": "mean negative log-likelihood of each measurement before it is absorbed",
+    "innovation-nll": "mean negative log-likelihood of each measurement before its update",
 }
 """Objectives of custom models."""
 
@@ -56,9 +56,7 @@ class ModelProblem(Problem[dict[str, float]]):
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """Costs of points, shape (n, d), on some of the logs, shape (n, len(drives))."""
         if isinstance(executor, ProcessPoolExecutor):
-            raise InputError(
-                "functions of your own can't be sent to other processes; use a ThreadPoolExecutor"
-            )
+            raise InputError("your own functions can't be sent to other processes; use a ThreadPoolExecutor")
         sets = [self.parameters(point) for point in points]
         jobs = [(parameters, i) for parameters in sets for i in drives]
         each = np.array(list((executor.map if executor else map)(self._cost, *zip(*jobs, strict=True))))
@@ -86,7 +84,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
     Raises
     ------
     InputError
-        If the model does not fit a log, or the objective is none for models or needs truth that a log does not have.
+        If the model does not fit a log, the objective does not support models, or it needs truth that a log lacks.
     """
     if not logs:
         raise InputError("no logs were given; give at least one")

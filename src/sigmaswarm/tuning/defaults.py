@@ -32,7 +32,7 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 
 
 def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
-    """Fill in the model and what it uses; explain the choice in one line.
+    """Fill in the model and the measurements; explain the choice in one line.
 
     Options that the user gave stay. Without ``model`` and ``use`` both are those of `suggest_filter`.
     With ``use`` alone the model is; with ``model`` alone its measurements are, except for planar5, the paper's model,

@@ -1,9 +1,8 @@
-"""Faults of a tuned filter that its objective hardly sees.
+"""Faults of a tuned filter that its objective hardly shows.
 
-Divergence and drift: during a tuning a filter is not reset where it diverges, so its cost there is that of a wrong
-track, but a likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix hardly show
-the next minute: a search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts
-a kilometer.
+Divergence and drift: during a tuning a diverged filter is not reset, so its cost is that of a wrong track, but a
+likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix hardly show the next minute: a
+search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts a kilometer.
 
 Scale of the covariance: all noises and the initial covariance times one factor leave a Kalman filter's gains, and so
 its estimates, unchanged; its covariances are multiplied, and its NIS divided. So mean NIS / 2 is the factor that makes
@@ -37,7 +36,7 @@ from sigmaswarm.wording import to_do
 NAMED = 3
 """Drives named in one message, and checked for drift."""
 WATCHED = 3600.0
-"""Seconds of a drive in which divergence is looked for; more would need more memory than everything else."""
+"""Seconds of a drive that are checked for divergence; more would need more memory than everything else."""
 FAR = 1.5
 """Drift relative to the baseline above which a warning is given."""
 FEW = 2
@@ -46,9 +45,7 @@ NEAR = 1.2
 """Ratio over those few placements below which the rest are skipped; the ratio then errs by 10%."""
 LOOK = 600.0
 """Seconds in the middle of a drive that are checked for drift."""
-REMEDY = (
-    "DON'T USE IT; look at the drive with `sigmaswarm doctor`, tune with more --trials, or on more drives"
-)
+REMEDY = "DON'T USE IT; check the drive with `sigmaswarm doctor`, tune with more --trials, or on more drives"
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given. Medians of three seeds of filters tuned without
 truth: -0.05 and 0.12 on drives with white errors, 0.15 with a simulated u-blox M8, 0.33 to 0.91 with real receivers."""
@@ -226,6 +223,6 @@ def scale_warnings(objective: str, parameters: FilterParameters, replays: Replay
         after = replays.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= SCALE_MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= SCALE_NEAR:
-            right = f"all noises times {nis / 2:.3g} make it right and move the position RMSE by {moved:+.1%}"
+            right = f"all noises times {nis / 2:.3g} make the mean NIS 2 and change the position RMSE by {moved:+.1%}"
             return [to_do(f"{remedy}, or take FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
     return [to_do(remedy, said)]

@@ -3,24 +3,24 @@
 A filter tuned on one drive trusts its model as far as that drive allows. On other roads, on a warmer day or with
 another IMU it is then overconfident and rejects good fixes. Statisticians take the simplest model within one standard
 error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3); likewise, of all
-filters whose cost is nearly the best, the one with the largest process noise is taken. Longer drives leave less open,
-so the allowed cost increase shrinks with their length; drives shorter than `REFERENCE_DURATION` get no more.
+filters whose cost is nearly the best, the one with the largest process noise is taken. Longer drives determine more, so
+the allowed cost increase falls with their length; it does not rise for drives shorter than `REFERENCE_DURATION`.
 
-A planar model inflates all process noise by one factor, since the velocity's noise stands for roads that tilt. A model
-with roll and pitch inflates the random walks of the IMU's biases, which it otherwise takes for constant, by the factor,
-and the noise of position and velocity by its root: raised by the whole factor they cost the same car as much and help
-another one less (0.86 of the fixes' own error instead of 0.65); left alone, a cheap IMU's heading error grows by half,
-since vibration is then taken for biases.
+A planar model inflates all process noise by one factor, since the velocity's noise represents the tilt of roads. A
+model with roll and pitch inflates the random walks of the IMU's biases, which it otherwise assumes constant, by the
+factor, and the noise of position and velocity by its root. Raised by the whole factor, these cost the same on the same
+car and help less on another one (0.86 of the fixes' own error instead of 0.65). Not raised, the heading error with a
+cheap IMU grows by half, since the filter mistakes vibration for biases.
 
 The model robot-localization inflates the noise of position, velocity and acceleration, and leaves heading and yaw rate
 alone, which do not depend on roads. Tuned without truth on each of six drives (two KITTI roads more, kingston-1,
-dresden, half of colorado-1) and judged on the others, 0.02 had the least errors of pose on the same car's drives. Other
-cars' drives gain from more, but no value is safe there: tune that filter on the car itself.
+dresden, half of colorado-1) and evaluated on the others, 0.02 had the smallest errors of pose on the same car's drives.
+Other cars' drives gain from more, but no value is safe there: tune that filter on the same car.
 
-Noise that a good IMU on a smooth road drives to zero stays zero, since ten times 1e-13 is nothing. Such a filter
-therefore gets lower limits (`space.LEAST`): initial bias deviations of 0.005 m/s2 and 0.01 deg/s, and random walks of
-the gyro biases about x and y and of roll and pitch. On its own roads this costs 1 to 6%; with one KITTI drive's filter
-on colorado-1 it turns 3.1 m into 0.9.
+A noise that a good IMU on a smooth road reduces to zero stays zero, since ten times 1e-13 is still negligible. Such a
+filter therefore gets lower limits (`space.LEAST`): initial bias deviations of 0.005 m/s2 and 0.01 deg/s, and random
+walks of the gyro biases about x and y and of roll and pitch. On its own roads this costs 1 to 6%; with one KITTI
+drive's filter on colorado-1 it turns 3.1 m into 0.9.
 """
 
 from concurrent.futures import Executor
@@ -34,13 +34,13 @@ from sigmaswarm.tuning.problem import Problem
 INFLATION, TILTED_INFLATION = 0.05, 0.02
 """Default cost increases without truth, of a planar model driven by the IMU and of the others."""
 REFERENCE_DURATION = 100.0
-"""Seconds of driving that the cost increase refers to; twice as many get half of it.
+"""Seconds of driving that the cost increase refers to; it is half as large for twice as many.
 
-Shorter drives get no more: on 60 s of a motorway 0.086 instead of 0.05 made drifts over 5 s on other roads 1.2 times as
-large.
+The increase is not larger for shorter drives: on 60 s of a motorway 0.086 instead of 0.05 made drifts over 5 s on other
+roads 1.2 times as large.
 """
 DECADES = 4.0
-"""The largest factor is 10 to that power."""
+"""Largest decimal logarithm of the factor."""
 STEP = 0.1
 """Decades between two factors."""
 

@@ -55,7 +55,7 @@ class Objective:
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
         """Cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
 
-        ``worst`` is the share of the drives that counts, the worst ones of each set: 1 is the mean over all.
+        ``worst`` is the share of the drives that is used, the worst ones of each set: 1 is the mean over all.
         """
         return mean_cost(self.each(scores), worst)
 
@@ -82,13 +82,13 @@ def mean_cost(each: Array, worst: float = 1.0) -> Array:
 
 
 def worst_mean(costs: Array, share: float) -> Array:
-    """The mean over the worst ``share`` of each row, shape (n, m) to (n,); where it cuts a value, with a part of it.
+    """The mean over the worst ``share`` of each row, shape (n, m) to (n,), with a part of a value if the share cuts it.
 
     The conditional value at risk of R. T. Rockafellar and S. Uryasev, Optimization of conditional value-at-risk,
     J. Risk 2, 2000, of the row's values, each as likely as the others.
     """
     if not 0 < share <= 1:
-        raise InputError(f"worst = {share:g}: a share of the drives lies above 0 and is at most 1")
+        raise InputError(f"worst = {share:g}: give a share of the drives above 0 and at most 1")
     if share == 1.0:
         return costs.mean(axis=1)
     count = costs.shape[1]
@@ -128,14 +128,14 @@ OBJECTIVES = {
         ),
         Objective(
             "innovation-nll",
-            "mean negative log-likelihood of each fix before it is absorbed, nats",
+            "mean negative log-likelihood of each fix before its update, nats",
             lambda scores: scores.innovation_nll,
             likelihood=True,
             nats=1.0,
         ),
         Objective(
             "innovation-t",
-            "mean negative log-likelihood of each fix under Student's t before it is absorbed, nats",
+            "mean negative log-likelihood of each fix under Student's t before its update, nats",
             lambda scores: scores.innovation_t,
             likelihood=True,
             nats=1.0,
@@ -156,24 +156,24 @@ OBJECTIVES = {
         ),
         Objective(
             "nis",
-            "|ln(mean NIS / 2)|: how far the innovations are from what the filter expects",
+            "|ln(mean NIS / 2)|: how far the innovations are from their covariances",
             lambda scores: _off(scores.mean_nis),
             nats=1.0,
         ),
         Objective(
             "nees",
-            "|ln(mean NEES / 2)|: how far the position error is from what the filter expects",
+            "|ln(mean NEES / 2)|: how far the position error is from its covariance",
             lambda scores: _off(scores.mean_nees),
             needs_truth=True,
             nats=1.0,
         ),
         Objective(
             "gps-rmse",
-            "the paper's equation 4: RMSE against the fixes that the filter has just absorbed, m",
+            "the paper's equation 4: RMSE against the fixes after their update, m",
             lambda scores: scores.fix_rmse,
             warning=(
-                "gps-rmse scores the filter against the GPS that it has just absorbed, so it rewards a filter "
-                "that copies the GPS; kept to reproduce the paper. Without truth, use innovation-nll"
+                "gps-rmse compares the filter with the fix of the last update, so it rewards a filter that copies "
+                "the GPS; kept to reproduce the paper. Without truth, use innovation-nll"
             ),
         ),
     )
@@ -220,7 +220,9 @@ def _term(part: str, whole: str) -> tuple[float, Objective]:
     try:
         weight = float(match["weight"] or 1.0)
     except ValueError:
-        raise InputError(f"{whole!r}: {match['weight']!r} is no weight; write a number, as in 0.2") from None
+        raise InputError(
+            f"{whole!r}: {match['weight']!r} is not a weight; write a number, as in 0.2"
+        ) from None
     if not 0 < weight < np.inf:
         raise InputError(f"{whole!r}: the weight of {match['name']} must be positive (is {weight:g})")
     return weight, OBJECTIVES[match["name"]]

@@ -1,7 +1,7 @@
 """Names that a tuning's options take, and their types for type checkers.
 
 `tuning.config` states every option once: default, range and help. PEP 692 takes the types of ``**options`` from a
-TypedDict only, so names and types stand here a second time; a test compares the two.
+TypedDict only, so names and types are repeated here; a test compares the two.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,6 +21,7 @@ Option = Literal[
     "slip",
     "standstill",
     "odometer",
+    "heading",
     "gate",
     "imu-gate",
     "latency",
@@ -30,7 +31,7 @@ Option = Literal[
 ]
 
 INERTIA = 0.7298
-"""w: the paper gives none; this is the constriction coefficient of Clerc and Kennedy (2002)."""
+"""w: the paper states none; this is the constriction coefficient of Clerc and Kennedy (2002)."""
 ACCELERATION = 1.5
 """c1 = c2, from the paper."""
 SEEDS = 20

@@ -1,10 +1,10 @@
 """A prior on R from the accuracy of the receiver, which a log without truth does not determine.
 
 Many receivers smooth their fixes: from one to the next they err by centimeters, over minutes by meters. The likelihood
-of the next fix sees the centimeters alone, and so the filter that it likes best has an R of centimeters, and copies the
-fixes. What it lacks is in the receiver's data sheet: R is drawn from a log-normal distribution about the stated
-variance, a floor rather than a point (receivers in cities state too little, and a larger R costs nothing). Errors that
-last bind every fix alike, so no number of fixes outvotes the prior: it counts once for each of them.
+of the next fix depends on the centimeters alone, so its optimum has an R of centimeters and copies the fixes. The prior
+adds the receiver's data sheet: a log-normal distribution of R about the stated variance, as a lower limit (receivers in
+cities state too little, and a larger R costs nothing). Errors that last are common to all fixes, so more fixes do not
+outweigh the prior: it counts once for each of them.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from sigmaswarm.filters.table import ParameterTable
 DECADES = 0.5
 """Standard deviation of log10 R below that of the receiver."""
 DECADES_ABOVE = 0.25
-"""The same above it, with states for the errors of fixes that last: a large R takes their part."""
+"""The same above it, with states for lasting errors of fixes, which a large R would replace."""
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -34,8 +34,8 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
     -------
     ndarray, shape (n, m)
         0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0; the mean over both axes. R of a filter
-        that goes by each fix's own accuracy is that of the median fix. With `FilterParameters.fix_error` R includes the
-        variance of the errors that last, and 0.25 stands in place of 0.5 where it is larger.
+        that uses each fix's stated accuracy is that of the median fix. With `FilterParameters.fix_error` R includes the
+        variance of the errors that last, and 0.25 replaces 0.5 where it is larger.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0

@@ -291,6 +291,8 @@ def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:
             lacks, option = "std_x and std_y", "accuracy"
         elif "velocity" in config.use and not drive.velocity:
             lacks, option = "speed and course", "velocity"
+        elif "heading" in config.use and not drive.heading:
+            lacks, option = "heading", "heading"
         else:
             require_named_axes(drive.name, drive.axes, config.model)
             continue

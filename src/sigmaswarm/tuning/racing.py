@@ -1,22 +1,22 @@
-"""Racing: a candidate that does badly on the first drives is not tried on the others.
+"""Racing: a candidate with a high cost on the first drives is not tried on the others.
 
 Successive halving (K. Jamieson and A. Talwalkar, Non-stochastic best arm identification and hyperparameter
-optimization, AISTATS 2016) with drives as the resource: a batch of candidates is tried on one drive, the better half
-of it on two, the better half of those on four, and so on, until all drives are reached. Racing candidates over
-instances is the idea of M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp (A racing algorithm for configuring
-metaheuristics, GECCO 2002): their F-race drops a candidate by a test, here a fixed share goes, so that the steps are
-known beforehand.
+optimization, AISTATS 2016) with drives as the resource: a batch of candidates is tried on one drive, the better half of
+it on two, the better half of those on four, and so on, until all drives are reached. Racing candidates over instances
+is the idea of M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp (A racing algorithm for configuring
+metaheuristics, GECCO 2002): their F-race drops candidates by a test; here a fixed share is dropped, so that the number
+of steps is known in advance.
 
-With many drives (`MANY`), halving alone saves little: filters run in parallel, and a single one left takes as
-long as eight on all drives. There a batch also races against the best so far, whose cost on each drive is
-known. It begins with a twelfth of the drives. Of the better half only those continue that are better than the best
-on the same drives by more than a standard error of the mean difference. Without any, the race ends. What the best
-costs on these drives and on all measures their difficulty, so that a dropped candidate's cost is stated for all drives
-(a control variate). To begin with a 32nd is faster, but the costs of the dropped ones then mislead the search.
+With many drives (`MANY`), halving alone saves little: filters run in parallel, and a single remaining one takes as long
+as eight on all drives. Then a batch also races against the best so far, whose cost on each drive is known. It begins
+with a twelfth of the drives. Of the better half only those continue that are better than the best on the same drives by
+more than a standard error of the mean difference. Without any, the race ends. The costs of the best on these drives and
+on all measure their difficulty, so that a dropped candidate's cost is extrapolated to all drives (a control variate).
+Beginning with a 32nd of the drives is faster, but the costs of the dropped candidates then mislead the search.
 
-The drives are taken in another order for each batch, so that no drive decides alone. A candidate that went all the way
-has its full cost. A dropped one gets the cost on its drives so far, and all that were dropped together are
-shifted behind the last that went further: they keep their order, and none of them can become the best.
+The drives are taken in another order for each batch, so that no drive decides alone. A candidate that reaches all
+drives has its full cost. A dropped one gets the cost on its drives so far, and all that were dropped together are
+raised above the last that continued: they keep their order, and none of them can become the best.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ from sigmaswarm.tuning.problem import Problem
 FIRST = 12
 """A race against the best point so far begins with this part of the drives."""
 MANY = 96
-"""Fewest drives of such a race; with fewer, a part is too small for a test."""
+"""Least number of drives of such a race; with fewer, a part is too small for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
 
@@ -59,7 +59,7 @@ class Raced:
     Attributes
     ----------
     costs : ndarray, shape (n,)
-        Full costs of those that went all the way; behind them, the others'.
+        Full costs of those that reached all drives, then those of the others.
     steps : int
         Filter steps spent.
     failures : int
@@ -152,10 +152,10 @@ def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Shift dropped candidates, the last group first, behind the worst of those that went further.
+    """Raise the costs of dropped candidates, the last group first, above the worst of those that continued.
 
-    Without a finished candidate they go behind ``otherwise``: the best so far, or infinity if all failed, since no
-    candidate may win on fewer drives.
+    Without a finished candidate they are raised above ``otherwise``: the best so far, or infinity if all failed, since
+    no candidate may win on fewer drives.
     """
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):

@@ -22,7 +22,7 @@ NO_PART = 0.05
 LOOK = 600.0
 """Seconds of a drive whose fixes are checked for scatter; minutes suffice, and hours take long."""
 PRIOR_DECIDED = 0.02
-"""Cost of the prior, nats per fix, above which a warning reports that it decided R."""
+"""Cost of the prior, nats per fix, above which a warning reports that it determined R."""
 SMOOTH = 0.5
 """Scatter in m below which the receiver either filters its fixes or uses RTK."""
 UNKNOWN = "no log without truth shows their common error"
@@ -83,11 +83,11 @@ def noise_warnings(
         return [to_do(remedy, f"{why}: their errors last, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
         why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
-        return [to_do(remedy, f"{why}; errors that last scatter as little, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}; errors that last would scatter as little, and {UNKNOWN}")]
     else:
         return []
-    said = f"the filter copies the fixes: its R takes them for right to {r:.2g} m per axis, and {why}"
-    return [to_do(remedy, f"{said}; errors that last look like none in forecasts, and {UNKNOWN}")]
+    said = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"
+    return [to_do(remedy, f"{said}; forecasts do not show errors that last, and {UNKNOWN}")]
 
 
 def prior_warnings(
@@ -135,7 +135,7 @@ def accuracy_warnings(
     if share > NO_PART:
         return []
     why = (
-        f"what the receiver states of its fixes is {share:.0%} of R, so `accuracy` plays no part: it hardly changes "
+        f"the accuracy that the receiver states is {share:.0%} of R, so `accuracy` has no effect: it hardly changes "
         "from fix to fix, or is unrelated to their errors"
     )
     rest = " ".join(name for name in use if name != "accuracy")

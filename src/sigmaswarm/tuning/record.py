@@ -22,11 +22,11 @@ from sigmaswarm.tuning.diagnostics import Forecast
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
-"""Of the range in which the cost rises by less than 1%; ``-`` where it reaches the bound."""
+"""An end of the range in which the cost rises by less than 1%; ``-`` if it is at the bound."""
 NOT_VALIDATED = (
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
 )
-"""The remark that an evaluation answers."""
+"""The remark that an evaluation makes unnecessary; files contain it, so its text must not change."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 
@@ -58,7 +58,7 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Parameters whose move alone lowers the cost, and the relative change."""
+    """Parameters of which one alone lowers the cost if it moves, and the relative change."""
 
 
 class TuningConfigRecord(BaseModel):

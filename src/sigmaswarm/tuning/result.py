@@ -34,12 +34,12 @@ SHOWN_REMARKS = 5
 """Remarks in the text form of a tuning."""
 INFLATED = (
     "{} times those of the lowest cost (process-noise inflation): the costs of the two filters hardly differ, and on "
-    "roads and IMUs that the tuning has not seen, the one with more process noise does better. On the same roads it "
-    "drifts somewhat farther over outages; --inflation 0 turns it off"
+    "roads and IMUs that the tuning has not seen, the one with more process noise is more accurate. On the same roads "
+    "it drifts slightly more over outages; --inflation 0 turns it off"
 )
 OF_THESE_SENSORS = (
-    "tuned with truth it belongs to the receiver and the IMU of these drives: on others it may be far less accurate "
-    "than their fixes. For those tune without truth (--objective innovation-t)"
+    "a filter tuned with truth suits the receiver and the IMU of these drives: with others it may be far less accurate "
+    "than the fixes. For others tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that are more like those of the validation"
 LARGE_GAP = 0.2
@@ -48,7 +48,7 @@ LARGE_GAP = 0.2
 
 @dataclass(frozen=True)
 class Validation:
-    """Result on drives that the search did not see.
+    """Result on drives that the search did not use.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class Tuning(Generic[P]):
 
     @property
     def unidentified(self) -> list[str]:
-        """Parameters that may have any value within their bounds at 1% of the cost."""
+        """Parameters that can have any value within their bounds while the cost rises by less than 1%."""
         return [s.name for s in self.sensitivities if not s.identified]
 
     @property
@@ -330,11 +330,11 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             yield f"{touched}: the optimum may lie beyond the bounds"
     if names := ", ".join(name for name in t.unidentified if name != NOISE_SCALE):
         yield (
-            f"the objective does not determine {names}: each alone may have any value within its bounds at 1% of the "
-            "cost"
+            f"the objective does not determine {names}: each can have any value within its bounds, and the cost "
+            "rises by less than 1%"
         )
     if NOISE_SCALE in t.unidentified and objective not in SCALE_FREE:
-        why = "it does not determine how large all noises are together, so the covariances can't be trusted"
+        why = "it does not determine the common scale of all noises, so the covariances can't be trusted"
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"

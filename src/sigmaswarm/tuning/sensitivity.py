@@ -16,13 +16,13 @@ from sigmaswarm.tuning.problem import Problem
 RISE = 0.01
 """Relative increase of the cost."""
 HALVINGS = 10
-"""The first step is the distance to the bound, halved so often; it is doubled until the bound is reached."""
+"""Halvings of the distance to the bound for the first step, which is doubled up to the bound."""
 NOISE_SCALE = "all noise variances times"
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How far one parameter can move.
+    """The range in which one parameter can move.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Sensitivity:
 
     @property
     def identified(self) -> bool:
-        """False if any value within the bounds does as well."""
+        """False if any value within the bounds is as good."""
         return self.lowest is not None or self.highest is not None
 
 
@@ -91,7 +91,7 @@ def sensitivities(
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """Return the share of the way at which the cost has risen by 1%, linear between the steps, or None."""
+    """Return the share of the distance at which the cost has risen by 1%, linear between the steps, or None."""
     above = np.flatnonzero(~(rise < RISE))
     if not len(above):
         return None

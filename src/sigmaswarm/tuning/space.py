@@ -1,4 +1,4 @@
-"""The box that is searched, and the way from a point in it to filter parameters."""
+"""The search space, and the conversion of its points to filter parameters."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -29,7 +29,7 @@ SCALING = (
     Dimension("beta", "beta", 0, 0.0, 3.0, spread=False),
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
-"""The paper's box for the scaling of the sigma points."""
+"""The paper's bounds for the scaling of the sigma points."""
 OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "velocity": (Dimension("velocity_noise", "velocity_noise", 0, 1e-4, 10.0),),
     "lateral": (
@@ -43,6 +43,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
         Dimension("odometer_scale", "odometer_scale", 0, 0.9, 1.1, spread=False),
         Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
     ),
+    "heading": (Dimension("heading_noise", "heading_noise", 0, 1e-7, 0.1),),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
     "imu-gate": (
         Dimension("gate_gyro", "imu_gate", 1, 4.0, 100.0),
@@ -57,10 +58,12 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     ),
 }
 TIME = "fix_error_time"
-"""Searched with truth alone: the likelihood is flat in it, or largest at the bound."""
+"""Parameters that are searched only with truth: the likelihood is flat in them, or largest at the bound."""
 LEAST_WHITE = 0.04
-"""Least R of a fix over the receiver's variance, with states for errors that last and without truth. With less,
-Student's t takes the wander for outliers."""
+"""Least R of a fix over the receiver's variance, with states for errors that last and without truth.
+
+With less, Student's t takes lasting errors for outliers.
+"""
 ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R in addition to the stated variance of each fix."""
 LEAST = {
@@ -69,17 +72,20 @@ LEAST = {
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
-"""Of a filter that knows tilts: variances per second, rad2 and (rad/s)2, and what is known of biases at the start, m/s2
-and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.inflation`."""
+"""Lower limits of a filter with roll and pitch.
+
+Variances per second, rad2 and (rad/s)2, and standard deviations of the biases at the start, m/s2 and rad/s. See
+`tuning.inflation`.
+"""
 USUAL_INTERVAL = 0.01
-"""s: IMU interval where no drive is known yet."""
+"""s: IMU interval if no drive is known yet."""
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
 ONE_NOISE = ("lateral", "odometer")
-"""Options of which robot-localization has the noise alone: its twists are those of the IMU, in m/s, without delay."""
+"""Options of which robot-localization has only the noise: its twists are those of the IMU, in m/s, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -93,7 +99,7 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
         Dimension("fuzzy_gain_q", "fuzzy_gains", 1, 1.0, 100.0),
     ),
 }
-"""Parameters of a filter type besides its noise."""
+"""Parameters of a filter type in addition to its noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +109,7 @@ class SearchSpace(Box):
     fixed: dict[str, Any]
 
     def decode(self, points: Array) -> ParameterTable:
-        """Parameters of points in the box, shape (n, d), in search coordinates."""
+        """Parameters of points, shape (n, d), in search coordinates."""
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
@@ -141,7 +147,7 @@ class SearchSpace(Box):
 
     @cached_property
     def _any(self) -> FilterParameters:
-        """A filter in the box."""
+        """A filter within the bounds."""
         values = {name: self.lowest[places].tolist() for name, places in self._places.items()}
         return FilterParameters(**self.fixed, **values)
 
@@ -210,9 +216,9 @@ def _dimensions(
 ) -> Iterator[Dimension]:
     """Dimensions in order; except in the paper's own filter, east and north share their noise.
 
-    Otherwise a filter tuned on roads to the east had 1000 times more noise of the velocity to the north. On a road
-    close to the north the lateral constraint then corrects a lateral error by a change along the road, up to
-    sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
+    Otherwise a filter tuned on roads to the east had 1000 times more noise of the velocity to the north. On a road to
+    the north the lateral constraint then corrects a lateral error by a change along the road, up to sqrt(1000) / 2
+    times as large: docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING

@@ -1,6 +1,6 @@
 """The folder of a tuning: written atomically, the same bytes for the same result, resumable.
 
-A folder of results holds
+A folder of results contains
 
     config.json          the configuration and the data; a resumed run must have the same
     checkpoint-000.npz   the optimizer's whole state after the last generation, while a trial runs
@@ -99,7 +99,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def saved_history(path: Path) -> dict[int, list[float]]:
-    """Return the lowest costs after each generation, by trial, also of a tuning that is not finished."""
+    """Return the lowest costs after each generation, by trial, also of an unfinished tuning."""
     history: dict[int, list[float]] = {}
     for place in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
         number = int(place.stem[-3:])
@@ -177,7 +177,7 @@ class ResultFolder:
     Raises
     ------
     InputError
-        If the folder holds another tuning, or results that ``resume`` was not given for.
+        If the folder contains another tuning, or results that ``resume`` was not given for.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
@@ -187,7 +187,7 @@ class ResultFolder:
             return
         if not resume:
             raise InputError(
-                f"{path}: already holds a tuning; add --resume to go on with it, or choose another --out"
+                f"{path}: already contains a tuning; add --resume to continue it, or choose another --out"
             )
         remedy = "not written by a tuning; choose another --out"
         record = load_record(ConfigRecord, file, remedy, infinite=True)
@@ -195,7 +195,7 @@ class ResultFolder:
         if not same_results(record.versions, wanted.pop("versions", {})):
             made = names_shown(" ".join(one) for one in record.versions.items())
             raise InputError(
-                f"{file}: was started with other versions, {made}; go on with those, or choose another --out"
+                f"{file}: was started with other versions, {made}; continue with those, or choose another --out"
             )
         if saved != wanted:
             old, new = _difference("", saved, wanted)

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
-NOT_ROBUST = "innovation-nll counts outliers in full, robust or not; for robust use innovation-t"
+NOT_ROBUST = "innovation-nll counts outliers in full, with robust, too; for robust use innovation-t"
 P = TypeVar("P")
 
 
@@ -148,7 +148,7 @@ def tune(
 
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
-    """Fetch the landmarks of the drives, since a cluster may be gone before the result is, and save them."""
+    """Fetch the landmarks of the drives, before a cluster can disappear, and save them."""
     if folder is None or not problem.seen:
         return tuple(problem.seen)
     file, names = folder.path / SEEN_FILE, tuple((entry["name"], entry["sha256"]) for entry in problem.data)
@@ -238,7 +238,7 @@ def tune_problem(
     """Run, resume or read the trials of a tuning, and write its tuning.toml.
 
     Without an executor all work is done in this thread. ``diagnose`` checks the filter for faults that the objective
-    does not see. The result costs at most what ``start`` does, before process-noise inflation.
+    does not show. The cost of the result is at most that of ``start``, before process-noise inflation.
     """
     search = Search(config, problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))

@@ -1,4 +1,4 @@
-"""Step 2: the findings on a drive, each with the plot that shows it; repairs and cuts, and the way back."""
+"""Step 2: the findings on a drive, each with the plot that shows it; repairs and cuts, and how to undo them."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,14 +15,14 @@ from sigmaswarm.workbench.plots import TimePlot, agreement_plot, fixes_of, map_p
 from sigmaswarm.workbench.state import CHECKED, Workbench
 
 SHORTEST = 30.0
-"""s: no shorter part is offered."""
+"""s: length of the shortest part that can be kept."""
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
 Agreements = dict[str, Agreement]
 
 
 class CheckPage:
-    """The drive that is checked: the original, the steps done to it, and the findings that are left."""
+    """The drive that is checked: the original, the steps applied to it, and the remaining findings."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -102,7 +102,7 @@ class CheckPage:
     def _rebuilt(
         self, name: str, steps: list[Step] | None
     ) -> tuple[list[Drive], list[Step], Diagnosis | None, Agreements]:
-        """Do the steps, those that are done already from memory, and write the result."""
+        """Apply the steps, earlier ones from memory, and write the result."""
         stages, known = self.stages, self.steps
         if steps is None:
             stages, known, steps = [self.bench.read(name)], [], self._saved_steps(name)
@@ -130,7 +130,7 @@ class CheckPage:
         return list(self.bench.read(name + CHECKED).metadata.get("steps", []))
 
     async def _look_ahead(self, asked: int, drive: Drive, diagnosis: Diagnosis) -> None:
-        """Try each repair, so that its card shows what it would change."""
+        """Try each repair, so that its card shows its effect."""
         for finding in diagnosis.findings:
             if finding.repair is None or finding.code in self.after:
                 continue
@@ -142,7 +142,7 @@ class CheckPage:
             self._findings.refresh()
 
     def _done(self) -> None:
-        """The steps done so far, each with its way back."""
+        """The applied steps, each with a button to undo it."""
         for number, step in enumerate(self.steps):
             with card("done"), ui.element("div").classes("line between"):
                 said = f"repaired: {', '.join(step['repair'])}" if "repair" in step else _kept(step["keep"])
@@ -190,7 +190,7 @@ class CheckPage:
                 agreement_plot(shown, finding.span, after.get(shown.key))
 
     def _ways(self, finding: Finding) -> None:
-        """The buttons that mend a finding."""
+        """The buttons that repair a finding."""
         first, last = (float(t) for t in self.stages[-1].imu.time[[0, -1]])
         steps: dict[str, Step] = {"Mend": {"repair": [finding.code]}} if finding.repair else {}
         if (at := finding.cut) is not None:
@@ -204,12 +204,12 @@ class CheckPage:
                 mend.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
-        """Select a span with the mouse or by numbers, and keep it alone."""
+        """Select a span with the mouse or by numbers, and keep only it."""
         drive = self.stages[-1]
         time = drive.imu.time
         with card():
             text("h2", "Cut")
-            text("p", "Drag over the part to keep, or type its ends.", "soft")
+            text("p", "Drag over the part to keep, or enter its ends.", "soft")
             with ui.element("div").classes("grid"):
                 with ui.element("div"):
                     low, high = float(time[0]), float(time[-1])

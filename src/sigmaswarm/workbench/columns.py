@@ -1,4 +1,4 @@
-"""What each column of a log is used for, as choices that become options of `import_log` and of the command line."""
+"""The use of each column of a log, as choices that become options of `import_log` and of the command line."""
 
 import re
 import shlex
@@ -24,7 +24,7 @@ UNITS: dict[str, dict[str, str]] = {
               "rad from north": "pi/2-{}"},
     "condition": {"as it is": "{}"},
 }  # fmt: skip
-"""By kind of quantity: units, and the expressions that make them those of a drive."""
+"""Units of each kind of quantity, and the expressions that convert them to those of a drive."""
 KINDS = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -34,7 +34,7 @@ KINDS = {
     **dict.fromkeys(("course", "theta"), "angle"),
     **{"t": "time", "keep": "condition"},
 }
-"""Kinds of quantity of a drive's columns."""
+"""The kind of quantity of each column of a drive."""
 SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",
         "gz": "gz yaw rate", "lat": "latitude", "lon": "longitude", "alt": "altitude", "x": "x east", "y": "y north",
         "std_x": "accuracy east", "std_y": "accuracy north", "vx": "velocity east", "vy": "velocity north",
@@ -44,7 +44,7 @@ UNUSED = ""
 TARGETS: dict[str, str] = {UNUSED: "not used"} | {
     f"{role}.{name}": f"{NAMES[role]}: {SAID.get(name, name)}" for role in ROLES for name in COLUMNS[role]
 }
-"""What a column can be used for, with its label."""
+"""The possible uses of a column, with their labels."""
 CUSTOM = "expression"
 SETTINGS = ("gps_offset_s", "gps_lever_arm_m", "part")
 FLAGS = {
@@ -54,11 +54,11 @@ FLAGS = {
     "part": "--part",
 }
 Uses = dict[tuple[str, str], list[tuple[str, str]]]
-"""By table and column: the targets and their expressions."""
+"""The targets and their expressions, by table and column."""
 
 
 def uses_of(look: Look) -> Uses:
-    """Find what each column of a log is used for."""
+    """Find the use of each column of a log."""
     uses: Uses = {}
     names = {glance.table: [r.column for r in glance.ranges] for glance in look.tables}
     for role, parts in look.recipe.roles.items():
@@ -83,7 +83,7 @@ def units_of(target: str) -> dict[str, str]:
 
 
 def unit_in(target: str, column: str, expression: str) -> str:
-    """Return the unit that an expression converts from; `CUSTOM` where it is none of the usual ones."""
+    """Return the unit that an expression converts from; `CUSTOM` if it is none of the usual ones."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
         if plain in (text.format(written(column)).replace(" ", ""), text.format(column)):
@@ -115,7 +115,7 @@ def options_of(choices: Mapping[str, Any]) -> dict[str, Any]:
         try:
             forward, left, up = (float(v) for v in arm.split(","))
         except ValueError:
-            raise InputError(f"{arm!r} is no lever arm; write m forward,left,up, as 1.2,0,0.5") from None
+            raise InputError(f"{arm!r} is not a lever arm; write m forward,left,up, as 1.2,0,0.5") from None
         options["gps_lever_arm_m"] = forward, left, up
     return options | {key: Path(choices[key]) for key in ("gps", "truth") if choices.get(key)}
 

@@ -20,10 +20,10 @@ from sigmaswarm.workbench.take_page import TakePage
 from sigmaswarm.workbench.tune_page import TunePage
 
 STEPS = {
-    "log": ("Log", "what is in it"),
+    "log": ("Log", "its content"),
     "check": ("Check", "faults, repairs, cuts"),
     "tune": ("Tune", "search the parameters"),
-    "judge": ("Judge", "on drives it never saw"),
+    "judge": ("Judge", "on drives that the tuning did not use"),
     "take": ("Take away", "C, ROS, Python, tracks"),
 }
 FAVICON = (
@@ -64,7 +64,7 @@ class Frame:
         self.runs.stop_all()
 
     def _first(self) -> str:
-        """Where to go on: at the last step that has something."""
+        """The step to continue with: the last one with content."""
         if self.bench.log or not self.bench.drives:
             return "log"
         return "tune" if self.bench.finished or self.bench.unfinished else "check"
@@ -93,7 +93,7 @@ class Frame:
             self.pages[step].content()
 
     def _report(self, kind: str, name: str) -> Response:
-        """The page of `sigmaswarm.report`; it holds everything and asks for nothing."""
+        """The page of `sigmaswarm.report`, which loads nothing else."""
         text, wrong = attempt(self._page_of, kind, name)
         if text is None:
             return Response(wrong, 404, media_type="text/plain; charset=utf-8")

@@ -1,4 +1,4 @@
-"""Step 1: what is in a log, and how it becomes a drive."""
+"""Step 1: the content of a log, and its conversion to a drive."""
 
 import asyncio
 import shlex
@@ -26,7 +26,7 @@ SHOWN_FIRST = ("gravity", "turning", "forward")
 
 
 class LogPage:
-    """The open log: a look at it, the choices made, and the drive that they give."""
+    """The open log: its content, the choices made, and the resulting drive."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -52,7 +52,7 @@ class LogPage:
         self._finish()
 
     def refresh(self) -> None:
-        """Show what has changed, in all tabs."""
+        """Show changes in all tabs."""
         same = self.look is not None and [p.glance.table for p in self.panels] == [
             g.table for g in self.look.tables
         ]
@@ -151,7 +151,7 @@ class LogPage:
         self._status.refresh()
 
     def assign(self, table: str, column: str, target: str) -> None:
-        """Use a column for something else."""
+        """Use a column for another quantity."""
         if self.look:
             columns.assign(self.bench.log_choices, self.look, table, column, target)
             self.choose()
@@ -161,7 +161,7 @@ class LogPage:
         self.choose(maps={**self.bench.log_choices.get("maps", {}), target: expression})
 
     def reread(self) -> None:
-        """Look at the log and import it in the background; the last of several requests counts."""
+        """Inspect the log and import it in the background; only the last of several requests is used."""
         self._opened, self._asked = self.bench.log, self._asked + 1
         self.waiting, self.done = "reading the log" if self._opened else "", ""
         start(self._read(self._asked))
@@ -184,7 +184,7 @@ class LogPage:
 
     @ui.refreshable_method
     def _notes(self) -> None:
-        """Assumptions of the import, and a proposal for what was not recognized."""
+        """Assumptions of the import, and a proposal for the rest."""
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
@@ -193,7 +193,7 @@ class LogPage:
                 text("p", note, "soft")
             if look.proposal:
                 with card("warning"):
-                    text("p", f"Not recognized by itself, but the names suggest: {look.proposal}")
+                    text("p", f"Not recognized automatically, but the names suggest: {look.proposal}")
                     text("p", look.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
 
@@ -221,14 +221,14 @@ class LogPage:
 
     @ui.refreshable_method
     def _agreement(self) -> None:
-        """Gravity, course and gyro, and what they should follow."""
+        """Gravity, course and gyro, and their expected values."""
         if (drive := self.drive) is None:
             return
         with ui.element("div").classes("section"):
             text("h2", "Does it agree?")
             text(
                 "p",
-                "Solid: what the IMU measured. Dashed: what it should follow. Zoom with the mouse.",
+                "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse.",
                 "soft",
             )
             with ui.element("div").classes("grid"):
@@ -291,7 +291,7 @@ class LogPage:
             self._status.refresh()
 
     def _mounting_of_log(self) -> str:
-        """The mounting that the log shows, whatever is chosen now."""
+        """The mounting that is found in the log, whatever the present choice."""
         if self.bench.log is None:
             raise InputError("no log is open")
         plain = {**self.bench.log_choices, "mount": ""}

@@ -1,4 +1,4 @@
-"""How the IMU sits in the vehicle: three angles, and a sketch that turns with them."""
+"""Mounting of the IMU in the vehicle: three angles, and a sketch that rotates with them."""
 
 import math
 from functools import partial
@@ -23,7 +23,7 @@ SETTLED = 0.6
 
 
 class MountingPanel:
-    """The choice of the mounting. The sketch follows at once, the plots when the angles rest."""
+    """The choice of the mounting. The sketch follows at once, the plots after a pause."""
 
     def __init__(self, page: "LogPage") -> None:
         self.page = page
@@ -42,7 +42,7 @@ class MountingPanel:
         rotation, wrong = attempt(parse_mount, self._mount) if self._mount else (np.eye(3), "")
         rotation = np.eye(3) if rotation is None else rotation
         with card():
-            text("h2", "How the IMU sits in the vehicle")
+            text("h2", "Mounting of the IMU in the vehicle")
             message(wrong, "bad")
             with ui.element("div").classes("grid"):
                 picture = ui.html(sketch(rotation), sanitize=False)
@@ -58,7 +58,7 @@ class MountingPanel:
                         button("Find it in the log", self.page.find_mounting, "explore")
                     text(
                         "p",
-                        "The arrows are the sensor's axes: x forward, y left and z up need no turning.",
+                        "The arrows are the sensor's axes: x forward, y left and z up need no rotation.",
                         "soft",
                     )
                     with ui.expansion("More settings").classes("soft"):
@@ -91,7 +91,7 @@ class MountingPanel:
                 sliders.append(slider)
 
     def _settings(self) -> None:
-        """Settings that few logs need."""
+        """Settings for few logs."""
         choices = self.page.bench.log_choices
         offset = ui.number("Added to the times of the fixes, s", value=choices.get("gps_offset_s"), step=0.01)
         offset.on("change", lambda: self.page.choose(gps_offset_s=offset.value or 0.0))

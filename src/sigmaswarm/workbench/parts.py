@@ -1,4 +1,4 @@
-"""Small pieces that several steps share."""
+"""Common elements of several steps."""
 
 import json
 from collections.abc import Callable, Coroutine
@@ -13,12 +13,12 @@ T = TypeVar("T")
 
 
 def start(work: Coroutine[Any, Any, None]) -> None:
-    """Run work without waiting for it; it outlives the tab that started it."""
+    """Run work in the background; it continues if the tab is closed."""
     background_tasks.create(work)
 
 
 async def aside(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Do work on a thread; return its result, or None and the sentence of its error."""
+    """Run a function on a thread; return its result, or None and the message of its error."""
     return await run.io_bound(attempt, work, *arguments, **options) or (None, "")
 
 

@@ -1,4 +1,4 @@
-"""Plots of any length: the server sends the smallest and largest value per pixel of what is visible."""
+"""Plots of any length: the server sends the smallest and largest value per pixel of the visible part."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, cast
@@ -30,7 +30,7 @@ AXIS = {
 
 
 def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Series:
-    """Reduce what lies between two times to the smallest and the largest value of each of `PIXELS` columns."""
+    """Reduce values between two times to the smallest and the largest value of each of `PIXELS` columns."""
     time, values = series
     first, last = np.searchsorted(time, start), np.searchsorted(time, end, side="right")
     time, values = time[max(first - 1, 0) : last + 1], values[max(first - 1, 0) : last + 1]
@@ -43,7 +43,7 @@ def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Ser
 
 
 def thinned(x: Array, y: Array, most: int = MOST_PLACES) -> Series:
-    """Take every n-th place of a track."""
+    """Take every n-th point of a track."""
     step = max(len(x) // most, 1)
     return x[::step], y[::step]
 
@@ -60,7 +60,7 @@ class TimePlot:
     ----------
     title, unit : str
     series : mapping of label to `Series`
-    dashed : labels drawn as dashes: what the others should follow
+    dashed : labels drawn as dashes: the expected values
     spans : from when to when to shade, s
     """
 
@@ -117,7 +117,7 @@ class TimePlot:
 def agreement_plot(
     found: Agreement, span: tuple[float, float] | None = None, after: Agreement | None = None
 ) -> None:
-    """Plot what was measured next to what it should follow; ``after``: the same after a repair."""
+    """Plot measured values next to expected ones; ``after``: the same after a repair."""
     measured = found.measured
     if after:
         changed = {
@@ -193,7 +193,7 @@ def redraw(plot: ui.plotly, traces: list[dict[str, Any]]) -> None:
 
 
 def base_layout(height: int) -> dict[str, Any]:
-    """The look that all plots share."""
+    """The common layout of all plots."""
     legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
     font = {"family": "system-ui, sans-serif", "size": 12, "color": "#1c2024"}
     margin = {"l": 56, "r": 10, "t": 30, "b": 44}

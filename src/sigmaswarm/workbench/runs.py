@@ -1,4 +1,4 @@
-"""Tunings that run in threads of the server. Their folders hold all that a killed one needs to go on."""
+"""Tunings that run in threads of the server. A killed one can be resumed from its folder."""
 
 import threading
 import time
@@ -44,7 +44,7 @@ class Run:
 
     @property
     def state(self) -> str:
-        """What it is doing."""
+        """The present state, as a sentence."""
         if self.error or self.ended:
             return "failed" if self.error else "done"
         if self.stopping:
@@ -98,7 +98,7 @@ class Runs:
         return run
 
     def resume(self, name: str) -> Run:
-        """Go on with a stopped or killed tuning, begun here or on the command line."""
+        """Resume a stopped or killed tuning, begun here or on the command line."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]
@@ -107,7 +107,7 @@ class Runs:
 
     @property
     def running(self) -> list[Run]:
-        """Those that have not ended."""
+        """The running tunings."""
         return [run for run in self.runs.values() if not run.ended]
 
     def stop_all(self) -> None:

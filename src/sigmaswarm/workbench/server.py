@@ -1,4 +1,4 @@
-"""The workbench's web server: on this machine only, every address behind a secret token."""
+"""The workbench's web server: on this machine only, with every address protected by a secret token."""
 
 import hmac
 import secrets
@@ -61,7 +61,7 @@ class Guard:
 
     @staticmethod
     def _with_headers(send: Send) -> Send:
-        """Keep the token out of other sites' logs, and the page out of other pages."""
+        """Keep the token out of logs of other sites, and forbid other sites to embed the page."""
 
         async def sent(message: Scope) -> None:
             if message["type"] == "http.response.start":

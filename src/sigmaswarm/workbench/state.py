@@ -57,11 +57,11 @@ class Workbench:
         """Return the folder of a drive, tuning, ... by its name; refuse names that lead elsewhere."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
-            raise InputError(f"{name!r} is no name within {kind}; use letters, digits, - and _")
+            raise InputError(f"{name!r} is not a name within {kind}; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, holds: str = "") -> list[str]:
-        """List the names of a kind whose folders hold a file, the newest last."""
+        """List the names of a kind whose folders contain a file, the newest last."""
         found = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
         found = [p for p in found if not holds or (p / holds).is_file()]
         return [p.name for p in sorted(found, key=lambda p: (p.stat().st_mtime, p.name))]
@@ -74,12 +74,12 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Drives to work with: the checked copy stands for its original."""
+        """Drives to work with: a checked copy replaces its original."""
         names = self.names("drives", "drive.toml")
         return [name for name in names if name + CHECKED not in names]
 
     def read(self, name: str) -> Drive:
-        """Read a drive, or take it from the cache."""
+        """Read a drive, or return it from the cache."""
         path = self.path("drives", name)
         return self.drive(path, path.stat().st_mtime_ns)
 
@@ -134,7 +134,7 @@ def _read_choices(file: Path) -> dict[str, Any]:
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Do work and return its result, or None and the sentence of its error."""
+    """Run a function; return its result, or None and the message of its error."""
     try:
         return work(*arguments, **options), ""
     except sigmaswarm.SigmaswarmError as error:

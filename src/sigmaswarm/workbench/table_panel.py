@@ -1,4 +1,4 @@
-"""One table of a log: its columns with a plot, and what each is used for."""
+"""One table of a log: its columns with a plot, and the use of each."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +19,11 @@ MOST_COLUMNS = 30
 """Columns of a table that can be edited; columns in use come first."""
 FIRST_ROWS = 5
 FEW_TABLES = 4
-"""Of a log whose tables are all unfolded while no drive can be made of it."""
+"""Largest number of tables of a log that are all unfolded while no drive can be made from it."""
 
 
 class TablePanel:
-    """A table that can be folded; a choice redraws the rows that it changes alone."""
+    """A table that can be folded; a choice redraws only the rows that it changes."""
 
     def __init__(self, page: "LogPage", look: Look, glance: Glance) -> None:
         self.page, self.look, self.glance, self.uses = page, look, glance, columns.uses_of(look)
@@ -33,7 +33,7 @@ class TablePanel:
         self.unfolded = page.drive is None and (bool(used) or len(look.tables) <= FEW_TABLES)
 
     def update(self, look: Look, uses: Uses) -> None:
-        """Take another look at the same table."""
+        """Show another look at the same table."""
         self.look, self.uses = look, uses
         for row in self.rows:
             if row.state() != row.shown:
@@ -75,7 +75,7 @@ def _cell(value: Any) -> str:
 
 
 class ColumnRow:
-    """A column: name, plot, use, unit, expression, and below it what is wrong."""
+    """A column: name, plot, use, unit, expression, and its faults below."""
 
     def __init__(self, panel: TablePanel, about: Range) -> None:
         self.panel, self.about = panel, about
@@ -86,7 +86,7 @@ class ColumnRow:
             self._spark = sparkline(values.cast(float).drop_nulls().to_numpy().astype(np.float64))
 
     def state(self) -> tuple[list[tuple[str, str]], list[str]]:
-        """What the column is used for, and what is wrong with it."""
+        """The use of the column, and its faults."""
         found = self.panel.uses.get((self.panel.glance.table, self.about.column), [])
         return found, self._faults(found[0][0] if found else "")
 

@@ -1,4 +1,4 @@
-"""Step 5: take the filter away, as C, for ROS, for Python, or its trajectories."""
+"""Step 5: export the filter as C, for ROS or for Python, or its trajectories."""
 
 import shlex
 from typing import Any
@@ -33,7 +33,7 @@ TARGETS = {
         "ros2 launch ekf.launch.py",
     ),
 }
-"""By target: its name, what it needs, and the next command."""
+"""For each target its name, its requirements, and the next command."""
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",
            ".mat": "MATLAB", ".geojson": "GeoJSON map", ".gpx": "GPX map", ".kml": "KML map",
            ".ros2": "ROS 2 bag"}  # fmt: skip
@@ -85,7 +85,7 @@ class TakePage:
             text("h2", "The filter itself")
             text(
                 "p",
-                "tuning.toml holds the parameters with units, data and versions; FilterParameters.load reads it.",
+                "tuning.toml has the parameters with units, data and versions; FilterParameters.load reads it.",
             )
             link("Download the tuning", f"download/tunings/{self.chosen['tuning']}", download=True)
 
@@ -104,7 +104,7 @@ class TakePage:
         text("p", needs, "soft")
 
     def _outcome(self, target: str, then: str) -> None:
-        """What was written, the download, and the next command."""
+        """The written files, the download, and the next command."""
         if target not in self.said:
             return
         good, wrong = self.said[target]

@@ -34,7 +34,7 @@ MODELS = {
 }
 SIZES = {"particles": 30, "generations": 50, "trials": 1, "seed": 0}
 REFRESH = 0.7
-"""s between two looks at running tunings."""
+"""s between two updates of running tunings."""
 
 
 class TunePage:
@@ -76,7 +76,7 @@ class TunePage:
 
     @property
     def plan(self) -> dict[str, str]:
-        """What to do with each drive: as chosen, or one to tune on and one to hold back."""
+        """The use of each drive: as chosen, or one to tune on and one to hold back."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
         usual = dict.fromkeys(names, TRAIN)
         if len(names) == 1:
@@ -130,7 +130,7 @@ class TunePage:
         return {key: value for key, value in self.bench.choices.get("options", {}).items() if value != ""}
 
     def _explain(self) -> None:
-        """State what will be tuned, and why; the drives are read in the background."""
+        """Show the filter to be tuned, and why; the drives are read in the background."""
         self.waiting = "reading the drives"
         start(self._explained())
 
@@ -195,7 +195,10 @@ class TunePage:
         return drives, held
 
     def _cards(self) -> dict[str, Callable[[], None]]:
-        """Show tunings that run or failed, and those that wait to be resumed; return what updates the former."""
+        """Show tunings that run or failed, and those that wait to be resumed.
+
+        Return a function that updates the former.
+        """
         live = [r for r in self.runs.runs.values() if not r.ended or r.error]
         updates = {one.name: self._run_card(one) for one in live}
         for name in self.bench.unfinished:
@@ -212,7 +215,7 @@ class TunePage:
         self._setup.refresh()
 
     def _run_card(self, one: Run) -> Callable[[], None]:
-        """Show a tuning; return what brings the card up to date."""
+        """Show a tuning; return a function that updates the card."""
         with card("warning" if one.error else ""):
             with ui.element("div").classes("line between"):
                 with ui.element("h2"):

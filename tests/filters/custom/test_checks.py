@@ -42,7 +42,7 @@ def with_value(column, at, value):
         ({"measurement_time": with_value(LOG.measurement_time, 3, np.inf)}, "measurement_time[3] is inf"),
         ({"measurements": with_value(LOG.measurements, (7, 0), np.nan)}, "measurements[7, 0] is nan; repair it"),
         ({"measurements": np.zeros((F, 1, 1))}, "measurements has shape (20, 1, 1)"),
-        ({"measurements": ["a"] * F}, "measurements is no array of numbers"),
+        ({"measurements": ["a"] * F}, "measurements is not an array of numbers"),
         ({"inputs": np.zeros(N - 1)}, "inputs has shape (200,), time has 201 values"),
         ({"inputs": np.full(N, np.nan)}, "inputs[0] is nan"),
         ({"mean": [0.0, np.nan]}, "mean[1] is nan"),
@@ -69,18 +69,18 @@ def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
         ({"states": ("angle", "angle")}, "states: 'angle' is there twice"),
         ({"states": ()}, "states is empty"),
         ({"states": "angle"}, "states = 'angle' should be a tuple"),
-        ({"states": ("an angle", "rate")}, "states: 'an angle' is no name"),
-        ({"angles": ("heading",)}, "angles names 'heading', which is no state; states are angle, rate"),
-        ({"scored": ("height",)}, "scored names 'height', which is no state"),
+        ({"states": ("an angle", "rate")}, "states: 'an angle' is not a name"),
+        ({"angles": ("heading",)}, "angles names 'heading', which is not a state; states are angle, rate"),
+        ({"scored": ("height",)}, "scored names 'height', which is not a state"),
         ({"parameters": ()}, "parameters is empty"),
         ({"parameters": (Tunable("q", 1, 2), Tunable("q", 1, 2))}, "'q' is there twice"),
-        ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' is no name"),
-        ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' is no name"),
-        ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' is the sigma points'"),
-        ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1; give a lower and a higher one"),
+        ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' is not a name"),
+        ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' is not a name"),
+        ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' is a parameter of the sigma points'"),
+        ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1; give a lower and an upper bound"),
         ({"parameters": (Tunable("q", 1, math.nan),)}, "parameter q: bounds 1, nan"),
         ({"parameters": (Tunable("q", 0, 1),)}, "can't be searched in log10 down to 0; give a positive bound"),
-        ({"f": 3}, "f = 3 is no function"),
+        ({"f": 3}, "f = 3 is not a function"),
         ({"kind": "kf"}, "kind = 'kf'; choose ukf or ekf"),
     ],
     ids=str,
@@ -120,7 +120,7 @@ def test_a_log_of_another_model_is_named():
         lambda: run_model(three, PENDULUM, PARAMETERS)
     )
     tall = Log(**(vars(LOG) | {"truth": {"height": LOG.time}}))
-    assert "truth names 'height', which is no state" in said(lambda: run_model(tall, PENDULUM, PARAMETERS))
+    assert "truth names 'height', which is not a state" in said(lambda: run_model(tall, PENDULUM, PARAMETERS))
 
 
 @pytest.mark.parametrize(
@@ -129,8 +129,8 @@ def test_a_log_of_another_model_is_named():
         ({k: v for k, v in PARAMETERS.items() if k != "length"}, "parameter 'length' is missing"),
         ({k: v for k, v in PARAMETERS.items() if k != "kappa"}, "parameter 'kappa' is missing"),
         (PARAMETERS | {"mass": 1.0}, "there is no parameter 'mass'; it has alpha, beta, kappa, length"),
-        (PARAMETERS | {"length": math.nan}, "parameter length = nan is no finite number"),
-        (PARAMETERS | {"length": "1"}, "parameter length = '1' is no finite number"),
+        (PARAMETERS | {"length": math.nan}, "parameter length = nan is not a finite number"),
+        (PARAMETERS | {"length": "1"}, "parameter length = '1' is not a finite number"),
     ],
     ids=str,
 )

@@ -180,7 +180,7 @@ def test_a_function_that_means_something_else_compiled_is_found_out():
             one = 1.0
         return np.array([state[0] + one * state[1] * dt, state[1]])
 
-    with pytest.warns(SigmaswarmWarning, match="compiled, they give other numbers"):
+    with pytest.warns(SigmaswarmWarning, match="the compiled functions return other numbers"):
         estimate = run_model(pendulum_log(duration=2.0), replace(PENDULUM, f=f), PARAMETERS)
     assert estimate.failure is None
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.optimizers import OPTIMIZERS, Optimizer, create_optimizer
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
+from support import quickly
 
 LOW, HIGH = np.array([-5.0, 0.0, 1e-3]), np.array([5.0, 2.0, 1.5])
 NEEDS = {"bo": pytest.mark.skipif(find_spec("sklearn") is None, reason="bo needs scikit-learn")}
@@ -56,8 +57,13 @@ def reborn(optimizer: Optimizer, path: Path, **made_with: Any) -> Optimizer:
 
 
 @everyone
-@with_and_without
-@pytest.mark.parametrize("between", ["told", "asked"])
+@pytest.mark.parametrize(
+    ("polish", "between"),
+    quickly(
+        [(0, "told"), (0, "asked"), (25, "told"), (25, "asked")],
+        lambda polish, between: (polish == 0) == (between == "told"),
+    ),
+)
 def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, between: str, tmp_path: Path):
     whole = generations(made(name, polish=polish))
     optimizer, seen = made(name, polish=polish), []

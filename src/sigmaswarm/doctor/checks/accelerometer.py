@@ -15,14 +15,16 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""rad: a rotation about z from the first on is a warning, from the second on serious."""
+"""rad: a rotation about z of at least the first is a warning, of at least the second serious."""
 TILT = (0.5, 1.2)
 """m/s2: the same for what is left over in ax, ay. Roads and cheap sensors' biases stay below the second."""
 SIZE = (0.3, 1.0)
-"""m/s2 by which the usual specific force differs from gravity: from the first on a note, from the second on a warning.
-Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050)."""
+"""m/s2 by which the usual specific force differs from gravity: at least the first is a note, the second a warning.
+
+Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050).
+"""
 LIKELY, CLEAR = 2.5, 3.5
-"""Deviations: from the first on a rotation is a note, from the second on it is repaired."""
+"""Standard deviations: a rotation of at least the first is a note, of at least the second is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
 """m/s2: acceleration below which the scale is unknown."""

@@ -19,21 +19,24 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
 WRONG = 0.1
-"""Deviation of a gain from 1 that is worth a warning."""
+"""Deviation of a gain from 1 that causes a warning."""
 LEAST_TURN = np.radians(1.0)
 """rad within some seconds; less is the course of a car that sways, not turns."""
 BIAS = (np.radians(0.1), np.radians(1.0))
-"""rad/s: from the first on a bias is worth a note, from the second on a warning."""
+"""rad/s: a bias of at least the first is a note, of at least the second a warning."""
 
 SMOOTHED, LAG = 0.3, 0.5
-"""s: over which the force is averaged, and over which its direction changes. Longer ones show more of the car's own
-acceleration, shorter ones more shaking. On seven recordings every right sign stands out by 9.5 deviations or more."""
+"""s: over which the force is averaged, and over which its direction changes.
+
+Longer ones contain more of the car's own acceleration, shorter ones more vibration. On seven recordings every correct
+sign is significant by 9.5 standard deviations or more.
+"""
 CLEAR = 7.0
-"""Deviations; neighboring changes share samples, so that these are optimistic."""
+"""Standard deviations; they are too small, since neighboring changes share samples."""
 CLEARER = 2.0
-"""Times the other column's deviations."""
+"""Least ratio of its significance to that of the other column."""
 OUTLYING = 3.0
-"""Deviations, from which on a change does not count."""
+"""Standard deviations from which a change is an outlier."""
 
 Follows = tuple[int, float, float]
 """Rate that a direction follows (0: gx, 1: gy), its sign, and the significance in deviations."""
@@ -119,7 +122,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         roll, pitch = (f"{'-' if sign < 0 else ''}{('gx', 'gy')[column]}" for column, sign, _ in seen)
         yield Finding(
             "gyro-tilt", "warning",
-            f"the roll rate stands in {roll}, the pitch rate in {pitch}: so the direction of gravity turns",
+            f"the roll rate is in {roll}, the pitch rate in {pitch}, as the direction of gravity shows",
             "imu.csv, gx, gy", span, confidence_of(min(axis[2] for axis in seen) / 2),
             f"read gx as {roll} and gy as {pitch}", Repair("tilt-rates", (0.0, seen[0][1], seen[1][1], 0.0)),
         )  # fmt: skip
@@ -146,7 +149,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
 
 
 def upside_down(evidence: Evidence) -> bool:
-    """True where az, gx and gy are those of an IMU on its head and no course shows the other axes: one rotation."""
+    """Return true if az, gx and gy are those of an IMU upside down and no course shows the other axes."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
         return False
@@ -162,7 +165,7 @@ def _tilt_rates(evidence: Evidence) -> list[Follows | None]:
 
 
 def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
-    """Specific force and angular rates, (3, n), as they are once the other findings are repaired."""
+    """Specific force and angular rates, (3, n), after repair of the other findings."""
     imu, mount, yaw = evidence.drive.imu, evidence.mount, evidence.yaw
     if imu.az is None or imu.gx is None or imu.gy is None:
         return None
@@ -194,9 +197,9 @@ def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
 
 
 def _deviations(angle: Array, change: Array) -> Array:
-    """Factors of the turns about x and y in the change, over their deviations; a robust least squares.
+    """Factors of the turns about x and y in the change, divided by their deviations, by robust least squares.
 
-    The turn about z takes its part, which a tilted sensor and cornering give it.
+    The turn about z is a regressor, too, since a tilted sensor and cornering contain it.
     """
     columns = np.column_stack([*angle, np.ones(len(change))])
     scale = np.linalg.norm(columns, axis=0)

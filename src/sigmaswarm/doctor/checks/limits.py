@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.checks.velocity import agrees
 from sigmaswarm.doctor.clock_search import WIDEST
 from sigmaswarm.doctor.evidence import Evidence
@@ -13,20 +14,20 @@ from sigmaswarm.drives.sensors import stated_spread, suggest_filter
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
-"""Deviations of the course by which it changes, RMS within windows, where it turns for sure."""
+"""Change of the course within windows (RMS), in its standard deviations, from which it certainly turns."""
 LEAST_TURN = np.radians(5.0)
-"""rad: less is the course of a car that sways."""
+"""rad: a smaller change is the swaying of a car."""
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults that cannot be detected, by the motion that the fixes show."""
+    """Find faults that the motion of the fixes cannot show."""
     span = evidence.span
     start = find_start(evidence.drive)
     if isinstance(start, NoStart):
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
     if not evidence.drives:
-        what = "the fixes don't show the car drive: neither heading nor axes, units or clocks can be checked"
-        remedy = "use a longer drive, or one that gets up to speed"
+        what = "the fixes show no driving: neither heading nor axes, units or clocks can be checked"
+        remedy = "use a longer drive, or one that is faster"
         yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
         return
     if not evidence.yaw.known:
@@ -41,7 +42,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
-    """Why a gyro can't be checked: no turn shows, or one shows that no column of the gyro follows; and the remedy."""
+    """The reason why a gyro can't be checked (no turn, or none that a column of the gyro follows), and the remedy."""
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving
@@ -51,14 +52,14 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         f"where the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
-        return f"{shown}, and nowhere for long enough", MORE
+        return f"{shown}, and never long enough", MORE
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
         LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
     ):
         return (
             f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows it",
-            f"look up the gyro's unit, and the clocks, where offsets beyond {WIDEST:.0f} s are not searched",
+            f"check the gyro's unit and the clocks; offsets beyond {WIDEST:.0f} s are not searched",
         )
     return f"{shown}, and there it changes by {change:.1f} deg within 20 s; slower turns don't show", MORE
 
@@ -79,7 +80,10 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if chosen.model == "tilted12":
         reasons["model"] = "az, gx and gy are there, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))
-    may = "you may add velocity to --use: the receiver gives speed and course"
-    what = f"tune takes {chosen.options}{f': {because}' if because else ''}{f'; {may}' if agrees(evidence) else ''}"
+    may = ["velocity to --use: the receiver gives speed and course"] if agrees(evidence) else []
+    if drive.gps.heading is not None and not any(check_heading(evidence)):
+        may.append("heading to --use: the fixes have one")
+    what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
+    what += f"; you may add {'; and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

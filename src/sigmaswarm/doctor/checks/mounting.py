@@ -14,11 +14,11 @@ from sigmaswarm.drives.drive import Array, Drive
 
 MOVED = math.radians(15.0)
 STANDS_OUT = 6.0
-"""rad, and deviations of the medians: how far gravity must jump where the IMU was moved within a log."""
+"""rad, and deviations of the medians: least jump of gravity for an IMU that was moved within a log."""
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 STANDS = 1.0
-"""m/s: a slower car may change its direction."""
+"""m/s: at lower speeds a car may change between forward and reverse."""
 STEP = 2.0
 """s: over which changes of speed are compared with ax."""
 CLEAR, LEAST = 3.0, 0.4
@@ -26,11 +26,11 @@ CLEAR, LEAST = 3.0, 0.4
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:
-    """Find how the IMU sits in the vehicle."""
+    """Find faults of the mounting."""
     mounting = evidence.mounting
     if change := moved(evidence.drive):
         time, angle = change
-        what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg elsewhere after it"
+        what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg off after it"
         remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has its own mounting"
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
@@ -50,8 +50,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 def moved(drive: Drive) -> tuple[float, float] | None:
     """The time, s, at which the IMU was moved within a log, and by how much gravity turned, rad; None where it was not.
 
-    Directions of the specific force over 5 s each are cut in two at the time that leaves the least spread about the
-    two medians.
+    Directions of the specific force over 5 s each are split at the time with the least spread about the two medians.
     """
     imu = drive.imu
     if imu.az is None:
@@ -82,7 +81,7 @@ def moved(drive: Drive) -> tuple[float, float] | None:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a start in reverse: it takes the course for the heading. Backing up before the start does no harm."""
+    """Find a start in reverse, which assumes that the heading is the course. Reversing before the start is harmless."""
     course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
         return
@@ -108,7 +107,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Slope of the changes of speed on those that ax gives, and its clear size; None where the speed hardly changes."""
+    """Slope of the changes of speed on the integral of ax, and its significance; None if the speed hardly changes."""
     step = max(round(STEP / float(np.median(np.diff(time)))), 1)
     if len(time) < step + 4:
         return None

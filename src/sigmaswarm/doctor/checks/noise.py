@@ -58,10 +58,9 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
             what = (
                 f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
                 f"of ten seconds, and the receiver states {stated:.2g} m: their errors last, so that many fixes are "
-                "worth hardly more than one; without truth neither the statement can be checked, nor can a filter know "
-                "how far off it is"
+                "hardly better than one; without truth neither the stated deviation nor a filter's error can be checked"
             )
-            remedy = "take a filter's own position deviation for the scatter alone"
+            remedy = "read a filter's own position deviation as the scatter alone"
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )

@@ -22,23 +22,25 @@ FEWEST = 6
 WRONG = 0.02
 """Error of the scale that is reported, if it is three times its uncertainty."""
 FAMILIAR = 1.25
-"""A factor beyond which the unit is another one, not the tires."""
+"""A factor beyond which the unit is wrong, not the size of the tires."""
 
 LATE = 0.15
-"""s of delay worth a warning; less is found by a filter's own latency."""
+"""s of delay that causes a warning; a filter's own latency corrects less."""
 LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4
 """s: largest delay, its step, and the time over which both accelerations are averaged."""
 ALIKE = 0.6
 """Correlation of the two accelerations from which their delay is used."""
 
 STUCK = 4.0
-"""s with one and the same reading, while the fixes move at another speed, ..."""
+"""s of one constant reading while the fixes move at another speed ..."""
 APART = 2.5
-"""... by so many m/s at the median."""
+"""... with at least this median difference, m/s."""
 
 JUMP = 2.5
-"""m/s: change of the wheel speed within `WITHIN` without acceleration: they spin or lock. A slope of 10% looks like
-1 m/s, a delay of 0.3 s like 2 m/s in a full braking."""
+"""m/s: change of the wheel speed within `WITHIN` without acceleration, by wheels that spin or lock.
+
+A slope of 10% looks like 1 m/s, a delay of 0.3 s like 2 m/s during full braking.
+"""
 WITHIN, LASTS_AT_MOST = 1.0, 10.0
 """s: duration of a jump, and time in which the wheels return from it."""
 AGREE = 0.5
@@ -59,7 +61,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         (
             "slip",
             0.9,
-            "the wheels' speed jumps where the accelerometer feels nothing, as of wheels that spin or lock",
+            "the wheels' speed jumps without acceleration: the wheels spin or lock",
             _slips,
         ),
     ):
@@ -79,7 +81,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
 
 
 def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
-    """The readings that lie in none of the spans, from when to when, s."""
+    """The readings outside the spans (start and end, s)."""
     keep = np.ones(len(odometer), dtype=np.bool_)
     for first, last in spans:
         keep &= (odometer.time < first) | (odometer.time > last)
@@ -87,7 +89,7 @@ def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odomete
 
 
 def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
-    """Where one reading is repeated that the fixes contradict; signs, units and scale aside."""
+    """Spans of a constant reading that the fixes contradict, whatever its sign, unit and scale."""
     time, speed, seen = odometer.time, np.abs(odometer.speed), np.abs(course.velocity)
     begins = np.flatnonzero(np.append(True, np.diff(odometer.speed) != 0))
     ends = np.append(begins[1:], len(time)) - 1
@@ -107,7 +109,7 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
 
 
 def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
-    """Where the wheels do not turn as the car moves: from a jump to the one back, or about the jump."""
+    """Spans in which the wheels spin or lock: from a jump to the one back, or around the jump."""
     imu, time = evidence.drive.imu, odometer.time
     a, b = max(imu.time[0], time[0]) + WITHIN, min(imu.time[-1], time[-1]) - WITHIN
     at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
@@ -144,7 +146,7 @@ def _gain(time: Array, values: Array, at: Array, span: float) -> Array:
 
 
 def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[Finding]:
-    """The ratio of the wheels' way to the fixes', over ways that are about straight."""
+    """The ratio of the distance of the wheels to that of the fixes, over paths that are about straight."""
     found, span = _ratios(odometer, course, evidence), evidence.span
     if len(found) < FEWEST:
         return
@@ -157,7 +159,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
     unsure = 1.2533 * each / math.sqrt(len(ratio))
     size = abs(scale)
     if scale < 0 and unsure < 0.1 * size:
-        what, repair = "the wheels turn backwards while the car drives ahead", Repair("odometer", (-1.0,))
+        what, repair = "the wheels turn backwards while the car drives forward", Repair("odometer", (-1.0,))
         remedy = "change the sign of speed: forward is positive"
         yield Finding("odometer-sign", "serious", what, SPEED, span, 0.99, remedy, repair)
         scale = size
@@ -165,7 +167,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
         return
     for unit, factor in UNITS.items():
         if not 1 / FAMILIAR < size < FAMILIAR and abs(math.log(size * factor)) < 0.1:
-            what = f"speed is in {unit}: {size:.2f} times what the fixes move at"
+            what = f"speed is in {unit}: {size:.2f} times the speed of the fixes"
             remedy, repair = f"multiply speed by {factor:.4g}", Repair("odometer", (factor,))
             yield Finding("odometer-unit", "serious", what, SPEED, span, 0.99, remedy, repair)
             return
@@ -206,7 +208,7 @@ def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tupl
 
 
 def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
-    """The delay of the speed's changes against what the accelerometer feels forward."""
+    """The delay of the speed's changes relative to the forward acceleration."""
     imu = evidence.drive.imu
     a, b = max(imu.time[0], odometer.time[0]), min(imu.time[-1], odometer.time[-1])
     if b - a < 20.0 or b - a > 1e6:
@@ -221,7 +223,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     late = float(lags[best])
     if abs(late) >= LATE and alike[best] > max(ALIKE, float(alike[len(lags) // 2]) + 0.05):
         way = "late" if late > 0 else "early"
-        what = f"the wheels' speed changes {abs(late):.2f} s {way} for what the accelerometer feels"
+        what = f"the wheels' speed changes {abs(late):.2f} s {way} relative to the acceleration"
         remedy = f"add {-late:+.2f} s to its times, or let `tune --use odometer` find its latency"
         repair = Repair("shift-odometer", (-late,))
         yield Finding(
@@ -230,7 +232,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
-    """Slopes around moments, less their mean over 10 s: a road's slope, which the accelerometer feels, lasts longer."""
+    """Slopes around moments, minus their mean over 10 s: the slope of a road, which ax contains, lasts longer."""
     slope = _gain(time, values, at, SMOOTH) / SMOOTH
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))

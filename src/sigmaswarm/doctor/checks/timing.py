@@ -1,4 +1,4 @@
-"""Times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and values that only repeat."""
+"""Times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and repeated values."""
 
 from collections.abc import Iterator
 
@@ -13,22 +13,22 @@ from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 GRAVE = 0.3
-"""s between the clocks: more is worth meters."""
+"""s between the clocks: a larger offset costs meters."""
 SLOW_IMU = 8.0
-"""Hz: slower, turns are lost between samples."""
+"""Hz: at lower rates turns are lost between samples."""
 UNEVEN = 0.5
-"""Share of the usual interval that the middle 90% of the intervals spread over."""
+"""Spread of the middle 90% of the intervals, as a share of the usual one."""
 HELD = 0.2
 """Share of IMU samples that repeat the one before: a slower sensor, logged too often."""
 LONG_GAP = 0.5
-"""s without IMU samples, after which a step is no longer harmless."""
+"""s without IMU samples from which a step loses accuracy."""
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
-"""Usual intervals of fixes by which one is longer if fixes are missing where IMU samples are."""
+"""Usual intervals by which an interval of fixes is longer if fixes are missing in a gap of the IMU."""
 AROUND = 2.0
 """s on each side of a gap in which the speed is measured."""
 SIGMAS = 3.0
-"""By which a pause has to lie off a jump to be told from it, each from the middle between them."""
+"""Distance, in standard deviations, of a pause and of a jump from the middle between them, to distinguish the two."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
@@ -37,7 +37,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
     move = f"take {size} off" if late > 0 else f"add {size} to"
     if evidence.moved:
-        what = f"the fixes are {abs(late):.1f} s {way} against the IMU: only then do the gyro's turns match the course"
+        what = f"the fixes are {abs(late):.1f} s {way} relative to the IMU, by the turns of the gyro and the course"
         leap = "; GPS time is 18 s ahead of UTC" if abs(abs(late) - 18) < 1 else ""
         repair = Repair("shift-clock", (-evidence.moved,))
         yield Finding(
@@ -60,7 +60,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     elif evidence.drives:
         visible = evidence.clock.visible
         how = (
-            "of any size could hide here"
+            "of any size could be invisible here"
             if visible is None
             else f"below {visible:.2f} s would not have been seen"
         )
@@ -76,9 +76,9 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     imu, gps = evidence.drive.imu, evidence.drive.gps
     yield _rate("imu", "samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
-    remedy = "a filter drives on by the mean of the samples around it, and grows unsure of what the car did meanwhile"
+    remedy = "a filter uses the mean of the samples around it, and its covariance grows"
     yield from _gaps("imu", imu.time, IMU_GAP, remedy)
-    remedy = "a filter runs on the IMU alone there; nothing to do if it was so meant"
+    remedy = "a filter uses the IMU alone there; nothing to do if this is intended"
     yield from _gaps("gps", gps.time, GPS_GAP, remedy)
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
@@ -88,12 +88,12 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
             f"{share:.0f}% of the samples repeat the one before: the sensor gives about {fresh:.0f} a second"
         )
         repair = Repair("drop-samples", tuple(imu.time[same].tolist()))
-        where, remedy = "imu.csv, ax, ay, gz", "log only fresh samples"
+        where, remedy = "imu.csv, ax, ay, gz", "log only new samples"
         yield Finding("imu-repeats", "warning", what, where, _ends(imu.time), 0.99, remedy, repair)
     stale = gps.time[evidence.stale]
     if len(stale) >= FEWEST_STALE:
         what = f"{len(stale)} fixes repeat the one before to the last digit while the car drives"
-        remedy = "filters leave them out, as other tools should: they are old positions under a new time"
+        remedy = "filters ignore them, and other tools should: they are old positions with a new time"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
@@ -123,7 +123,7 @@ def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> 
 
 
 def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
-    """Moments that both sensors miss alike: the logger paused, or its clock jumped while the car did not."""
+    """Times that both sensors lack: the logger paused, or its clock jumped."""
     interval, fix_interval = np.diff(imu), np.diff(gps.time)
     usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
     for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
@@ -142,10 +142,14 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped: the car's speed around it does not show which"
+            what = "the logger paused, or its clock jumped: the car's speed does not distinguish the two"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = f"the logger's clock jumped: the car went as far between these fixes as in {passed:.1f} s"
-            code, severity, remedy = "clock-jump", "warning", "take the jump off all later times of all files"
+            code, severity, remedy = (
+                "clock-jump",
+                "warning",
+                "subtract the jump from all later times in all files",
+            )
             # Only a jump that both clocks miss alike, and all of it, can be closed: lost samples can't be restored.
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))
@@ -157,10 +161,10 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 
 
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
-    """Time that the car needs from fix j to the next at the speed around them, s; and its standard deviation.
+    """Time, s, that the car needs from fix j to the next at the speed around them, and its standard deviation.
 
-    By a line through the fixes of `AROUND` seconds on each side: single fixes are too noisy. Where both speeds
-    differ, the car may have gone at either of them.
+    The speed is that of a line through the fixes of `AROUND` seconds on each side, since single fixes are too noisy. If
+    the two speeds differ, the car may have had either.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

@@ -21,11 +21,11 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
 """Other conventions of a course than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
 LATE = 0.2
-"""s of delay worth a warning."""
+"""s of delay that causes a warning."""
 FEWEST = 30
 REMEDY = (
-    "a filter takes them as of one moment: leave speed and course out, or give them a time of their own (in a recipe a "
-    "second [[gps]] of the same table, its t moved), and see on another drive what they are worth"
+    "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
+    "second [[gps]] of the same table, with its t moved), and test them on another drive"
 )
 
 
@@ -80,7 +80,10 @@ def agrees(evidence: Evidence) -> bool:
 
 
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
-    """The delay of speed and course against the positions, s, that fits best; misfit with it over that without."""
+    """The delay of speed and course against the positions, s, that fits best.
+
+    Ratio of the misfit with it to that without.
+    """
     course = evidence.course
     assert course is not None
     velocity = speed * np.exp(1j * angle[evidence.used])

@@ -83,6 +83,7 @@ HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),
     "raw-gps": Method("raw GPS"),
+    "fixes-alone": Method("fixes alone, constant velocity"),
     "ekf-defaults": Method("EKF, manual: defaults", paper="ekf"),
     "ekf-datasheet": Method("EKF, manual: data sheet", paper="ekf"),
     "adaptive-ukf-defaults": Method("adaptive UKF, manual: defaults", paper="adaptive-ukf"),
@@ -103,7 +104,7 @@ METHODS: dict[str, Method] = {
 """All methods, in the order of the tables; the paper tunes the UKF alone."""
 NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
 BO_EVALUATIONS = 100
-"""At most: with more points its Gaussian process takes longer than all filters (docs/optimizers.md)."""
+"""Largest number of evaluations: with more its Gaussian process takes longer than all filters (docs/optimizers.md)."""
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
 """Additional measures of a study with rivals: s without fixes, by name."""
 MEASURES = {
@@ -158,7 +159,7 @@ class StudyConfig(BaseModel):
     gps: str = "white-1m"
     """The paper does not state its sensors' noise; CARLA's GNSS sensor has white noise."""
     vibration: float = Field(default=0.0, ge=0)
-    """Vibration of the IMU by road and engine, in which a network may hear the speed; 1 is that of real cars."""
+    """Vibration of the IMU by road and engine, which may show the speed to a network; 1 is that of real cars."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
     """Folders of drives; simulated drives by default."""
@@ -171,7 +172,7 @@ class StudyConfig(BaseModel):
     seed: int = Field(default=0, ge=0)
     """Seed of drives, splits and swarms."""
     per_condition: bool = False
-    """Tune each condition by itself instead of one filter for all of them."""
+    """Tune a filter for each condition instead of one for all of them."""
     racing: bool | None = None
     """Drop the worse candidates of a generation early. None: where tunings have many training drives
     (`tuning.racing.MANY`)."""

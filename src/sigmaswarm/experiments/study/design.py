@@ -114,7 +114,7 @@ class Design:
         return tuple(PreparedDrive(drive, as_recorded=True) for drive in drives)
 
     def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
-        """Apply a module's function to prepared drives, by index, or to all, where they are."""
+        """Apply a module-level function to prepared drives (all, or some by index) where they are."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]

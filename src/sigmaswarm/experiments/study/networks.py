@@ -56,7 +56,7 @@ class Lessons:
 
 @dataclass(frozen=True)
 class Training:
-    """A training of a network in a trial, on some minutes of driving; None: on all that the study allows."""
+    """A training of a network in a trial, on some minutes of driving (None: on all that the study allows)."""
 
     network: NetworkName
     trial: int
@@ -81,7 +81,7 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A trained network, the parameters of its filter, and the s of driving that it learned from."""
+    """A trained network, the parameters of its filter, and the time of driving that it learned from, s."""
 
     parameters: FilterParameters
     learned: Learned
@@ -151,7 +151,7 @@ def train_all(
 ) -> dict[Training, Trained]:
     """Run all trainings one after the other, or continue or read them.
 
-    ``progress`` takes how much is done of all tunings, which come before, and trainings.
+    ``progress`` gets the work done of all tunings, which come before, and trainings.
     """
     done = len(list(design.tasks)) * design.config.generations
     trained: dict[Training, Trained] = {}

@@ -1,6 +1,6 @@
 """The files of a study: results.json, scores.csv, timings.json and tracks.npz.
 
-results.json holds (null where a figure is unknown):
+results.json contains (null where a figure is unknown):
 
     schema         1
     config         study.toml
@@ -44,7 +44,7 @@ Figure = Annotated[float | None, BeforeValidator(_finite)]
 """A number; None in place of NaN and infinity, which JSON lacks."""
 Interval = tuple[Figure, Figure]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
-"""A touched bound, a sentence in the file."""
+"""A touched bound; in the file it is a sentence."""
 
 
 class _Part(BaseModel):
@@ -93,13 +93,13 @@ class VariantSummary(ScoreStatistics, _Scored):
 
 
 class PairedStatistics(_Part):
-    """Two methods on the same drives, one value a drive: the mean over the trials that tested on it.
+    """Two methods on the same drives, with one value per drive: the mean over the trials that tested on it.
 
     Attributes
     ----------
     mean_difference, interval : method less other (negative: better), with its bootstrap interval over drives
     p : of Wilcoxon's signed-rank test, two-sided
-    rank_biserial : effect size, -1 to 1: share of the rank sum in favor less the share against
+    rank_biserial : effect size, -1 to 1: share of the rank sum in favor minus the share against
     improvement, improvement_interval : percent, the paper's equation 5
     n_drives : int
     """
@@ -127,7 +127,7 @@ class PairedComparison(PairedStatistics, _Compared):
 
 
 class TrialTuning(_Part):
-    """A tuning in a trial; ``folder``, relative to the study's, holds result.json and history.npz."""
+    """A tuning in a trial; ``folder``, relative to the study's, contains result.json and history.npz."""
 
     protocol: str
     method: str
@@ -250,7 +250,10 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class Spread(_Part):
-    """Quantiles over drives of one value a drive, the mean over its trials; failed drives are counted and left out."""
+    """Quantiles over drives of one value per drive, the mean over its trials.
+
+    Failed drives are counted and left out.
+    """
 
     protocol: str
     method: str

@@ -18,10 +18,11 @@ from sigmaswarm.experiments.study.networks import Trained, score_networks
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
 from sigmaswarm.scoring.batch import Replayer, Scores
-from sigmaswarm.scoring.evaluation import score_imu_only
+from sigmaswarm.scoring.evaluation import score_fixes_alone, score_imu_only
 from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.scoring.score import score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
@@ -109,7 +110,7 @@ def score_all(
     values: dict[Variant, dict[str, Array]] = {}
     for name, method in design.config.methods.items():
         if not method.protocols:
-            unfiltered = name in ("imu-only", "raw-gps")
+            unfiltered = name in ("imu-only", "raw-gps", "fixes-alone")
             values[UNTUNED, name] = (
                 _unfiltered(name, design) if unfiltered else score(_manual_jobs(name, design))
             )
@@ -134,7 +135,7 @@ class _Pass:
 
 
 def _passes(design: Design) -> list[_Pass]:
-    """Prepare the drives for all measures; longer outages are measured locally alone."""
+    """Prepare the drives for all measures; longer outages are measured only on local drives."""
     passes = [_Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), TAKEN)]
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():
@@ -182,10 +183,28 @@ def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
 
 
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
-    """Score the raw fixes or the IMU alone on all drives, shape (1, drives) each."""
+    """Score the raw fixes, the fixes alone or the IMU alone on all drives, shape (1, drives) each.
+
+    The noises of the filter of the fixes alone are the median of those fitted to each drive.
+    """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
-    each = design.of_each(partial(_score_unfiltered, method=method, lengths=lengths, seed=seed))
+    if method == "fixes-alone":
+        noise = MotionNoise.typical(design.of_each(noise_of))
+        each = design.of_each(partial(_score_alone, noise=noise, lengths=lengths, seed=seed))
+    else:
+        each = design.of_each(partial(_score_unfiltered, method=method, lengths=lengths, seed=seed))
     return {measure: np.array([[scores[measure] for scores in each]]) for measure in each[0]}
+
+
+def _score_alone(
+    ready: PreparedDrive, noise: MotionNoise, lengths: Mapping[str, float], seed: int
+) -> dict[str, float]:
+    """Score the filter of the fixes alone on a drive."""
+    scores = {measure: score_fixes_alone(ready, noise, s, seed) for measure, s in lengths.items()}
+    first = scores["outage_drift_m"]
+    drifts = {measure: score.outage_drift for measure, score in scores.items()}
+    heading = float(np.degrees(first.heading_rmse))
+    return {"position_rmse_m": first.position_rmse, "heading_rmse_deg": heading, **drifts}
 
 
 def _score_unfiltered(

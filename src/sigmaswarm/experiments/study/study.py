@@ -1,6 +1,6 @@
 """Run a study: tune every method in every trial, then score all methods on the test drives.
 
-The folder of a study holds
+The folder of a study contains
 
     study.toml           the configuration; a resumed study must have the same
     trials/              a folder for each protocol and tuned method, as a tuning's
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 RACED = 0.2
-"""About the share of a tuning's time that racing leaves; it orders the tunings."""
+"""Approximate relative time of a tuning with racing, by which the tunings are ordered."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Study:
 
 
 def shown_trial(trials: Mapping[Task, Trial]) -> int:
-    """Return the trial whose filters are drawn: that of the honest PSO-UKF's lowest training cost."""
+    """Return the trial whose filters are plotted: the one with the honest PSO-UKF's lowest training cost."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN):
@@ -182,7 +182,7 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
         return
     if not resume:
         raise InputError(
-            f"{out}: already holds a study; add --resume to go on with it, or name another folder"
+            f"{out}: already contains a study; add --resume to continue it, or name another folder"
         )
     saved = read_config(file)
     for name in StudyConfig.model_fields:

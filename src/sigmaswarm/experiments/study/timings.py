@@ -50,7 +50,7 @@ class Stopwatch:
 
 @contextmanager
 def kept_time(file: Path) -> Generator[None]:
-    """Write the processor time of this thread in the block, as a training does, to timings.json."""
+    """Write the processor time of this thread in the block to timings.json, as that of a training."""
     began = time.thread_time()
     yield
     write_json(file, {"processor_s": time.thread_time() - began})

@@ -22,7 +22,7 @@ FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
 """Protocol and method of the filters whose tracks are saved, as series ``honest-pso-ukf``."""
 MOST_DRIVES = 10
 MOST_POINTS = 700
-"""Of a series, to limit the size of the page."""
+"""Largest number of points of a series, to limit the size of the page."""
 
 
 def follow(

@@ -1,8 +1,8 @@
 """LiveFilterBank: sixteen filters behind the interface of one; their mixture is the estimate.
 
-All of it depends on the stream alone. Lanes are replaced by what can't change any more: the state so far back that no
-late fix reaches it; from there the samples are taken again with the new lanes. So the same samples and fixes give the
-same bits, in time or late, live or from a file.
+Everything depends on the stream alone. Lanes are replaced in a past state that no late fix can change any more; from
+there the samples are processed again with the new lanes. So the same samples and fixes give the same bits, in time or
+late, live or from a file.
 """
 
 import os
@@ -38,15 +38,15 @@ from sigmaswarm.geodesy import wrap_angle
 SEARCH_EVERY = 10.0
 """s from one search to the next."""
 SEARCH_TAKES = 1.0
-"""s of the stream until its result is used; a search takes some 15 ms on another thread."""
+"""s of the stream until its result is used; a search takes about 15 ms on another thread."""
 REPLAYED = 60.0
 """s that a search replays."""
 FASTER = 2.0
-"""m/s: at lower speeds fixes say little on headings and biases, and no lane is replaced."""
+"""m/s: at lower speeds fixes hardly determine headings and biases, and no filter is replaced."""
 REPLACED = 7
 """Lanes replaced after a search: one by the result, the others by copies of good ones, jittered."""
 JITTER = 0.6
-"""Of an offset's standard deviation: how far a copy lies off its parent."""
+"""Distance of a copy from its parent, in standard deviations of an offset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +108,9 @@ class _Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A search under way, which replays the logged steps up to number ``taped``, from the ancestor of lane ``led``.
+    """A running search, which replays the logged steps up to number ``taped``, from the ancestor of lane ``led``.
 
-    A copy of it, in a forked process or by pickle, has no thread that searches, and so searches itself.
+    A copy of it, in a forked process or by pickle, has no searching thread and searches in the calling one.
     """
 
     taped: int
@@ -136,11 +136,11 @@ class LiveFilterBank(LiveFilter):
     """A bank of sixteen filters with different parameters on one stream of samples; their mixture is the estimate.
 
     Each filter (lane) predicts the fixes. Its weight comes from their likelihood, its evidence, which fades within a
-    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other receivers. Every
-    10 s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
-    lanes with their states. So the bank follows a change of sensors or of the reception. On the car that a filter was
-    tuned for it is no better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with
-    the gyro corrected by the known bias, which most of them keep.
+    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes represent other receivers. Every 10
+    s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
+    lanes with their states. So the bank follows a change of sensors or of the reception. On the car of the tuning it is
+    not better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with the gyro
+    corrected by the known bias, which most of them keep.
 
     It is used like a `LiveFilter`, but has no smoothed state. A `pickle` copy continues with the same bits. A fix from
     before a reset of lanes comes too late for all of them.
@@ -248,7 +248,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight to the first lanes only, as an export with so many does; without searches only."""
+        """Give weight to the first lanes only, as an export with that number does; only without searches."""
         self._counted = lanes
         self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)
@@ -406,7 +406,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """State estimate (n,), (n, n) with the biases from before it was lost: at a fix, lanes forget them."""
+        """State estimate (n,), (n, n) with the biases from before the divergence: a reset to a fix forgets them."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -417,12 +417,12 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Known bias of the gyro, rad/s, for alignments: with a bad gyro they would find a wrong heading."""
+        """Known bias of the gyro, rad/s, for alignments, whose heading would be wrong with a bad gyro."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Keep the known biases of a state estimate (n,), (n, n), except in lanes that stand for other biases.
+        """Keep the known biases of a state estimate (n,), (n, n), except in lanes with other biases.
 
         The alignment's own bias is used where it is more precise or contradicts the known one.
         """
@@ -544,7 +544,7 @@ class LiveFilterBank(LiveFilter):
 
 
 def _is_definite(covariance: Array) -> bool:
-    """Return True if a covariance (n, n) is finite and positive semidefinite, but for rounding."""
+    """Return True if a covariance (n, n) is finite and positive semidefinite, up to rounding."""
     variance = covariance.diagonal()
     if not (np.isfinite(covariance).all() and variance.min() >= 0.0):
         return False

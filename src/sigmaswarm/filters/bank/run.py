@@ -12,6 +12,7 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.timeline import headings_of
 from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
@@ -92,7 +93,7 @@ class BankRun:
     bank : LiveFilterBank
     initial : InitialState
     failure : str or None
-        When no lane was left for the first time, in the pieces so far.
+        First time at which all lanes had failed, in the pieces so far.
     """
 
     def __init__(
@@ -191,18 +192,19 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
 
 
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
-    """Fixes (time, position, (velocity, std)) and odometer readings (time, None, speed), by time."""
+    """Fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
     gps, wheels = drive.gps, drive.odometer
     has_velocity = gps.speed is not None and gps.course is not None
     has_std = gps.std_x is not None and gps.std_y is not None
-    columns = [gps.time, gps.x, gps.y]
+    heading, variance = headings_of(gps)
+    columns = [gps.time, gps.x, gps.y, heading, np.sqrt(variance)]
     if gps.speed is not None and gps.course is not None:
         columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
     if gps.std_x is not None and gps.std_y is not None:
         columns += [gps.std_x, gps.std_y]
     fixes = (
-        (t, (x, y), (more[:2] if has_velocity else None, more[-2:] if has_std else None))
-        for t, x, y, *more in _rows(columns)
+        (t, (x, y), (more[:2] if has_velocity else None, more[-2:] if has_std else None, (theta, std)))
+        for t, x, y, theta, std, *more in _rows(columns)
     )
     readings = ((t, None, v) for t, v in _rows([wheels.time, wheels.speed])) if wheels else ()
     return merge(fixes, readings, key=itemgetter(0))

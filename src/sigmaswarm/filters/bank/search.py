@@ -32,11 +32,11 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
-"""Of differential evolution: F and CR."""
+"""F and CR of differential evolution."""
 NOT_SCORED = 2.0
 """s at the beginning of a replay, in which a filter of other offsets settles."""
 FEWEST_FIXES = 8
-"""Fewest fixes that are scored; fewer do not decide."""
+"""Least number of scored fixes for a result."""
 FARTHEST = 8.0
 """Standard deviations of an offset."""
 
@@ -58,7 +58,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps of the log of a filter bank (k, N_TAPE), and what else `run_lanes` reads of them."""
+    """Steps of the log of a filter bank (k, N_TAPE), and the other inputs of `run_lanes`."""
 
     kernel: str
     rows: Array
@@ -82,7 +82,7 @@ class Steps:
     def followed(self, lane: Array, known: Evidence) -> tuple[Array, Evidence]:
         """A lane (N_KEPT,) after all steps, and its evidence then."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
-        fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint8) & FIX)
+        fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
         self._run(lanes, self._place, len(self.rows), innovations)
         return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _lost_over(*innovations.T))
@@ -97,7 +97,7 @@ class Steps:
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
         """Run from a place to before step ``stop``; lanes and place are changed."""
         k = len(self.rows)
-        flags, steps = self.rows[:, T_FLAGS].astype(np.uint8), self.rows[:, T_STEP]
+        flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         arrays = (
             np.ascontiguousarray(steps[:, :FIRST_AXIS]),
             np.arange(k, dtype=np.int32),
@@ -132,7 +132,7 @@ def _lost(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Loss of a lane's evidence over each fix, (f,), of nu (m) and S (m2): as in `compiled.swarm`."""
+    """Loss of a lane's evidence at each fix, (f,), from nu (m) and S (m2), as in `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
@@ -140,7 +140,7 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
 
 
 SCALED = R.TIMES_R, R.TIMES_Q
-"""Factors of a fuzzy filter's constants: 1 where those are replaced."""
+"""Factors of a fuzzy filter's constants: 1 where the constants are replaced."""
 
 
 def as_at_start(lanes: Array) -> Array:
@@ -236,7 +236,10 @@ def search(
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
-    """Make a trial for each of the population: another one plus the difference of two more, crossed with it."""
+    """Make a trial for each member of the population.
+
+    Another member plus the difference of two more, crossed with it.
+    """
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

@@ -1,7 +1,7 @@
 """Offsets of a bank's filters from the tuning, most of them in decades of variance.
 
-An offset stands for one thing that may have changed since the filter was tuned: the noise of the IMU or the receiver,
-the place of the rear axle. One matrix turns offsets into constants of the kernel: a lane costs one power of ten.
+An offset is one quantity that may have changed since the tuning: the noise of the IMU or the receiver, the position of
+the rear axle. One matrix turns offsets into constants of the kernel: a lane costs one power of ten.
 """
 
 from dataclasses import dataclass, replace
@@ -15,9 +15,9 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0
-"""Degrees of freedom of the offsets' distribution, Student's t: most are small; of another sensor large."""
+"""Degrees of freedom of the offsets' distribution, Student's t: most are small, those of another sensor large."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
-"""Standard deviations of offsets, decades of variance: of a state's noise, a bias's walk, R, other measurements."""
+"""Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
 R_DOWN_STD = 0.45
 """The same of an R below the tuning's, in the penalty: in a city fixes are good until they jump."""
 SCALE_STD = 0.7
@@ -44,8 +44,9 @@ _MEASURED = {
     "lateral": ("lateral_noise", "R_LATERAL"),
     "standstill": ("standstill_noise", "R_STANDSTILL"),
     "odometer": ("odometer_noise", "R_ODOMETER"),
+    "heading": ("heading_noise", "R_HEADING"),
 }
-"""By the offset's name: the parameter and the kernel's constant."""
+"""The parameter and the kernel's constant of each offset, by name."""
 FAR, FAR_AXLE = 0.5, 0.5
 """Decades, m: larger offsets are reported."""
 _MEANS = {
@@ -155,7 +156,7 @@ class Spread:
         return found
 
     def warnings(self, moved: Array) -> tuple[str, ...]:
-        """Sentences on offsets (d,) that are too large for the vehicle that the filter was tuned for.
+        """Warnings of offsets (d,) that are too large for the vehicle of the tuning.
 
         A factor that all variances have in common is reported once, and the others relative to it.
         """

@@ -1,6 +1,6 @@
 """The unscented filter of `textbook`, compiled around a user's f and h: one parameter set over one log.
 
-Nothing is known of f and h, so nothing can be vectorized; what remains is to leave out Python. A function of the user's
+f and h are unknown, so nothing can be vectorized; the gain is that Python is left out. A function of the user's
 can't be cached between processes, so each process compiles its own kernel when it first needs it. Plain loops, since
 whole-array expressions take Numba several times as long to compile, and plain arguments, since a tuple of the arrays
 makes each step take twice as long.
@@ -18,7 +18,10 @@ from numba import njit
 
 _TWO_PI = 2 * math.pi
 
-_kernel = njit(error_model="numpy")
+_kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""For functions that kernels alone call: entries for Python and C would cost compile time."""
+_inlined = njit(error_model="numpy", inline="always")
+"""For functions with one call each: LLVM would optimize them once alone, and again where they are called."""
 
 _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 
@@ -28,14 +31,14 @@ def build_kernel(
 ) -> Any:
     """The filter around a user's functions, compiled when it is first called; see `run` in it for its arguments.
 
-    ``diagonal``: process_noise gives the diagonal of Q. Bounds are checked in the user's functions: an index that is
-    off raises there, too, in place of reading foreign memory.
+    ``diagonal``: process_noise gives the diagonal of Q. Bounds are checked in the user's functions: an index out of
+    bounds raises an error there, too.
     """
-    user = njit(error_model="numpy", boundscheck=True)
+    user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
     put = _put_diagonal if diagonal else _put_matrix
 
-    @_kernel
+    @_inlined
     def predict(mean, covariance, root, drawn, moved, state, weights, dt, u, p, angles):
         """Push the sigma points through f, and add Q; False where P has no root."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
@@ -48,7 +51,7 @@ def build_kernel(
         _add_products(moved, moved, weights, covariance)
         return True
 
-    @_kernel
+    @_inlined
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
@@ -75,7 +78,7 @@ def build_kernel(
         dt, source, absorbs, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Take all steps, write to the last four arrays; gives the step in which the filter failed, or -1."""
+        """Take all steps, write to the last four arrays; return the step in which the filter failed, or -1."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -104,7 +107,7 @@ def build_kernel(
                     _put_matrix(covariance, covariances[at])
         return -1
 
-    return njit(nogil=True, error_model="numpy")(run)
+    return njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(run)
 
 
 @_kernel
@@ -149,10 +152,10 @@ def _root(a, root):
 
 @_kernel
 def _centre(images, points, angles, weights, mean):
-    """The mean of ``images``, written to ``mean``, and what they differ from it, in their place.
+    """The mean of ``images``, written to ``mean``; the differences from it replace ``images``.
 
-    In an angle, a difference from the first image less that of the points they are images of (where such are given)
-    is no more than half a turn.
+    For an angle, the difference from the first image minus that of the original points (if given) is at most half a
+    turn.
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -180,7 +183,7 @@ def _add_products(a, b, weights, out):
 
 @_kernel
 def _absorb(mean, covariance, nu, s, cross, root):
-    """x + K nu and P - K S K^T; gives NIS and log det S, all NaN where S has no root.
+    """x + K nu and P - K S K^T; return NIS and log det S, all NaN if S has no root.
 
     With S = L L^T, y = L^-1 nu and W = C L^-T: K nu = W y, K S K^T = W W^T, and the NIS is y^T y.
     """
@@ -209,7 +212,7 @@ def _absorb(mean, covariance, nu, s, cross, root):
 
 @_kernel
 def _finite(mean, covariance):
-    """Whether both are finite numbers throughout: zero times anything else is NaN."""
+    """Return whether all numbers of both are finite: zero times anything else is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

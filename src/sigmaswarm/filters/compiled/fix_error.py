@@ -1,8 +1,8 @@
-"""The errors of fixes that last, as two states behind those of a model: `filters.fix_error` in closed form.
+"""Fix errors that last, as two states after those of a model: `filters.fix_error` in closed form.
 
-The states do not enter the process. So a prediction takes their columns of P through F and leaves all else: the rows
-that a model's prediction leaves in scratch make F, in an unscented filter too (its statistical linearization, see
-`tape`). What changes b from fix to fix is done at the fix. Measurements loop over all n states; b is the last two.
+The states do not enter the process. So a prediction multiplies their columns of P by F and changes nothing else: F is
+made from the scratch rows of a model's prediction, in an unscented filter too (its statistical linearization, see
+`tape`). The change of b from fix to fix is computed at the fix. Measurements loop over all n states; b is the last two.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -14,7 +14,7 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 
 
 def carry(w, u, *, n, biases):
-    """Take the columns of b through a planar model's step; ``biases``: it has planar8's."""
+    """Propagate the columns of b by a planar model's step; ``biases``: it has planar8's."""
     dt = u[DT]
     h = 0.5 * dt
     for l in range(LANES):
@@ -43,7 +43,7 @@ def age_fix_error(w, z, since):
 
 
 def move_fix_error(w, *, n, noted):
-    """Take b from the last fix to this one; ``noted``: number of phi among the rows of `tape`, 0 without one."""
+    """Propagate b from the last fix to this one; ``noted``: number of phi among the rows of `tape`, 0 without one."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         for j in range(n - 2, n):
@@ -59,7 +59,7 @@ def move_fix_error(w, *, n, noted):
 
 
 def see_fix_error(w, *, n):
-    """Add phi b, and what it gains, to z = p of a fix: to nu, H P H^T and C."""
+    """Add phi b, and its added variance, to z = p of a fix: to nu, H P H^T and C."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         w[R.N1, l] -= phi * w[n - 2, l]

@@ -1,4 +1,4 @@
-"""A live filter's last seconds once more, with every step on tape for the smoother."""
+"""A live filter's last seconds again, with every step logged for the smoother."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -7,7 +7,7 @@ from sigmaswarm.filters.compiled.live import N_ALL, take_again
 from sigmaswarm.filters.compiled.run import cached_by_sources
 
 N_TAPED = N_ALL
-"""Where, behind a live filter's belief, the number of steps on tape stands; the tape follows, step by step."""
+"""Index, after a live filter's state, of the number of logged steps; the log follows, step by step."""
 TAPE = N_ALL + 1
 
 
@@ -24,7 +24,7 @@ def _again(sources):
 def again_call():
     """``(step, v, counts, fixes, speeds, history, marks, first, corrects)``: a live filter's samples again.
 
-    ``v`` is the belief before number ``first``; ``corrects`` as in `live.take_again`. For a smoother ``step`` is the
+    ``v`` is the state before number ``first``; ``corrects`` as in `live.take_again`. For a smoother ``step`` is the
     address of `single_step` with its tape at N_TAPED.
     """
     return cached_by_sources(_again, "live again")

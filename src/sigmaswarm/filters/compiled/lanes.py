@@ -1,9 +1,9 @@
-"""What all kernels share: lanes, compiler flags, and a sine that vectorizes.
+"""Common parts of all kernels: lanes, compiler flags, and a sine that vectorizes.
 
 **Lanes.** Arrays are (row, lane) with parameter sets side by side, so that each loop over lanes becomes vector
-instructions; `layout` names the rows. All rows of one run live in one local array: with a single base pointer
-the compiler can rule out that writing one row changes another. A failing lane turns to NaN or loses its OK flag;
-nothing branches on it, so the other lanes neither wait nor change.
+instructions; `layout` names the rows. All rows of one run live in one local array: with a single base pointer the
+compiler can rule out that writing one row changes another. A failing lane becomes NaN or loses its OK flag; nothing
+branches on it, so the other lanes neither wait nor change.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -18,14 +18,14 @@ from sigmaswarm.filters.compiled.unroll import Kernel
 from sigmaswarm.filters.compiled.vectors import put_loops
 
 OPTIONS = {"error_model": "numpy", "nogil": True}
-"""Of what calls kernels: it divides as they do. Only their loops over lanes may be rearranged."""
+"""Flags of functions that call kernels: they divide as kernels do. Only loops over lanes may be rearranged."""
 
 
 def kernel(function, **known):
-    """A function to be written into others, with its keyword-only parameters bound: see `Kernel` and `put_loops`.
+    """A function to be inlined into others, with its keyword-only parameters bound: see `Kernel` and `put_loops`.
 
-    It takes the array of rows ``w``, gives nothing, and does not end early. Its loops over lanes become functions of
-    their own; what remains is a few decisions. It is written out when something is compiled that calls it.
+    It takes the array of rows ``w``, returns nothing, and does not end early. Its loops over lanes become functions of
+    their own. It is generated when a caller is compiled.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 
@@ -33,7 +33,7 @@ def kernel(function, **known):
 def _series(z):
     """(sin(r) / r - 1) / z and cos(r) of an angle between -pi/4 and pi/4 whose square is z.
 
-    The minimax polynomials of fdlibm (k_sin.c, k_cos.c), their terms paired so that fewer have to wait for each other.
+    The minimax polynomials of fdlibm (k_sin.c, k_cos.c), with terms paired for fewer dependent operations.
     """
     zz = z * z
     s1 = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
@@ -46,21 +46,21 @@ def _series(z):
 
 
 FAR = (math.pi / 4) ** 2
-"""Of a squared angle: up to there `sinc_cos` holds."""
+"""Largest squared angle for `sinc_cos`."""
 TINY = 1e-100
-"""Added to what may be 0 and is divided by; too small to change anything else."""
+"""Added to divisors that may be 0; too small to change others."""
 
 
 def sinc_cos(z):
-    """sin(r) / r and cos(r) of an angle between -pi/4 and pi/4 whose square is z, without root or quotient."""
+    """sin(r) / r and cos(r) of an angle between -pi/4 and pi/4 whose square is z, without square root or division."""
     s, cos = _series(z)
     return 1.0 + z * s, cos
 
 
 def _near(x, n):
-    """Sine and cosine of x less n right angles, which is between -pi/4 and pi/4, without branches or calls.
+    """Sine and cosine of x minus n right angles, which is between -pi/4 and pi/4, without branches or calls.
 
-    Error about 3e-16 in addition to that of the last digit of x: pi/2 is that well known.
+    The error is about 3e-16, the accuracy of pi/2, in addition to that of the last digit of x.
     """
     r = x - n * (math.pi / 2)
     z = r * r
@@ -82,9 +82,9 @@ def sincos(x):
 
 
 def spread_of(quarter_gamma, variance):
-    """What an angle's sigma points do, see `planar5`: d/4, with d = gamma sigma; k = sin d / d; (sin d/2)^2 / 4.
+    """Terms of an angle's sigma points, see `planar5`: d/4, with d = gamma sigma; k = sin d / d; (sin d/2)^2 / 4.
 
-    From a quarter of the angle, less whole turns: no quadrant is left to ask for.
+    Computed from a quarter of the angle, minus whole turns, so that no quadrant is needed.
     """
     quarter = quarter_gamma * math.sqrt(variance) + TINY
     sin, cos = _near(quarter, np.floor(quarter * (2 / math.pi) + 0.5))
@@ -95,7 +95,7 @@ def spread_of(quarter_gamma, variance):
 def angle_of(y, x):
     """The angle of the vector (x, y), in [-pi, pi], without branches or calls; to the last digit or two.
 
-    The ratio of the smaller to the larger, brought to [-tan(pi/8), tan(pi/8)], then the rational function of Cephes
+    The ratio of the smaller to the larger, reduced to [-tan(pi/8), tan(pi/8)], then the rational function of Cephes
     (S. Moshier, atan.c).
     """
     ax, ay = abs(x), abs(y)

@@ -20,17 +20,17 @@ WIDEST = 8
 """Lanes in the widest vector of any processor. An array of rows has as many lanes, or a multiple of it."""
 
 BLOCKS = 2
-"""A run may take so many times LANES: the lanes from LANES on stand in rows of their own, behind all of the first."""
+"""Largest multiple of LANES of a run: the lanes from LANES on are in rows of their own, after all of the first."""
 
 
 def most_lanes(kernel: str) -> int:
-    """Filters that a run takes at once: many, for they hide what each waits for, but all in a core's nearest cache."""
+    """Filters that a run takes at once: many, to hide latencies, but all in a core's nearest cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
 
 def lanes_for(n_sets: int) -> int:
-    """The lanes that so many filters take."""
+    """The lanes of this many filters."""
     return -(-n_sets // WIDEST) * WIDEST
 
 
@@ -40,14 +40,14 @@ LETTERS = {
     "roll": "I", "pitch": "J", "gyro_bias_x": "K", "gyro_bias_y": "L",
     "fix_error_x": "M", "fix_error_y": "N",
 }  # fmt: skip
-"""One for each state of any model; two of them name an element of the covariance."""
+"""One letter for each state of any model; two letters name an element of the covariance."""
 
 _LARGEST = max(FILTERS.values(), key=lambda model: len(model.states))
 _STATES = [LETTERS[name] for name in _LARGEST.names]
 
 MEAN = tuple(_STATES)
 QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")
-"""Of models with tilts: see `tilted12`."""
+"""Rows of models with tilts: see `tilted12`."""
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
 """The upper triangle column by column, so that a model's rows are the first of a larger one's."""
 CONSTANTS = (
@@ -58,7 +58,7 @@ CONSTANTS = (
     "REAR_AXLE", "TIRE_SLIP", "LATENCY", "GATE", "FORGETTING", "FADING",
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
-    "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
+    "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
     "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix that states none
 )  # fmt: skip
@@ -72,7 +72,7 @@ SUMS = (
     # planar5's heading's, right where FACED is 1: whoever writes a heading makes it 0, in a kernel FACED_ALL, too.
     "FACED", "COS", "SIN",
 )  # fmt: skip
-"""What a run adds up and remembers; the first nine are those of `replay.Sums`, in its order."""
+"""Sums and memory of a run; the first nine are those of `replay.Sums`, in its order."""
 SCRATCH = (
     "FACED_ALL",  # the same in all lanes. 1: FACED is 1 in each of them; 0: nobody has looked
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
@@ -112,7 +112,7 @@ R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntyped
 """Each row's number under its name."""
 P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
 ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0, R.PIVOT0
-"""First rows: P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i, the others' i-th in row Q0 + i and so on."""
+"""First rows: P[i, j] with i <= j is in row P0 + j (j + 1) / 2 + i, the i-th of the others in row Q0 + i and so on."""
 
 
 def _rows(block: str) -> slice:
@@ -126,7 +126,7 @@ N_STATE: int = STATE_ROWS.stop
 
 @cache
 def state_rows(kernel: str) -> NDArray[np.intp]:
-    """The rows that hold a model's state: mean (n,), quaternion (4,) if any, upper triangle of the covariance."""
+    """The rows of a model's state: mean (n,), quaternion (4,) if any, upper triangle of the covariance."""
     n = len(FILTERS[kernel].states)
     quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if FILTERS[kernel].tilts else ()
     return np.array([*range(n), *quaternion, *range(P0, P0 + n * (n + 1) // 2)], dtype=np.intp)
@@ -139,4 +139,4 @@ def at(i: int, j: int) -> int:
 
 
 N_KEPT: int = SUM_ROWS.stop
-"""Rows that make a filter: from them it goes on. What follows is scratch."""
+"""Rows of a filter, from which it continues. The rows after them are scratch."""

@@ -1,7 +1,7 @@
-"""A live filter's memory, and what an IMU sample and a fix do to it: one call each, with nothing left to Python.
+"""A live filter's memory, and its change by an IMU sample and a fix: one compiled call each.
 
-The filter is the first lane of the rows in `layout`; a step stands in `single`, and is called by its address, so that
-what is here is compiled once for all models. The memory is eight arrays:
+The filter is the first lane of the rows in `layout`; a step is in `single`, and is called by its address, so that this
+file is compiled once for all models. The memory is eight arrays:
 
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
     counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
@@ -38,7 +38,7 @@ from sigmaswarm.filters.compiled.memory import memory_at
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
 from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL, WATCHED, last_fix, rough_heading
-from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
+from sigmaswarm.filters.schedule import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
 # The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, the intervals
 # in which the constraints and the odometer were absorbed last, and when the latter was.
@@ -58,9 +58,11 @@ LATE_BY, SEEN_FIX, LOOKED = range(N_BELIEF + 7, N_BELIEF + 10)
 LEVER = slice(N_BELIEF + 10, N_BELIEF + 13)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
 LAST_SAMPLE = SAMPLE.start  # its time
-FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, HAS_VELOCITY, KIND = range(9)
+(
+    FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA, HAS_VELOCITY, KIND,
+) = range(11)  # fmt: skip
 FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
-N_FIX = 9
+N_FIX = 11
 # The last sample and fix that lay too far ahead to be taken at once; and the one that has just come.
 SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
@@ -81,19 +83,19 @@ N_COUNTS = 14
 NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
 
 BEHIND = 8 * math.ceil(N_ALL / 8)
-"""Where the numbers behind the belief begin, a whole number of the widest vectors from its start."""
+"""Index at which the numbers after the state begin, a multiple of the widest vectors."""
 MARK_EVERY = 16
-"""Samples: what is behind the belief is much, and seldom gone back to."""
+"""Samples between two checkpoints: the numbers after the state are many, and seldom needed."""
 
 CHECK_EVERY = MARK_EVERY
 """Samples from one check of the covariance to the next; it is checked after each fix, too."""
 ROUNDING = 1e-8
-"""The least eigenvalue of the correlations may lie so far below zero."""
+"""Limit of a negative eigenvalue of the correlations, for rounding."""
 
 LEAP = 10.0
 """s: a sample or fix that is stamped farther ahead of the filter is held back until a second one agrees."""
 AGREES = 1.0 + 1e-6
-"""s between the two; beside the second, what rounding takes off times that count from 1970."""
+"""s between the two: one second, and the rounding of times that count from 1970."""
 
 # The numbers (DT ... GY) of the step that ends at a sample's time; whether the last second was calm, and its means.
 S_TIME = N_BELIEF
@@ -106,16 +108,16 @@ N_RECORD = S_MEANS.stop
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
 DUE = 2
-"""What became of a sample, beside NOTHING and TAKEN: it was taken, and it is time to look at the filter."""
+"""Result of a sample, in addition to NOTHING and TAKEN: it was taken, and the divergence monitor is due."""
 
 
 _plain = njit(**OPTIONS)
-"""Bookkeeping has no lanes; its slots of time are compared with those of a run, so nothing in it is rearranged."""
+"""Functions without lanes; their time slots must equal those of a run, so no operations are rearranged."""
 
 
 @_plain
 def _step_to(step, v, to, u, happens, z, wheels):
-    """From where the belief is to a moment; u (N_STEP,) with the axes and the gap, its length is put in."""
+    """Step from the time of the state to a moment; u (N_STEP,) has the axes and the gap, and gets its length."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
@@ -126,7 +128,7 @@ def _step_to(step, v, to, u, happens, z, wheels):
 
 @_plain
 def _copy(of, to, n):
-    """The first n numbers; Numba takes long to compile the same for whole arrays."""
+    """Copy the first n numbers; for whole arrays Numba takes long to compile."""
     for i in range(n):
         to[i] = of[i]
 
@@ -141,9 +143,9 @@ def _same(a, b, n):
 
 @_plain
 def is_definite(p, n, factor, first):
-    """Whether a covariance of n states is positive semidefinite, but for rounding: by its Cholesky factor.
+    """Return whether a covariance of n states is positive semidefinite, up to rounding, by its Cholesky factor.
 
-    ``p`` is its upper triangle column by column; that of the factor is written from place ``first`` on.
+    ``p`` is its upper triangle column by column; that of the factor is written from index ``first`` on.
     """
     for j in range(n):
         begin = j * (j + 1) // 2
@@ -175,12 +177,12 @@ def _check(v):
 
 @_plain
 def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
-    """Step through the fixes up to a sample's time, and apply there the odometer and the constraints of a car.
+    """Step through the fixes up to a sample's time; apply the odometer and the constraints of a car there.
 
     ``number``: of the sample, from the start.
     """
-    before, nothing = v[TIME], np.zeros(9)
-    no_fix, wheels = nothing[:6], nothing[6:]
+    before, nothing = v[TIME], np.zeros(11)
+    no_fix, wheels = nothing[:8], nothing[8:]
     end, came = _until(fixes, counts[N_FIXES], t), _until(speeds, counts[N_SPEEDS], t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
@@ -190,6 +192,8 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
         if z[KIND] >= FROZEN:
             continue
         happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
+        if z[FIX_VAR_THETA] < math.inf:
+            happens |= HEADING
         _step_to(step, v, z[FIX_TIME], u, happens, z[FIX_ROW], wheels)
         v[SINCE] = 0.0
     happens = 0
@@ -216,7 +220,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 @_plain
 def _until(rows, n, now):
-    """How many of the first n rows, which begin with their times, are up to a time."""
+    """Return the number of the first n rows, which begin with their times, up to a time."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -224,7 +228,7 @@ def _until(rows, n, now):
 
 @_plain
 def _stands(v, fixes, end, now, means):
-    """After a calm second: whether the fixes up to row ``end`` and the stop so far show a standstill."""
+    """Return whether, after a calm second, the fixes up to row ``end`` and the stop so far show a standstill."""
     if not fixes_stand(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
@@ -233,7 +237,7 @@ def _stands(v, fixes, end, now, means):
 
 @_plain
 def _lies_ahead(v, t):
-    """Whether a time is so far ahead of the filter's that one stamp alone is not believed."""
+    """Return whether a time is so far ahead of the filter's that it needs a second stamp."""
     return t - v[TIME] > LEAP and v[BELIEVES_TIMES] == 0.0
 
 
@@ -245,7 +249,7 @@ def _record(counts, history, k):
 
 @_plain
 def _keep(v, counts, fixes, history, z):
-    """Put a fix among the others, by time; where there is no room, without those that nothing needs any more."""
+    """Insert a fix by time; if there is no room, remove those that are not needed any more."""
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -285,7 +289,7 @@ def _keep(v, counts, fixes, history, z):
 
 @_plain
 def _keep_speed(v, counts, speeds, history, t, speed):
-    """Put a reading among the others, by time; where there is no room, without those that nothing needs any more."""
+    """Insert a reading by time; if there is no room, remove those that are not needed any more."""
     if counts[N_SPEEDS] == speeds.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -310,7 +314,7 @@ def _keep_speed(v, counts, speeds, history, t, speed):
 
 @_plain
 def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
-    """Take an IMU sample whose time is believed: a gap before it is driven by the mean of the two around it."""
+    """Process an IMU sample with an accepted time: a gap before it is driven by the mean of the two around it."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -347,7 +351,7 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
 
 @_plain
 def _mark(v, marks, number):
-    """Keep what is behind the belief, if it is time before sample ``number``."""
+    """Keep the numbers after the state as a checkpoint, if one is due before sample ``number``."""
     if marks.shape[0] > 0 and number % MARK_EVERY == 0:
         _copy(v[BEHIND:], marks[number // MARK_EVERY % marks.shape[0]], marks.shape[1])
 
@@ -365,9 +369,9 @@ def _first_after(counts, history, t):
 
 @_plain
 def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
-    """Take the kept samples again, from number ``first`` on; ``v`` is the belief before it.
+    """Process the stored samples again, from number ``first`` on; ``v`` is the state before it.
 
-    ``corrects``: what was believed before each of them is what is believed now.
+    ``corrects``: the stored states before each of them are replaced.
     """
     for number in range(first, counts[N_HISTORY]):
         record = _record(counts, history, number)
@@ -390,7 +394,7 @@ def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
 
 @_plain
 def _again_from(step, v, counts, fixes, speeds, history, marks, back):
-    """Back to before a kept sample, or to the mark before it, and forward again."""
+    """Go back to before a stored sample, or to the checkpoint before it, and forward again."""
     if marks.shape[0] > 0:
         number = counts[N_SAMPLES] - counts[N_HISTORY] + back
         back -= number % MARK_EVERY
@@ -401,7 +405,7 @@ def _again_from(step, v, counts, fixes, speeds, history, marks, back):
 
 @_plain
 def _place(step, v, counts, fixes, speeds, history, marks, z):
-    """Take a fix whose time is believed: it waits for its sample, or takes the filter back and forward again."""
+    """Process a fix with an accepted time: it waits for its sample, or takes the filter back and forward again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
     if t <= v[START]:  # absorbed already, but it may show a standstill
@@ -422,7 +426,7 @@ def _place(step, v, counts, fixes, speeds, history, marks, z):
 
 @_plain
 def _watch(counts, lately, sample):
-    """Keep a sample for the watch."""
+    """Store a sample for the divergence monitor."""
     if lately.shape[0] > 0:
         row = counts[NEWEST] = (counts[NEWEST] + 1) % lately.shape[0]
         counts[N_LATELY] = min(counts[N_LATELY] + 1, lately.shape[0])
@@ -431,7 +435,7 @@ def _watch(counts, lately, sample):
 
 @_plain
 def _sees_more(v, counts, fixes, t):
-    """Whether fixes have come since this was asked last, up to a time."""
+    """Return whether fixes have arrived since the last call, up to a time."""
     f = last_fix(fixes, counts[N_FIXES], t, max(v[SEEN_FIX], v[START]))
     if f >= 0:
         v[SEEN_FIX] = fixes[f, FIX_TIME]
@@ -440,7 +444,7 @@ def _sees_more(v, counts, fixes, t):
 
 @_plain
 def _is_due(v, counts, fixes, t):
-    """Whether the filter is to be looked at after a sample: once in each interval, where a fix has just come."""
+    """Return whether the monitor is due after a sample: once in each interval, after a new fix."""
     if not _sees_more(v, counts, fixes, t):
         return False
     slot = slot_of(t, v[START], LOOK_INTERVAL)
@@ -453,7 +457,7 @@ def _is_due(v, counts, fixes, t):
 
 def _take_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
-        """An IMU sample; one that is not after the last one is left out, one far ahead waits for a second."""
+        """Process an IMU sample; one that is not after the last one is ignored, one far ahead waits for a second."""
         step, v, counts, memory, fixes, speeds, history, marks, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
@@ -491,13 +495,13 @@ def _take_sample(sources):
 
 
 def _take_fix(sources):
-    def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y):
-        """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
+    def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
+        """Process a fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
             return LEFT_OUT
-        z = np.array([t, x, y, vx, vy, var_x, var_y, has_velocity, 0.0])
+        z = np.array([t, x, y, vx, vy, var_x, var_y, theta, var_theta, has_velocity, 0.0])
         ahead = v[FIX_AHEAD]
         agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
         if counts[HOLDS_FIX] == HELD:
@@ -520,7 +524,7 @@ def _take_fix(sources):
 
 def _take_speed(sources):
     def speed(handle, t, value):
-        """A reading of the odometer: it waits for its sample, or takes the filter back; none is held back."""
+        """Process a reading of the odometer: it waits for its sample, or takes the filter back."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or speeds.shape[0] == 0:
             return IGNORED
@@ -544,7 +548,7 @@ def _take_speed(sources):
 
 def _look_back(sources):
     def heading(handle, gyro_bias):
-        """A rough heading at the last sample, by what came lately alone: see `watch`."""
+        """An approximate heading at the last sample, from the last seconds alone: see `watch`."""
         _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
         if sources == "":
             return math.nan
@@ -555,7 +559,7 @@ def _look_back(sources):
 
 def _look_at_covariance(sources):
     def definite(handle):
-        """Whether the covariance is positive semidefinite now, between two checks, too."""
+        """Return whether the covariance is positive semidefinite now, also between two checks."""
         v = memory_at(handle)[1]
         return sources != "" and is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
 
@@ -564,12 +568,12 @@ def _look_at_covariance(sources):
 
 @dataclass(frozen=True)
 class LiveCalls:
-    """What is done with the memory of a live filter, of which they take the `Memory.handle`.
+    """Compiled functions on the memory of a live filter, of which they take the `Memory.handle`.
 
     Attributes
     ----------
     sample : ``(handle, t, a, b, c, d, e, f)``, an IMU sample, its axes as the filter takes them; what became of it
-    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
+    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``, a fix; what became of it
     speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
     heading : ``(handle, gyro_bias)``, approximate heading from the log alone, rad, for a gyro of that bias (rad/s); NaN
         where it does not show one
@@ -588,10 +592,10 @@ class LiveCalls:
 
 @once
 def live_calls():
-    """Compiled now, and once: numbers of other types are converted, not compiled for again."""
+    """Compiled once, on import: numbers of other types are converted."""
     makers = (_take_sample, _take_fix, _take_speed, _look_back, _look_at_covariance)
     calls = [cached_by_sources(make, "live") for make in makers]
-    for function, numbers in zip(calls, (7, 8, 2, 1, 0), strict=True):
+    for function, numbers in zip(calls, (7, 10, 2, 1, 0), strict=True):
         signature = (int64, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)

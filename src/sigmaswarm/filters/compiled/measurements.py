@@ -1,20 +1,35 @@
-"""What the compiled filter absorbs: fixes, velocities, and what a car on its wheels can't do.
+"""Updates of the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
 
 Each measurement fills, lane by lane, the innovation nu, its variance S and the covariances C = Cov(state, z); then
 `_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C come from sigma
-points. Where z is linear in the state they are the Kalman filter's; where it turns something by the heading they have
-a closed form, as in planar5.py and planar8.py.
+points. Where z is linear in the state they are the Kalman filter's; where it is rotated by the heading they have a
+closed form, as in planar5.py and planar8.py.
 
-Loops over states (i, j, row) are written out for the model's n by `unroll.unrolled`, and so is what depends on whether
-it estimates the gyro's bias (its place, or -1); `absorbers` gives the result.
+Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`, as are the parts that depend on the
+gyro's bias (its index, or -1); `absorbers` returns the result.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
 import math
 
+import numpy as np
+
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
-from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
+from sigmaswarm.drives.timeline import (
+    AX,
+    FIX_THETA,
+    FIX_U,
+    FIX_V,
+    FIX_VAR_THETA,
+    FIX_VAR_X,
+    FIX_VAR_Y,
+    FIX_X,
+    FIX_Y,
+    GX,
+    GY,
+    GZ,
+)
 from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, see_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, SLOPE, R, at
@@ -23,17 +38,19 @@ from sigmaswarm.filters.compiled.tilted12 import (
     fold,
     measure_along_tilted,
     measure_fix_tilted,
+    measure_heading_tilted,
 )
 from sigmaswarm.filters.compiled.tilted12_unscented import (
     OUTPUTS,
     measure_fix_unscented,
+    measure_heading_unscented,
     measure_lateral_unscented,
     measure_odometer_unscented,
 )
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED
 from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
-from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
+from sigmaswarm.filters.schedule import HEADING_GATE, MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
     FORECAST_DOF,
     FORECAST_SCALE,
@@ -44,16 +61,18 @@ from sigmaswarm.filters.student import (
     OUTLYING,
 )
 
+TWO_PI = 2.0 * math.pi
+
 
 def axis_of(bias):
-    """Column of a step with the axis of the gyro whose bias stands at a place."""
+    """Column of a step with the axis of the gyro whose bias has an index."""
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
 def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
     """A position fix of the antenna, a row of `Timeline.fixes`; ``since`` is Q's scale since the last fix.
 
-    What no lane needs is left out; what other lanes need does not change a bit.
+    Parts that no lane needs are left out; this does not change a bit of the others.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
@@ -100,7 +119,7 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
 
 
 def forecast_fix(w, z, lever, since, *, n, fix_error):
-    """A fix that the filter does not get to see: only its forecast is scored."""
+    """A hidden fix: only its forecast is scored."""
     _measure_fix(w, z, lever)
     if fix_error:
         age_fix_error(w, z, since)
@@ -114,7 +133,7 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
 
 
 def _look(w, l):
-    """Add a fix's NIS and likelihood to the sums, before the update; gives its NIS."""
+    """Add a fix's NIS and likelihood to the sums, before the update; return its NIS."""
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
     n1, n2 = w[R.N1, l], w[R.N2, l]
@@ -131,7 +150,7 @@ def _look(w, l):
 def _measure_fix(w, z, lever, *, n):
     """z = p + R(theta) lever - latency v: nu, H P H^T, C and R.
 
-    R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
+    R(theta) lever depends on theta alone, so its sigma points have planar5's closed form.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]
@@ -163,7 +182,7 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """R(theta) lever, k J R(theta) lever, and e: what the heading and its spread make of the lever arm."""
+    """R(theta) lever, k J R(theta) lever, and e: the effect of the heading and its spread on the lever arm."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
@@ -173,7 +192,7 @@ def _turn_lever(w, lever_x, lever_y):
 
 
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
-    """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
+    """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
     P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position and at the
     lasting error of fixes, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
@@ -208,12 +227,12 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
 
 
 def _fade(w, *, n):
-    """Strong tracking: stretch P so far that the recent size of the innovations is explained (FADING < 0: off).
+    """Strong tracking: inflate P until it explains the recent size of the innovations (FADING < 0: off).
 
     After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things
-    are not theirs. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly
-    look back. And only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see
-    would grow on.
+    differ. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, forget too fast.
+    And only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would grow
+    on.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -233,7 +252,7 @@ def _fade(w, *, n):
 def _reason(w, *, n):
     """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`.
 
-    The factors in force are taken out of R and Q as the new ones are put in.
+    The present factors of R and Q are replaced by the new ones.
     """
     for l in range(LANES):
         memory = w[R.FUZZY, l]
@@ -291,8 +310,8 @@ def _weigh(w, since):
     update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
     tr R^-1 A), three times from w = 1.
 
-    A filter that is wrong takes all fixes for outliers. So the fix that ends a run of them, long enough, has weight 1,
-    and what it sees of P is stretched as far as its innovation asks for.
+    A filter that is wrong takes all fixes for outliers. So the fix that ends a long run of them has weight 1, and the
+    part of P that it observes is inflated to explain its innovation.
     """
     recovering = 0
     for l in range(LANES):
@@ -330,7 +349,7 @@ def _adapt(w, since, *, n):
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
     their weights (1 - b) / (1 - b^(k+1)). R from the residual after the update, eps eps^T + H P+ H^T, positive by
-    construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which no negative value is taken. A second fix of the same
+    construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which negative values are not used. A second fix of the same
     time (since = 0) shows nothing about Q.
     """
     span = since if since > 0.0 else math.inf
@@ -358,9 +377,9 @@ def absorb_velocity(w, z, *, n):
 
 
 def absorb_standstill(w, u, *, n, gyro_biases, tilted):
-    """The car stands: it has no velocity, and all that the gyro shows is its biases, if they are states.
+    """The car stands: the velocity is 0, and the gyro measures its biases, if they are states.
 
-    These are linear in the error, so one after the other is all at once, if the error is folded in at the end.
+    These are linear in the error, so sequential updates equal a joint one, if the error is injected at the end.
     """
     for l in range(LANES):
         w[R.R1, l] = w[R.R_STANDSTILL, l]
@@ -378,7 +397,7 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def _take_velocity(w, zu, zv, *, n):
-    """Absorb a velocity, its variance in row R1; then its rows of P once more, as in `_keep_digits`."""
+    """Update with a velocity, its variance in row R1; then compute its rows of P again, as in `_keep_digits`."""
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
         s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
@@ -397,12 +416,12 @@ def _take_velocity(w, zu, zv, *, n):
 def _measure_along(w, u, wheels, *, n, bias, lateral):
     """z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward: nu, S and C.
 
-    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: what the wheels have shown,
-    speed / scale = forward - delay (ax - b).
+    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: the reading of the wheels, speed /
+    scale = forward - delay (ax - b).
 
-    R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with
-    t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is turned by 90 degrees;
-    ``away`` is what is forward in it.
+    R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with t = R^T
+    P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is rotated by 90 degrees; ``away``
+    is its forward velocity.
     """
     if lateral:
         shown = u[GZ]
@@ -465,12 +484,34 @@ def absorb_lateral(w, u, *, tilted, measure_lateral):
 
 
 def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
-    """The wheels' speed, ``wheels`` a row of `drives.odometer.Wheels`; not where it lies so far off that they slip."""
+    """The wheels' speed, ``wheels`` a row of `drives.odometer.Wheels`; not if it is so far off that they slip."""
     measure_odometer(w, u, wheels)
     for l in range(LANES):
         used = w[R.N1, l] * w[R.N1, l] <= SLIP_GATE * w[R.S11, l]
         w[R.S11, l] = w[R.S11, l] if used else math.inf
         w[R.N1, l] = w[R.N1, l] if used else 0.0
+    _absorb_one(w)
+    if tilted:
+        fold(w)
+
+
+def _measure_heading(w, *, n):
+    """z = theta: its prediction, C and H P H^T; linear in the state."""
+    for l in range(LANES):
+        w[R.N1, l], w[R.S11, l] = w[R.T, l], w[R.TT, l]
+        for i in range(n):
+            w[C1 + i, l] = w[at(i, R.T), l]
+
+
+def absorb_heading(w, u, z, *, tilted, measure_heading):
+    """The heading of two antennas, ``latency`` ago; one far off has a larger variance: see `schedule.HEADING_GATE`."""
+    shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
+    measure_heading(w)
+    for l in range(LANES):
+        off = theta + w[R.LATENCY, l] * shown - w[R.N1, l]
+        off -= TWO_PI * np.floor(off / TWO_PI + 0.5)
+        s, least = w[R.S11, l] + (w[R.R_HEADING, l] + stated), off * off / HEADING_GATE
+        w[R.N1, l], w[R.S11, l] = off, s if s > least else least
     _absorb_one(w)
     if tilted:
         fold(w)
@@ -505,7 +546,7 @@ def _absorb_two(w, *, n, tilted):
 
 
 def absorbers(name: str, note_prior=None, noted=0):
-    """`forecast_fix` and the five `absorb_...` functions of a kernel's name.
+    """`forecast_fix` and the six `absorb_...` functions of a kernel's name.
 
     ``note_prior``: see `tape`; ``noted``: see `move_fix_error`.
     """
@@ -524,14 +565,17 @@ def absorbers(name: str, note_prior=None, noted=0):
     parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
     parts += (age_fix_error, move_fix_error, see_fix_error) if model.fix_error else ()
     parts += () if ready["tilted"] else (_measure_fix,)
+    ready["measure_heading"] = kernel(_measure_heading, n=ready["n"])
     if unscented:
         ready["_measure_fix"] = measure_fix_unscented
+        ready["measure_heading"] = measure_heading_unscented
         ready["measure_lateral"], ready["measure_odometer"] = (
             measure_lateral_unscented,
             measure_odometer_unscented,
         )
     elif ready["tilted"]:
         ready["_measure_fix"] = kernel(measure_fix_tilted, n=ready["n"])
+        ready["measure_heading"] = kernel(measure_heading_tilted, n=ready["n"])
         along = {"n": ready["n"], **ALONG["lateral"]}, {"n": ready["n"], **ALONG["odometer"]}
         ready["measure_lateral"], ready["measure_odometer"] = (
             kernel(measure_along_tilted, **known) for known in along
@@ -545,6 +589,6 @@ def absorbers(name: str, note_prior=None, noted=0):
         ready[function.__name__] = kernel(function, **ready)
     public = (
         *(absorb_fix, forecast_fix, absorb_velocity, absorb_standstill),
-        *(absorb_lateral, absorb_odometer),
+        *(absorb_lateral, absorb_odometer, absorb_heading),
     )
     return {function.__name__: kernel(function, **ready) for function in public}

@@ -1,4 +1,4 @@
-"""A live filter's memory as one number: to hand eight arrays to compiled code costs more than a filter's step."""
+"""A live filter's memory as one number: passing eight arrays to compiled code costs more than a filter's step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
@@ -40,7 +40,7 @@ class Memory:
     ----------
     step : SingleStep
     arrays : LiveArrays
-        The belief is a copy of what was given.
+        The state is a copy of the given one.
     handle : int
         What `memory_at` takes; as long as this object lives. Without compiling, the step and the arrays.
     """
@@ -56,7 +56,7 @@ class Memory:
 
 
 def _aligned(numbers):
-    """A copy that begins where a cache line does, as vectors in it have to."""
+    """A copy that is aligned to a cache line, as its vectors require."""
     room = np.empty(len(numbers) + CACHE_LINE // 8)
     first = (-room.ctypes.data // 8) % (CACHE_LINE // 8)
     copy = room[first : first + len(numbers)]

@@ -1,7 +1,7 @@
 """planar5's prediction in closed form; compare `models.planar5` and `textbook.UnscentedKalmanFilter`.
 
 The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate,
-with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
+with g the acceleration in the local frame. Any square root of P is right for sigma points; take the one with theta
 first. Then only its first column (and its mirror image) moves theta, by d = gamma sigma_theta with gamma^2 = n + lambda
 = alpha^2 (n + kappa). All other sigma points share the center's g0 = g(theta). With J a turn by 90 degrees,
 
@@ -16,9 +16,9 @@ The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and s
 
 An extended Kalman filter is the same with the second-order terms off: gamma = 0, so that e = 0 and k = 1.
 
-The heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, turn along; they are
-computed again where something else has turned it, a fix or a start: row FACED is 0 there, and FACED_ALL in all lanes,
-until then.
+The heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, are rotated. After another
+change of the heading, by a fix or a start, they are computed again: until then row FACED is 0, and FACED_ALL in all
+lanes.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -30,7 +30,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _face(w):
-    """The heading's cosine and sine, in the lanes where something else than the gyro has turned it."""
+    """The heading's cosine and sine, in the lanes where it was changed by something other than the gyro."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         faced = w[R.FACED, l] > 0.0
@@ -41,7 +41,7 @@ def _face(w):
 
 @kernel
 def _look_away(w):
-    """The heading has turned too far for its cosine and sine to have turned along."""
+    """The heading has turned too far to rotate its cosine and sine."""
     for l in range(LANES):
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
 
@@ -64,7 +64,7 @@ def _turn(w, ax, ay, turn):
 
 @kernel
 def predict_planar5(w, u):
-    """One step of the process model, in two loops: a processor can't look ahead over one so long.
+    """One step of the process model, in two loops: one loop is too long for a processor's lookahead.
 
     The position moves by half a step with the velocity before, the velocity turns into the one after, and the position
     moves by half a step with that.

@@ -3,7 +3,7 @@
 u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with b the accelerometer's biases and w the gyro's.
 This is bilinear in theta and b. Take the square root of P with theta first again: its first column moves theta by d and
 b along with it; with theta fixed, the other columns move b only, and there the process is linear. Write g0 for the mean
-specific force less bias, turned into the world; J for a turn by 90 degrees; t = R P[b, theta]; gamma, d, e and k as in
+specific force minus bias in the local frame; J for a rotation by 90 degrees; t = R P[b, theta]; gamma, d, e and k as in
 planar5, and m = (1 - cos d) / P[theta, theta]. Adding up the sigma points gives
 
     mean of g   = g0 + mu,    mu = e g0 - k J t
@@ -23,7 +23,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _turn(w, dt, ax, ay):
-    """What heading, biases and their spread do to the acceleration times dt."""
+    """The effect of heading, biases and their spread on the acceleration times dt."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         s, c = dt * sin_t, dt * cos_t  # all below is times dt

@@ -2,8 +2,8 @@
 
 Read it next to `filters.robot_localization`, which has the equations and the textbook form. The eight states are in
 planar8's rows: x, y, vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one
-for each row that differs from the identity, and measurements of single states are absorbed one after the other: with
-a diagonal R that is the joint update.
+for each row that differs from the identity, and measurements of single states are used one after the other: with a
+diagonal R this is the joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -13,11 +13,23 @@ import math
 import numpy as np
 
 from sigmaswarm.drives.odometer import SPEED
-from sigmaswarm.drives.timeline import AX, AY, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
+from sigmaswarm.drives.timeline import (
+    AX,
+    AY,
+    DT,
+    FIX_THETA,
+    FIX_VAR_THETA,
+    FIX_VAR_X,
+    FIX_VAR_Y,
+    FIX_X,
+    FIX_Y,
+    GZ,
+    Q_SCALE,
+)
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
 from sigmaswarm.filters.compiled.measurements import _look
-from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
+from sigmaswarm.filters.schedule import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOMETER, STANDSTILL
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
@@ -80,11 +92,13 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 def _absorb(w, z, *, state, noise, gate):
     """A measurement of one state: x += K nu; P' = P - p p' / S, and the state's own column p R / S.
 
-    ``gate``: the row of the NIS from which on it is left out; 0: none.
+    ``gate``: the row of the NIS at which it is rejected; 0: none.
     """
     for l in range(LANES):
         r, use = w[noise, l], 1.0
         s, off = w[at(state, state), l] + r, z - w[state, l]
+        if state == R.T:
+            off = _wrap(off)
         if gate:
             use = 1.0 if off * off < w[gate, l] * s else 0.0
         one = use / s
@@ -109,12 +123,13 @@ _absorb_gz = kernel(_absorb, state=R.W, noise=R_GZ, gate=GATE_GZ)
 _absorb_ax = kernel(_absorb, state=R.A, noise=R_AX, gate=GATE_AX)
 _absorb_vx = kernel(_absorb, state=R.U, noise=R.R_ODOMETER, gate=0)
 _absorb_ay = kernel(_absorb, state=R.B, noise=R_AY, gate=0)
+_absorb_yaw = kernel(_absorb, state=R.T, noise=R.R1, gate=0)
 _absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
 
 
 @kernel
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
-    """nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU, turned by the mean heading."""
+    """nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU, rotated by the mean heading."""
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
         w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]
@@ -183,8 +198,15 @@ def _add_forecast(w):
 
 
 @kernel
+def _absorb_heading(w, theta, stated):
+    for l in range(LANES):
+        w[R.R1, l] = w[R.R_HEADING, l] + stated
+    _absorb_yaw(w, theta)
+
+
+@kernel
 def step(w, u, happens, z, wheels, lever, since):
-    """Predict to the end of a step; absorb the IMU sample, then the fix there."""
+    """Predict to the end of a step; update with the IMU sample, then with the fix."""
     d, gz, ax, ay = u[DT], u[GZ], u[AX], u[AY]
     if d > 0.0:
         _predict(w, d, u[Q_SCALE])
@@ -205,5 +227,7 @@ def step(w, u, happens, z, wheels, lever, since):
             _absorb_x(w)
             _absorb_y(w)
             _add_residual(w)
+            if happens & HEADING:
+                _absorb_heading(w, z[FIX_THETA], z[FIX_VAR_THETA])
         else:
             _add_forecast(w)

@@ -1,7 +1,7 @@
 """The array that a run works on, on the stack and at the start of a cache line.
 
-Numba's `np.empty` starts at any multiple of 32 bytes, so that with AVX-512 every load and store may lie across two
-cache lines: the whole run then takes a seventh longer, or not, by chance.
+Numba's `np.empty` starts at any multiple of 32 bytes, so that with AVX-512 every load and store may cross two cache
+lines: by chance, the whole run then takes a seventh longer.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -48,6 +48,6 @@ def _in_python(lanes):
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
 """``(lanes)``: an array of rows, not yet written; it lives as long as the kernel that asked for it.
 
-It is said to have ``lanes`` columns, but has LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
+Its type has ``lanes`` columns, the memory LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
 where nothing is compiled.
 """

@@ -32,11 +32,11 @@ Array = NDArray[np.float64]
 # the next speed of the wheels.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
-"""For a run that records nothing."""
+"""Recorded rows of a run that records nothing."""
 
 
 def kept(column: Array) -> Array:
-    """An input array as kernels take it: contiguous, not writable; each other form would be compiled."""
+    """An input array for kernels: contiguous and not writable; each other form would be compiled."""
     view = np.ascontiguousarray(column).view()
     view.flags.writeable = False
     return view
@@ -46,7 +46,7 @@ TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]
 """See `replay.Targets.columns`."""
 _NOTHING, NO_DOUBTS = kept(np.empty(0)), kept(np.empty((0, 4)))
 NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DOUBTS
-"""For a run that is compared with nothing."""
+"""Targets of a run without comparison."""
 
 
 def new_place() -> Array:
@@ -103,9 +103,9 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_doubtful(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """As `_score` where truth states its own deviation: a moment counts by it, and the NEES is that of P with it.
+    """As `_score` if truth states its deviation, which gives the weight of a moment and is added to P in the NEES.
 
-    Apart from `_score`, which a factor of 1 would let round otherwise.
+    Separate from `_score`, which would round differently with a factor of 1.
     """
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
@@ -119,12 +119,12 @@ def _run(
     w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
     *, step, state, n_axes, heading, score, score_there, score_doubtful,
 ):  # fmt: skip
-    """The steps from a place to a stop; w holds what the filters are and remember, before and after.
+    """The steps from a place to a stop; w has the state and memory of the filters, before and after.
 
-    ``state``: the rows that are recorded; ``heading``: the one that is scored. A step's and a fix's numbers go on as
-    tuples: a row of an array would count who refers to it, and wait for that at each step.
+    ``state``: the rows that are recorded; ``heading``: the one that is scored. A step's and a fix's numbers are passed
+    as tuples: a row of an array would be reference-counted at each step.
     """
-    z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
+    z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
     wheels = (0.0, 0.0, 0.0)
     n_speeds = int(place[NEXT_SPEED])
     n_fixes = int(place[NEXT_FIX])
@@ -151,7 +151,10 @@ def _run(
         since += u[Q_SCALE]
         if happens & (FIX | HIDDEN):
             f = n_fixes
-            z = (fixes[f, 0], fixes[f, 1], fixes[f, 2], fixes[f, 3], fixes[f, 4], fixes[f, 5])
+            z = (
+                fixes[f, 0], fixes[f, 1], fixes[f, 2], fixes[f, 3],
+                fixes[f, 4], fixes[f, 5], fixes[f, 6], fixes[f, 7],
+            )  # fmt: skip
         if happens & ODOMETER:
             wheels = (speeds[n_speeds, 0], speeds[n_speeds, 1], speeds[n_speeds, 2])
             n_speeds += 1
@@ -227,7 +230,7 @@ _ELSEWHERE = (
     student,
     tilted,
 )
-"""What kernels take from other folders."""
+"""Sources in other folders that kernels use."""
 
 
 @cache
@@ -240,11 +243,11 @@ def _digest():
 
 
 def named_by_sources(make, name, known=None):
-    """The function that ``make(sources)`` gives, whose key in a cache is a hash of all kernels' sources.
+    """The function of ``make(sources)``, whose key in a cache is a hash of all kernels' sources.
 
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed, or that the
-    same lines call another function under another ``name``; but what a function closes over is part of its key.
-    ``known``: gives the values of make's keyword-only parameters, which are asked for where it has to be compiled.
+    same lines call another function under another ``name``; but values in a function's closure are part of its key.
+    ``known``: returns the values of make's keyword-only parameters, which are needed only for compilation.
     """
     sources = f"{name} {_digest()}"
 
@@ -307,7 +310,7 @@ def _machine_code(sources, *, steps_to):
 
 
 def _kernel_of(model, step, rows, name):
-    """``step`` gives the model's step, written into the kernel where that has to be compiled."""
+    """``step`` returns the model's step, which is inlined into the kernel for compilation."""
     described = FILTERS[model]
     heading = R.HEADING if described.tilts else R.T
 
@@ -324,7 +327,7 @@ def _kernel_of(model, step, rows, name):
 
 @once
 def run_kernel(model):
-    """What `run_lanes` calls; written out and compiled for a model when it is first asked for."""
+    """The function that `run_lanes` calls; generated and compiled for a model on first use."""
     return _kernel_of(model, partial(step_of, model), state_rows(model), model)
 
 
@@ -339,7 +342,7 @@ def run_lanes(
     steps: Array,
     sample: NDArray[np.int32],
     driving: Array,
-    flags: NDArray[np.uint8],
+    flags: NDArray[np.uint16],
     fixes: Array,
     speeds: Array,
     lever: Array,
@@ -351,7 +354,7 @@ def run_lanes(
     record: Array,
     innovations: Array,
 ) -> None:
-    """Run up to `most_lanes` filters over some steps of one time line, from where the last call has left them.
+    """Run up to `most_lanes` filters over some steps of one time line, from the end of the last call.
 
     Runs in pieces give the bits of the whole run, if each piece but the last stops after a step that has IMU.
 
@@ -362,8 +365,7 @@ def run_lanes(
     sample : (k,) which row of ``driving`` drives each step
     driving : (n, 3 or 6) as `Timeline.driving`; with all the axes that the model reads
     flags : (k,) bits of each step: see `schedule`
-    fixes : (f, 6) m east, north, m/s east, north, m2 east, north as the receiver states it, in the order in which
-        steps absorb them
+    fixes : (f, 8) as `Timeline.fixes`, in the order in which steps absorb them
     speeds : (o, 3) as `drives.odometer.Wheels.rows`
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval

@@ -1,8 +1,7 @@
 """One step of one filter, as other compiled code calls it: by its address.
 
-Numba writes what a function calls into it, and compiles it with it once more; but what a live filter does with its
-memory is the same for each model, and need not hold the model's arithmetic. So a step is a function of its own in
-memory, and the loop over steps gets its address.
+Numba inlines called functions and compiles them again; but the bookkeeping of a live filter is the same for each model,
+without the model's arithmetic. So a step is a function of its own in memory, and the loop over steps gets its address.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -39,7 +38,7 @@ def _one_step(sources, *, step, kept, tape, taped):
             w[R.FACED_ALL, lane] = v[R.FACED]  # all lanes are the same
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
-            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
+            (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
             (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
         for r in kept:
@@ -55,12 +54,12 @@ def _one_step(sources, *, step, kept, tape, taped):
 
 @dataclass(frozen=True, eq=False)
 class SingleStep:
-    """A model's step in this process, in others of which it stands elsewhere: a copy of it looks its address up again.
+    """A model's step in this process; in other processes its address differs, so a copy looks it up again.
 
     Attributes
     ----------
     address : what `take_step` takes; a function where nothing is compiled
-    made_by : the function that gives it, and its arguments
+    made_by : the function that returns it, and its arguments
     """
 
     address: Any
@@ -74,8 +73,8 @@ class SingleStep:
 def single_step(model, tape=-1):
     """The step of a model, compiled now.
 
-    ``tape``: the place in the filter's numbers at which the steps on tape are counted; each leaves its `taped_rows`
-    behind it. Negative: there is no tape.
+    ``tape``: the index in the filter's numbers of the number of logged steps; the `taped_rows` of each follow it.
+    Negative: no log.
     """
     noted = tape >= 0
     kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])
@@ -112,11 +111,11 @@ def _called(step, v, u, happens, z, wheels, lever, since):
 take_step = _called if config.DISABLE_JIT else _call
 """``(step, v, u, happens, z, wheels, lever, since)``, for compiled code: one step of one filter.
 
-step : the address of what `single_step` gives
+step : the address of the result of `single_step`
 v : (N_KEPT or more,) the filter before and after
 u : (9,) a step's numbers, DT ... GY of `drives.timeline`
 happens : its bits of `schedule`
-z : (6,) a row of `Timeline.fixes`
+z : (8,) a row of `Timeline.fixes`
 wheels : (3,) a row of `odometer.Wheels.rows`
 lever : (3,) that of the time line
 since : Q's scale since the last fix

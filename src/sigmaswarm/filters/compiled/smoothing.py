@@ -1,13 +1,13 @@
-"""The backward pass of Rauch, Tung and Striebel, compiled: one filter over the steps on a tape, the last one first.
+"""The backward pass of Rauch, Tung and Striebel, compiled: one filter over the logged steps, the last one first.
 
     G   = P A^T (P-)^-1
     m^s = m + G (m^s' - m-)
     P^s = P + G (P^s' - P-) G^T
 
-with m, P the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state behind
-the step (H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel
-smoother, IEEE TAC 53(3), 2008: P A^T is the cross-covariance of its sigma points, see `tape`). With X = G^T the gain is
-the solution of P- X = A P. A model with attitude takes differences and sums in the tangent space: see `tilted`.
+with m, P the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state after the step (H.
+E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE
+TAC 53(3), 2008: P A^T is the cross-covariance of its sigma points, see `tape`). With X = G^T the gain is the solution
+of P- X = A P. A model with attitude takes differences and sums in the tangent space: see `tilted`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
@@ -57,7 +57,7 @@ def _moved_planar8(move, p, ap, n):
 
 @_plain
 def _moved_tilted12(move, p, ap, n):
-    """A P, of the error; its third, first and second part stand in rows 4, 8 and 9."""
+    """A P, of the error; its third, first and second part are in rows 4, 8 and 9."""
     dt, east, north = move[0], move[1], move[2]
     h, g = 0.5 * dt, GRAVITY * dt
     for c in range(n):
@@ -74,7 +74,7 @@ def _moved_tilted12(move, p, ap, n):
 
 
 def _moved_unscented(move, p, ap, n, *, first):
-    """A P, of the error: what makes it are the rows D and the slopes."""
+    """A P, of the error, made from the rows D and the slopes."""
     h = 0.5 * move[0]
     for c in range(n):
         vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
@@ -140,7 +140,7 @@ def _solve(s, x, *, n):
 
 @_plain
 def _turn_between(q, p, error):
-    """The turn from attitude p to q, q = exp(e) p, in the error's places; quaternions (4,)."""
+    """The rotation from attitude p to q, q = exp(e) p, in the error's elements; quaternions (4,)."""
     w = q[0] * p[0] + q[1] * p[1] + q[2] * p[2] + q[3] * p[3]
     x = -q[0] * p[1] + q[1] * p[0] - q[2] * p[3] + q[3] * p[2]
     y = -q[0] * p[2] + q[1] * p[3] + q[2] * p[0] - q[3] * p[1]
@@ -167,7 +167,7 @@ def _turned(q, x, y, z, out):
 
 
 def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, phi, moved, spread, solve):
-    """From what is known behind a step to what is known before it: ``behind`` (n_state,), in place."""
+    """Smooth one step: from the state after it to the one before it, ``behind`` (n_state,), in place."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
@@ -252,7 +252,7 @@ def _kernel_of(name):
 
 
 def smooth_back(name, tape, start, ends, started, sampled, behind, out):
-    """Smooth the steps on a tape, from the smoothed state behind the last one.
+    """Smooth the logged steps, from the smoothed state after the last one.
 
     Parameters
     ----------
@@ -261,8 +261,8 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     start : (s,) the filter's state before the first one: its `state_rows`
     ends, started : (a,) int, (a, s) the steps behind which the filter was reset, and its state then: what lies
         before is smoothed without what comes behind
-    sampled : (k,) bool: the steps whose ends are asked for
+    sampled : (k,) bool: the steps whose ends are returned
     behind : (s,) changed: the smoothed state, behind the last step and then before the first
-    out : (r, s) written: what is known at the ends asked for
+    out : (r, s) written: the smoothed states at the chosen ends
     """
     _kernel_of(name)(tape, start, ends, started, sampled, behind, out)

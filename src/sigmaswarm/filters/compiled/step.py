@@ -1,4 +1,4 @@
-"""One step of LANES filters, the same in a run and in a live filter: predict, then absorb what there is."""
+"""One step of LANES filters, the same in a run and in a live filter: predict, then update with the measurements."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -20,6 +20,7 @@ from sigmaswarm.filters.schedule import (
     GAP_ACCELERATION_STD,
     GAP_TILT_STD,
     GAP_TURN_STD,
+    HEADING,
     HIDDEN,
     LATERAL,
     ODOMETER,
@@ -50,8 +51,9 @@ def _step(
     w, u, happens, z, wheels, lever, since,
     *, predict, carry, grow, settle, note_move, note_prior,
     absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_odometer, absorb_standstill,
+    absorb_heading,
 ):  # fmt: skip
-    """Predict, and absorb what there is.
+    """Predict, and update with the measurements.
 
     ``u`` is a step's numbers, DT ... GY, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`,
     ``wheels`` one of `Wheels.rows`: tuples. ``lever`` is that of the time line, ``since`` Q's scale since the last fix.
@@ -70,6 +72,8 @@ def _step(
         absorb_fix(w, z, lever, since)
         if happens & VELOCITY:
             absorb_velocity(w, z)
+        if happens & HEADING:
+            absorb_heading(w, u, z)
     if happens & HIDDEN:
         forecast_fix(w, z, lever, since)
     if happens & LATERAL:
@@ -94,9 +98,9 @@ _PREDICTIONS = {
 
 @cache
 def step_of(name, *, noted=False):
-    """A step of LANES filters of a kernel's name, to be written into what is compiled.
+    """A step of LANES filters of a kernel's name, to be inlined.
 
-    ``noted``: it leaves in the rows of the first lane what a smoother needs of it: see `tape`.
+    ``noted``: it writes the inputs of a smoother to the rows of the first lane: see `tape`.
     """
     model = FILTERS[name]
     if model.measures_imu:

@@ -1,15 +1,15 @@
-"""A swarm's step: LANES filters of one model at once, and how well each of them has predicted the fixes.
+"""A filter bank's step: LANES filters of one model at once, and the evidence of each.
 
-It stands where a live filter's `single_step` stands. The filter itself is the swarm's first lane; all lanes are behind
-the belief (`live.BEHIND`), so that late fixes take them back with it:
+It replaces a live filter's `single_step`. The filter itself is the bank's first lane; all lanes are after its state
+(`live.BEHIND`), so that late fixes take them back, too:
 
     NUMBERS   a few numbers, then what is known of each lane: its evidence, what is held against it, its weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the marks of a live filter reach to here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
     TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
 
-The evidence of a lane is the logarithm of the fixes' likelihood, Gaussian, so that a covariance which is wrong costs
-what it is wrong by; it fades with time. A weight is exp(EVIDENCE_COUNTS evidence - penalty), normed.
+The evidence of a lane is the logarithm of the fixes' likelihood, Gaussian, so that a wrong covariance lowers it; it
+fades with time. A weight is exp(EVIDENCE_COUNTS evidence - penalty), normed.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -34,10 +34,13 @@ from sigmaswarm.filters.schedule import FIX
 EVIDENCE_LASTS = 60.0
 """s in which evidence fades to 1/e."""
 LARGEST_NIS = 200.0
-"""That a fix counts at most: one alone does not decide. Student's t would forgive more, too much: between high
-buildings fixes are good until they jump, and to it the jumps are what a small R has to expect."""
+"""Limit of a fix's NIS, so that one fix alone does not decide.
+
+Student's t would forgive too much: between high buildings fixes are good until they jump, and with it a small R would
+explain the jumps.
+"""
 EVIDENCE_COUNTS = 0.1
-"""Fixes' errors last: so many of them tell as much as one that is independent, about a tenth."""
+"""Weight of a fix in the evidence: errors of fixes are correlated, so about ten of them count as one."""
 
 # Behind the belief, counted from BEHIND: how many steps there were on tape, and how many the tape holds; when the last
 # fix was absorbed, how many were; nu and S of the mixture at the last one.
@@ -48,20 +51,20 @@ WEIGHT = slice(AGAINST.stop, AGAINST.stop + LANES)
 NUMBERS = WEIGHT.stop
 ROWS = slice(NUMBERS, NUMBERS + N_KEPT * LANES)
 MARKED = ROWS.stop
-"""So many numbers belong to a mark."""
+"""Number of values of a checkpoint."""
 TAPE = NUMBERS + N_ROWS * LANES
 
 # A row of the tape: a step's numbers, DT ... GY, its flags, the rows of `Timeline.fixes` and `Wheels.rows` that it
 # took, Q's scale since the last fix, and when it ended, s.
-T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 16), slice(16, 19), 19, 20
-N_TAPE = 21
+T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
+N_TAPE = 23
 
 _AT_EVIDENCE, _AT_AGAINST, _AT_WEIGHT = (BEHIND + part.start for part in (EVIDENCE, AGAINST, WEIGHT))
 
 
 @intrinsic
 def _rows_behind(typing_context, v):
-    """The array of rows that lies in a swarm's numbers."""
+    """The array of rows within a bank's numbers."""
     kind = types.Array(float64, 2, "A")
 
     def generate(context, builder, signature, arguments):
@@ -109,7 +112,7 @@ def weigh(v):
 
 @njit(**OPTIONS)
 def _foretold(w, lane):
-    """Whether a lane has a finite prediction of the fix."""
+    """Return whether a lane has a finite prediction of the fix."""
     return math.isfinite(w[R.NU1, lane] + w[R.NU2, lane] + w[R.V11, lane] + w[R.V12, lane] + w[R.V22, lane])
 
 
@@ -159,7 +162,7 @@ def _check_lanes(v, w):
 
 def _swarm_step(sources, *, step, kept):
     def swarm_step(v, u, happens, z, wheels, lever, since):
-        """A step of all lanes; ``v`` is a live filter's belief, and what is behind it."""
+        """A step of all lanes; ``v`` is a live filter's state, and the numbers after it."""
         if sources == "":  # never; so the name is closed over
             return
         w = _rows_of(v)
@@ -169,7 +172,7 @@ def _swarm_step(sources, *, step, kept):
             w[R.OK, 0] = 0.0
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
-            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
+            (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
             (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
         now = v[TIME] + u[DT]
@@ -184,19 +187,19 @@ def _swarm_step(sources, *, step, kept):
         for c in range(9):
             v[row + c] = u[c]
         v[row + 9] = happens
-        for c in range(6):
+        for c in range(8):
             v[row + 10 + c] = z[c]
         for c in range(3):
-            v[row + 16 + c] = wheels[c]
-        v[row + 19] = since
-        v[row + 20] = now
+            v[row + 18 + c] = wheels[c]
+        v[row + 21] = since
+        v[row + 22] = now
 
     return swarm_step
 
 
 @once
 def swarm_step(model):
-    """The step of a swarm of a model, compiled now: as `single.single_step`."""
+    """The step of a filter bank of a model, compiled now, as `single.single_step`."""
     kept = (*(int(r) for r in state_rows(model)), *range(CONSTANT_ROWS.start, N_KEPT))
     function = named_by_sources(_swarm_step, f"swarm {model}", lambda: {"step": step_of(model), "kept": kept})
     return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (swarm_step, model))

@@ -1,6 +1,6 @@
-"""What a step of the compiled filter leaves for a smoother: the prediction before it absorbed anything, and its cause.
+"""The log of a step of the compiled filter for a smoother: the prediction before any update, and its transition.
 
-A smoother need not know what is measured. Of each step it takes three things: the state behind it; the prediction
+A smoother does not need the measurements. For each step it uses three things: the state after it; the prediction
 (mean and covariance, with Q, gaps, fading factor and the inflation after a run of outliers); and the covariance of the
 state before with the state after, P A^T. A is the transition: of an extended filter the Jacobian, of an unscented one
 its statistical linearization, Cov(s', s) P^-1. In planar5.py's and planar8.py's closed form that is the Jacobian with
@@ -29,7 +29,7 @@ MOVES = {
         *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
     ),
 }
-"""By kernel: the rows, each in proportion to the step's length, that make A with it. Then comes phi of `fix_error`."""
+"""By kernel: the rows, each in proportion to the step's length, from which A is made. Then comes phi of `fix_error`."""
 
 
 def _moves_of(name):
@@ -37,7 +37,7 @@ def _moves_of(name):
 
 
 def taped_rows(name):
-    """The rows of a step on tape: the state behind it, the prediction, the step's length and what else makes A."""
+    """The rows of a logged step: the state after it, the prediction, the step's length and the other numbers of A."""
     state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
@@ -63,10 +63,10 @@ def _note_prior(w, *, state):
 
 
 def note_move(name):
-    """The kernel that notes what makes A, right after a prediction."""
+    """The kernel that logs the numbers of A, right after a prediction."""
     return kernel(_note_move, places=range(len(_moves_of(name))), moves=_moves_of(name), phi=phi_place(name))
 
 
 def note_prior(name):
-    """The kernel that notes the prediction: before a measurement, and again where P is stretched for one."""
+    """The kernel that logs the prediction: before a measurement, and again where P is inflated for one."""
     return kernel(_note_prior, state=tuple(int(row) for row in state_rows(name)))

@@ -1,8 +1,8 @@
-"""tilted12's extended filter, written out; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
+"""tilted12's extended filter; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
 
-The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. In the mean's rows I, J and T stands the error about
-east, north and up: 0 but for the moment between a measurement and `fold`, which turns the quaternion by it. All other
-rows are planar8's; K and L are the biases of gx and gy.
+The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. The mean's rows I, J and T have the error about east,
+north and up: 0 except between a measurement and `fold`, which rotates the quaternion by it. All other rows are
+planar8's; K and L are the biases of gx and gy.
 
 F has seven rows that differ from the identity's, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h = dt/2:
 
@@ -44,19 +44,19 @@ KEPT = (R.A, R.B, R.W, R.K, R.L)
 
 # What shares most of its numbers is done in one loop: fewer of them are loaded, and the processor finds more to do.
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
-"""Of F P; KEPT's last: the others read what they overwrite. Behind them may come what does not enter F."""
+"""Columns of F P; KEPT's last, since the others read what they overwrite. States that do not enter F may follow."""
 ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)
 """Of (F P) F'."""
 
 
 def fp(i, j):
-    """Row of (F P)[i, j], i among MOVED: in scratch, but where it is P' already."""
+    """Row of (F P)[i, j], i among MOVED: in scratch, unless it is P' already."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
 @kernel
 def _turn_far(w):
-    """The quaternions of `_half_turn` for any angle; those of the lanes whose angle is small stay as they are."""
+    """The quaternions of `_half_turn` for any angle; lanes with a small angle are not changed."""
     for l in range(LANES):
         x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
         angle = math.sqrt(x * x + y * y + z * z) + TINY
@@ -71,7 +71,7 @@ def _turn_far(w):
 
 @kernel
 def _half_turn(w, u):
-    """The quaternion of half the step's turn, which is small but in long gaps of the IMU."""
+    """The quaternion of half the step's rotation, which is small except in long gaps of the IMU."""
     gx, gy, gz, quarter = u[GX], u[GY], u[GZ], 0.25 * u[DT]
     far = 0
     for l in range(LANES):
@@ -169,7 +169,7 @@ def predict_tilted12(w, u, *, columns):
 
 @kernel
 def fold(w):
-    """Turn the quaternion by the error in I, J and T, from the left; then there is none."""
+    """Rotate the quaternion by the error in I, J and T, from the left; then the error is 0."""
     for l in range(LANES):
         x, y, z = 0.5 * w[R.I, l], 0.5 * w[R.J, l], 0.5 * w[R.T, l]
         angle = math.sqrt(x * x + y * y + z * z) + TINY
@@ -228,6 +228,19 @@ def measure_fix_tilted(w, z, lever, *, n):
         w[R.S22, l] = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + jn * w[C2 + R.T, l] - up * w[C2 + R.I, l]
 
 
+def measure_heading_tilted(w, *, n):
+    """z = yaw of the attitude: its prediction, C and H P H^T; H as `tilted.Heading`."""
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        east, north = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3)
+        climb = 2.0 * (q1 * q3 - q0 * q2) / (east * east + north * north)
+        hi, hj = -climb * east, -climb * north
+        w[R.N1, l] = angle_of(north, east)
+        for i in range(n):
+            w[C1 + i, l] = w[at(i, R.T), l] + hi * w[at(i, R.I), l] + hj * w[at(i, R.J), l]
+        w[R.S11, l] = w[C1 + R.T, l] + hi * w[C1 + R.I, l] + hj * w[C1 + R.J, l]
+
+
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
     """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:
@@ -266,4 +279,4 @@ def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
 
 
 ALONG = {"lateral": {"lateral": 1, "bias": R.W}, "odometer": {"lateral": 0, "bias": R.A}}
-"""What `measure_along_tilted` is bound to."""
+"""Bound values of `measure_along_tilted`."""

@@ -1,14 +1,14 @@
 """tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
 Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Any square root L of P is right for
-them; take the one with the states first that do not enter linearly, in the order of `tilted.STEP_FIRST` and
+them; take the one that begins with the states that do not enter linearly, in the order of `tilted.STEP_FIRST` and
 `MEASURED_FIRST`. Then its other columns move states that enter linearly while those are fixed: position, velocity and
 the accelerometer's biases. Only the first columns need points:
 
-- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these turn as
-  the centre does, so their error stays as it is, and the acceleration is that of the centre, turned in closed form.
-- In a fix, the attitude, which turns the lever arm, also in closed form.
-- In the lateral constraint and the odometer, the attitude, which turns the velocity.
+- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these rotate as
+the center does, so their error does not change, and the acceleration is that of the center, rotated in closed form.
+- In a fix, the attitude, which rotates the lever arm, also in closed form.
+- In the lateral constraint and the odometer, the attitude, which rotates the velocity.
 
 Write a function of the state as its linear part plus r, which is 0 at the center and at all points that are not drawn.
 Let r+ and r- be at the points of column c, and gamma^2 = alpha^2 (n + kappa). The slope is d = (r+ - r-) / (2 gamma),
@@ -76,7 +76,10 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """H in place of the slopes, mu, and what the bends add to the covariance; ``columns`` of each output."""
+    """H in place of the slopes, mu, and the addition of the curvatures to the covariance.
+
+    ``columns`` of each output.
+    """
     for l in range(LANES):
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
         spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
@@ -198,12 +201,12 @@ def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
 
 
 def _chosen(new, w, l, row):
-    """A number of a point far from the centre, else what stands in a row."""
+    """A number of a point far from the center, else the value of a row."""
     return new if w[R.POINT_FAR, l] > 0.0 else w[row, l]
 
 
 def _draw(w, u, *, j, far, point, sinc_cos):
-    """Slopes and bends of column j of the root, from its two points."""
+    """Slopes and curvatures of column j of the root, from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for l in range(LANES):
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
@@ -258,7 +261,7 @@ _linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
 
 @kernel
 def _turn_acceleration(w):
-    """Slopes and bends of the columns of the attitude."""
+    """Slopes and curvatures of the columns of the attitude."""
     for l in range(LANES):
         east, north, up = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
@@ -282,7 +285,7 @@ def _turn_acceleration(w):
 
 @kernel
 def _unscented_transition(w, u):
-    """H, mu and what is added to the covariance of a step; the mean is moved by mu."""
+    """H, mu and the addition to the covariance of a step; mu is added to the mean."""
     _root_of_step(w)
     ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
     far = 0
@@ -443,6 +446,38 @@ def measure_fix_unscented(w, z, lever):
             s12 += w[SLOPE + OUTPUTS * k + 1, l] * w[C1 + MEASURED_FIRST[k], l]
             s22 += w[SLOPE + OUTPUTS * k + 1, l] * w[C2 + MEASURED_FIRST[k], l]
         w[R.S11, l], w[R.S12, l], w[R.S22, l] = s11, s12, s22
+
+
+@kernel
+def measure_heading_unscented(w):
+    """z = yaw of the attitude: its prediction, C and H P H^T from the turns of the forward axis by sigma points."""
+    _root_of_rotation(w)
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
+        gamma = 4.0 * w[R.QUARTER_GAMMA, l]
+        for j in range(3):
+            x, y, z = w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
+            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], x * x + y * y + z * z)
+            q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
+            g = gamma * k
+            o0, o1, o2 = y * e2 - z * e1, z * e0 - x * e2, x * e1 - y * e0
+            t0, t1 = q * (y * o2 - z * o1), q * (z * o0 - x * o2)
+            odd, even = 0.0, 0.0
+            for i in (1, -1):
+                f0, f1 = t0 + i * (g * o0), t1 + i * (g * o1)  # change of the axis
+                turned = angle_of(e0 * f1 - e1 * f0, e0 * (e0 + f0) + e1 * (e1 + f1))
+                odd, even = odd + i * turned, even + turned
+            w[SLOPE + OUTPUTS * j, l] = odd * 0.5 / gamma
+            w[BEND + OUTPUTS * j, l] = even * 0.5 / (gamma * gamma)
+        w[R.N1, l] = angle_of(e1, e0)
+    _linearize_along(w)
+    for l in range(LANES):
+        h0, h1, h2 = w[SLOPE, l], w[SLOPE + OUTPUTS, l], w[SLOPE + OUTPUTS * 2, l]
+        w[R.N1, l] += w[SHIFT, l]
+        for i in range(N):
+            w[C1 + i, l] = h0 * w[at(i, R.T), l] + h1 * w[at(i, R.I), l] + h2 * w[at(i, R.J), l]
+        w[R.S11, l] = w[EXTRA, l] + h0 * w[C1 + R.T, l] + h1 * w[C1 + R.I, l] + h2 * w[C1 + R.J, l]
 
 
 def _measure_along(w, u, wheels, *, lateral, bias):

@@ -1,8 +1,8 @@
-"""Loops over states, written as loops and compiled as straight lines; kernels, written into each other.
+"""Unroll loops over states, and inline kernels into each other.
 
-What becomes vector instructions is the loop over lanes, and its body has to be straight: see `vectors`. So `unrolled`
-writes the loops over states out, with n a number, and puts numbers in place of rows' names. And it puts a kernel's
-statements in place of its call, which Numba does slowly. What a function names has to stand above it in its file.
+Loops over lanes become vector instructions, and their body must be without branches: see `vectors`. So `unrolled`
+unrolls the loops over states, with n a number, and replaces names of rows by numbers. It also inlines kernels, which
+Numba does slowly. Names in a function must be defined above it in its file.
 """
 
 import ast
@@ -17,18 +17,18 @@ from typing import Any, NamedTuple, TypeVar
 from sigmaswarm.filters.compiled.layout import R
 
 STATE_LOOPS = ("i", "j", "k", "row", "group")
-"""Names of the loop variables that are written out."""
+"""Names of the loop variables that are unrolled."""
 NUMBERS = ("at", "fp", "axis_of")
-"""Names of functions whose value takes the place of a call."""
+"""Names of functions whose calls are replaced by their values."""
 
 
 T = TypeVar("T")
 Names = dict[str, Any]
-"""What the names in a function stand for."""
+"""The values of the names in a function."""
 
 
 class Written(NamedTuple):
-    """A function whose keyword-only parameters are bound and whose loops over states and rows are written out."""
+    """A function whose keyword-only parameters are bound and whose loops over states and rows are unrolled."""
 
     definition: ast.FunctionDef
     names: Names
@@ -43,7 +43,7 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     definition = tree.body[0]
     if not isinstance(definition, ast.FunctionDef):
-        raise TypeError(f"{function} is no plain function")
+        raise TypeError(f"{function} is not a plain function")
     definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
@@ -54,11 +54,11 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
 
 
 Change = Callable[[ast.FunctionDef, Names], None]
-"""``(definition, names)``: changes in place what is written out."""
+"""``(definition, names)``: changes the generated code in place."""
 
 
 class Kernel:
-    """A function to be written into others, with its keyword-only parameters bound; its text is made when needed.
+    """A function to be inlined into others, with its keyword-only parameters bound; its text is generated when needed.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Kernel:
 
     @cached_property
     def written(self) -> Written:
-        """What is written into others."""
+        """Functions that are inlined into others."""
         return _patiently(_changed, self.source, self._change, self.known)
 
     @cached_property
@@ -96,7 +96,7 @@ class Kernel:
         return _made(self.source, self.written, self.name)
 
     def __call__(self, *arguments: Any) -> None:
-        """Where nothing is compiled."""
+        """The function itself, if nothing is compiled."""
         self._made(*arguments)
 
 
@@ -106,7 +106,7 @@ def unrolled(
     /,
     **known: Any,
 ) -> Callable[..., Any]:
-    """The same function with its keyword-only parameters bound to ``known``, loops over states and rows written out.
+    """The same function with its keyword-only parameters bound to ``known``, and loops over states and rows unrolled.
 
     Parameters
     ----------
@@ -154,9 +154,9 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
 def _told_apart(known: Names) -> str:
     """Distinguish a function from others that are made of the same one: a hash of its bound names.
 
-    Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
-    kernels of two models that two processes have compiled may have one name, and once both are loaded from the cache,
-    one of them would run in place of the other.
+    Numba names machine code after a function's qualified name and the number of compilations of the process. So
+    kernels of two models, compiled by two processes, may have the same name, and when both are loaded from the cache,
+    one would run in place of the other.
     """
     parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):
@@ -219,14 +219,14 @@ class _Writer(ast.NodeTransformer):
         return self._spliced(kernel.written, call.args) if hasattr(kernel, "is_kernel") else node
 
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
-        """A kernel's statements in place of its call; its names become unique."""
+        """Replace a call of a kernel by its statements; its names become unique."""
         self.calls += 1
         definition = _copied(written.definition)
         parameters = [each.arg for each in definition.args.args]
         names = [n for n in ast.walk(definition) if isinstance(n, ast.Name)]
         stored = {n.id for n in names if isinstance(n.ctx, ast.Store)}
         if any(isinstance(node, ast.Return) for node in ast.walk(definition)):
-            raise TypeError(f"{definition.name} is a kernel: it gives nothing, and does not end early")
+            raise TypeError(f"{definition.name} is a kernel: it must return nothing, and not end early")
         renamed = {name: f"_{self.calls}_{name}" for name in stored.union(parameters)}
         body: list[ast.stmt] = []
         for parameter, argument in zip(parameters, arguments, strict=True):

@@ -1,9 +1,9 @@
-"""Loops over lanes, written as vector instructions straight into LLVM.
+"""Loops over lanes, emitted as vector instructions of LLVM.
 
-A kernel is some thousand lines of arithmetic once its loops over states are written out. Numba would ask of each number
-in them what type it has, for half a minute and more; here all are doubles, so each loop over lanes is put into LLVM as
-it stands, as a function of its own that takes the array of rows and the few numbers that all lanes share. Such a
-function's name has a hash of its text, so that it is the same wherever it is called from, and so are its bits.
+A kernel with unrolled loops over states has some thousand lines of arithmetic. Numba would infer the type of each
+number, for half a minute and more; here all are doubles, so each loop over lanes is emitted directly, as a function of
+its own that takes the array of rows and the few numbers that all lanes share. Such a function's name has a hash of its
+text, so that it is the same wherever it is called from, and so are its bits.
 
 The body of a loop over lanes has no branches. It has assignments to names and to ``w[row, l]`` with a known row,
 arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`. Calls of
@@ -45,9 +45,9 @@ _FUNCTIONS = {math.sqrt: "sqrt", math.log: "log", math.exp: "exp", np.floor: "fl
 
 
 def put_loops(definition: ast.FunctionDef, names: Names) -> None:
-    """Put calls in place of a function's loops over lanes; what they call is added to its ``names``.
+    """Replace a function's loops over lanes by calls; the called functions are added to its ``names``.
 
-    What such a loop can't hold is a TypeError when it is compiled.
+    Unsupported code in such a loop raises a TypeError when it is compiled.
     """
     definition.body = _Loops(definition, names).block(definition.body)
 
@@ -76,7 +76,7 @@ class _Loops(ast.NodeTransformer):
 
 
 class _Loop(NamedTuple):
-    """A loop over lanes: the function that it becomes, its body, and what names stand for in it.
+    """A loop over lanes: its function, its body, and the values of its names.
 
     ``shared`` are the enclosing function's names that it reads, ``counted`` those that it adds to.
     """
@@ -112,7 +112,7 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
 
 
 def _hash(body: list[ast.stmt], names: Names) -> str:
-    """Of a loop's text, of the numbers that its names stand for, and of the functions that are written into it."""
+    """A hash of a loop's text, of the numbers of its names, and of the functions that are inlined into it."""
     parts = [ast.dump(statement) for statement in body]
     for name in sorted({n.id for s in body for n in ast.walk(s) if isinstance(n, ast.Name)}):
         value = names.get(name)
@@ -208,14 +208,14 @@ def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
 
 
 class _Frame(NamedTuple):
-    """What names stand for in a function: numbers and functions from outside it, and values of its own."""
+    """The values of names in a function: numbers and functions from outside it, and values of its own."""
 
     names: Names
     values: dict[str, Any]
 
 
 class _Emitter:
-    """Straight-line code for one vector of lanes. A value is a vector, a number that is known, or a tuple of them."""
+    """Straight-line code for one vector of lanes. A value is a vector, a known number, or a tuple of them."""
 
     def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType, lanes: Any) -> None:
         """``lanes`` points to these lanes of the first row."""
@@ -323,7 +323,7 @@ class _Emitter:
         return getattr(self.builder, in_llvm)(self.as_vector(a), self.as_vector(b), flags=FLAGS)
 
     def lanes_of(self, test: Any) -> Any:
-        """In how many lanes a test holds."""
+        """The number of lanes in which a test is true."""
         bits = self.builder.bitcast(test, ir.IntType(self.vector.count))
         return self.builder.zext(self.builder.ctpop(bits), _WHOLE)
 

@@ -1,6 +1,6 @@
-"""What a live filter's watch asks for at every sample: the last fix that counts, and a rough heading by the log alone.
+"""Inputs of a live filter's divergence monitor: the last usable fix, and an approximate heading.
 
-The samples of the last seconds are in a ring: time, ax, ay, gz, and what else a sample has. Rows of fixes are those of
+The samples of the last seconds are in a ring buffer: time, ax, ay, gz, and the other axes. Rows of fixes are those of
 `live`.
 """
 
@@ -15,11 +15,11 @@ from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
 LOOK_INTERVAL = 1.0
-"""s between two looks at a filter."""
+"""s between two checks of a filter."""
 LATEST_LOOK = 0.25
-"""s from a fix to the IMU sample at which the filter is looked at; after more, in a gap, nothing can be compared."""
+"""s: largest time from a fix to the IMU sample of a check; after more, in a gap, nothing can be compared."""
 WATCHED = MAX_DURATION + 1.0
-"""s of samples and fixes that a live filter keeps for it."""
+"""s of samples and fixes that a live filter stores for it."""
 
 _T, _X, _Y, _KIND = 0, 1, 2, 8  # of a row of fixes
 
@@ -30,7 +30,7 @@ _plain = njit(**OPTIONS)
 def last_fix(fixes, end, until, after):
     """The row, before row ``end``, of the last fix after a time and up to another; -1 where there is none.
 
-    One that is frozen, or no number, does not count.
+    Stale fixes and those that are not numbers are left out.
     """
     for f in range(end - 1, -1, -1):
         if fixes[f, _T] <= after:
@@ -47,13 +47,13 @@ def _counts(fixes, f):
 
 @_plain
 def rough_heading(samples, newest, n, fixes, end, gyro_bias):
-    """The heading at the last sample, rad, as in `Alignments.course`, and turned on; NaN where nothing shows it.
+    """The heading at the last sample, rad, as in `Alignments.course`, propagated by the gyro; NaN if it is unknown.
 
     Parameters
     ----------
-    samples, newest, n : the ring, the row of its last sample, how many samples it holds
+    samples, newest, n : the ring, the row of its last sample, its number of samples
     fixes, end : fixes, and how many
-    gyro_bias : what is known of it, rad/s
+    gyro_bias : known bias of the gyro, rad/s
     """
     now = samples[newest, 0]
     last = last_fix(fixes, end, now, -math.inf)
@@ -80,7 +80,7 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
 @_plain
 def _way(samples, k, steps, since, until, gyro_bias):
-    """The way between two moments at 1 m/s, heading east at first, and how far it had turned by the last sample.
+    """The path between two times at 1 m/s, heading east at first, and the change of heading up to the last sample.
 
     Row ``k`` is the last sample up to ``since``; so many ``steps`` follow.
     """

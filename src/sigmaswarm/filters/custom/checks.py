@@ -34,7 +34,7 @@ def check(model: Model, log: Log) -> None:
         raise log.wrong(f"mean has {len(log.mean)} values, the model {model.name} has {n} states")
     for name in log.truth:
         if name not in model.states:
-            raise log.wrong(f"truth names {name!r}, which is no state of the model {model.name}")
+            raise log.wrong(f"truth names {name!r}, which is not a state of the model {model.name}")
     for i in model.measured_angles:
         if i not in range(m):
             raise model.wrong(

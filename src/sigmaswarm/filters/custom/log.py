@@ -1,4 +1,4 @@
-"""A log of sensors for a user's model, and its clocks merged into the steps of a filter."""
+"""A log of sensors for a user's model, and the steps of a filter on its merged clocks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -90,7 +90,7 @@ class Log:
         try:
             column = np.array(values, dtype=np.float64)
         except (TypeError, ValueError):
-            raise self.wrong(f"{name} is no array of numbers") from None
+            raise self.wrong(f"{name} is not an array of numbers") from None
         bad = np.argwhere(~np.isfinite(column))
         if len(bad):
             place = ", ".join(str(i) for i in bad[0])

@@ -46,7 +46,7 @@ class Tunable:
 class Model:
     """A user's process and measurement, and the parameters that are tuned in them.
 
-    ``p`` holds the values of ``parameters``, each under its name: ``p.length``. Plain functions of numbers and NumPy
+    ``p`` has the values of ``parameters``, each under its name: ``p.length``. Plain functions of numbers and NumPy
     arrays are compiled with Numba; others run too, some hundred times slower.
 
     Attributes
@@ -99,7 +99,7 @@ class Model:
             object.__setattr__(self, field, tuple(getattr(self, field)))
         for role in ("f", "h", "process_noise", "measurement_noise"):
             if not callable(getattr(self, role)):
-                raise self.wrong(f"{role} = {getattr(self, role)!r} is no function")
+                raise self.wrong(f"{role} = {getattr(self, role)!r} is not a function")
         if self.kind not in ("ukf", "ekf"):
             raise self.wrong(f"kind = {self.kind!r}; choose ukf or ekf")
         self._check_names("states", self.states)
@@ -107,7 +107,7 @@ class Model:
             unknown = [name for name in getattr(self, field) if name not in self.states]
             if unknown:
                 raise self.wrong(
-                    f"{field} names {unknown[0]!r}, which is no state; states are {_listed(self.states)}"
+                    f"{field} names {unknown[0]!r}, which is not a state; states are {_listed(self.states)}"
                 )
         self._check_parameters()
 
@@ -120,7 +120,9 @@ class Model:
             raise self.wrong(f"{field} is empty; name at least one")
         for i, name in enumerate(names):
             if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
-                raise self.wrong(f"{field}: {name!r} is no name; use letters, digits and _, a letter first")
+                raise self.wrong(
+                    f"{field}: {name!r} is not a name; use letters, digits and _, a letter first"
+                )
             if name in names[:i]:
                 raise self.wrong(f"{field}: {name!r} is there twice")
 
@@ -129,11 +131,11 @@ class Model:
         for t in self.parameters:
             if t.name in SCALING_NAMES:
                 raise self.wrong(
-                    f"parameters: {t.name!r} is the sigma points' and tuned anyway; choose another name"
+                    f"parameters: {t.name!r} is a parameter of the sigma points; choose another name"
                 )
             if not (np.isfinite([t.lowest, t.highest]).all() and t.lowest < t.highest):
                 raise self.wrong(
-                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g}; give a lower and a higher one"
+                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g}; give a lower and an upper bound"
                 )
             if t.logarithmic and t.lowest <= 0:
                 raise self.wrong(
@@ -143,7 +145,7 @@ class Model:
 
     @cached_property
     def record(self) -> Any:
-        """The class of p: a named tuple, which NumPy code and Numba both take."""
+        """The class of p: a named tuple, which NumPy code and Numba both accept."""
         return namedtuple("p", [t.name for t in self.parameters])  # pyright: ignore[reportUntypedNamedTuple]
 
     def values(self, parameters: Mapping[str, Any]) -> Any:
@@ -152,7 +154,7 @@ class Model:
         Raises
         ------
         InputError
-            If one is missing, unknown, or no finite number.
+            If one is missing, unknown or not finite.
         """
         known = [t.name for t in self.parameters]
         needed = [*SCALING_NAMES, *known] if self.kind == "ukf" else known
@@ -165,7 +167,7 @@ class Model:
         for name in needed:
             value = parameters[name]
             if not isinstance(value, Real) or not math.isfinite(value):
-                raise self.wrong(f"parameter {name} = {value!r} is no finite number")
+                raise self.wrong(f"parameter {name} = {value!r} is not a finite number")
         return self.record(*(float(parameters[name]) for name in known))
 
     def places(self, names: Sequence[str]) -> list[int]:
@@ -173,7 +175,7 @@ class Model:
         return [self.states.index(name) for name in names]
 
     def identity(self) -> dict[str, Any]:
-        """Identity of this model in plain types: names, bounds, and a hash of all of it."""
+        """Identity of this model in plain types: names, bounds, and a hash of the functions."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,

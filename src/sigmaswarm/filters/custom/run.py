@@ -247,7 +247,7 @@ def _compiled(model: Model, steps: Steps) -> Any:
         textbook = _run(model, None, few, trial, covariances=True)
         if _same(compiled, textbook):
             return kernel
-        why = "compiled, they give other numbers"
+        why = "the compiled functions return other numbers"
     warnings.warn(
         f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, some hundred "
         "times slower",

@@ -13,10 +13,10 @@ from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovati
 class SageHusa:
     """Adapt Q and R to the innovations of the fixes.
 
-    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
-    their weights (1 - b) / (1 - b^(k+1)); the maximum-a-posteriori estimate of the noise under exponential
-    forgetting. Guarded: R from the residual after the update, which is positive by construction; of Q's change no
-    part that would make it negative.
+    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of their
+    weights (1 - b) / (1 - b^(k+1)); the maximum-a-posteriori estimate of the noise under exponential forgetting.
+    Guards: R is from the residual after the update, which is positive by construction; a change that makes Q negative
+    is not used.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class FuzzyNoise:
         return self.times_r * self.tuned_measurement_noise
 
     def weigh(self, innovation: Innovation) -> Innovation:
-        """Adapt to a fix; gives its innovation with the new R."""
+        """Adapt to a fix; return its innovation with the new R."""
         ratio = min(innovation.nis / len(innovation.nu), LARGEST_RATIO)
         self.quick = self.memory * self.quick + (1 - self.memory) * ratio
         self.slow += (1 - self.memory) / SLOWER * (ratio - self.slow)
@@ -117,9 +117,9 @@ class StrongTracking:
     """Inflate P before a fix until it explains the recent size of the innovations.
 
     After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two
-    changes: The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look
-    back. And only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would
-    grow on.
+    changes: The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, forget too fast.
+    And only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would grow
+    on.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class StrongTracking:
     recent: float | None = None
 
     def stretch(self, filter: GaussianFilter, innovation: Innovation) -> Innovation:
-        """Inflate the covariance; gives the innovation after that."""
+        """Inflate the covariance; return the new innovation."""
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
         self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
@@ -177,7 +177,7 @@ class StudentT:
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
     def weight(self, innovation: Innovation) -> float:
-        """Mean weight of a fix, given the fix: state and weight are fitted to each other in turn."""
+        """Mean weight of a fix, given the fix: state and weight are fitted alternately."""
         weight, r, nu = 1.0, innovation.noise, innovation.nu
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight
@@ -189,7 +189,7 @@ class StudentT:
 
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """Inflate the part of P that a fix observes until it explains ``size`` (m2), nu^T nu; gives the innovation."""
+    """Inflate the part of P that a fix observes until it explains ``size`` (m2), nu^T nu; return the innovation."""
     cross, covariance = innovation.cross, filter.covariance
     seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.drives.timeline import FIX_THETA, FIX_VAR_THETA, Timeline
 from sigmaswarm.filters import fix_error
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
@@ -16,6 +16,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     FIX,
     GAP_TILT_STD,
+    HEADING,
+    HEADING_GATE,
     LATERAL,
     MOST_REJECTED,
     ODOMETER,
@@ -41,6 +43,7 @@ from sigmaswarm.filters.textbook.manifold import (
     ManifoldUnscentedKalmanFilter,
 )
 from sigmaswarm.filters.tilted import ATTITUDE, MEASURED_FIRST, STEP_FIRST
+from sigmaswarm.geodesy import wrap_angle
 
 
 class TextbookCar:
@@ -119,9 +122,11 @@ class TextbookCar:
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
             fix = line.fixes[self._fix_of_step[i]]
-            self._update_with_fix(fix[:2], fix[4:], float(line.end[i]))
+            self._update_with_fix(fix[:2], fix[4:6], float(line.end[i]))
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
                 self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), model.velocity)
+            if self.flags[i] & HEADING:
+                self._update_with_heading(fix[FIX_THETA], fix[FIX_VAR_THETA], float(line.gz[i]))
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
             arm = lateral_arm(self.filter.mean, p.rear_axle, p.tire_slip)
             lateral = model.lateral(float(line.gz[i]), arm)
@@ -162,8 +167,17 @@ class TextbookCar:
             self._rejected += 1
         self._since = 0.0
 
+    def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
+        """Update with the heading ``latency`` s ago; its variance is at least that of a NIS of `HEADING_GATE`."""
+        p, near = self.parameters, float(self.filter.mean[THETA])
+        z = near + wrap_angle(theta + p.latency * yaw_rate - near)
+        noise = np.array([[(p.heading_noise or 0.0) + stated]])
+        innovation = self.filter.measure(np.array([z]), noise, self.model.heading(near))
+        least = innovation.nu @ innovation.nu / HEADING_GATE
+        self.filter.absorb(replace(innovation, variance=np.maximum(innovation.variance, least)))
+
     def _age_fix_error(self, stated: Array) -> None:
-        """Take the lasting error of the last fix to that of the next, whose ``stated`` variances are (2,) m2 or 0."""
+        """Propagate the lasting error from the last fix to the next, whose ``stated`` variances are (2,) m2 or 0."""
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
         f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)

@@ -73,7 +73,7 @@ def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> Gauss
 
 
 def negative_log_likelihood(innovation: Innovation) -> float:
-    """-log N(nu; 0, S); raises `numpy.linalg.LinAlgError` where S is no covariance."""
+    """-log N(nu; 0, S); raises `numpy.linalg.LinAlgError` where S is not a covariance."""
     root = np.linalg.cholesky(innovation.variance)
     log_det = 2 * np.log(np.diag(root)).sum()
     return float(0.5 * (innovation.nis + log_det + len(innovation.nu) * np.log(2 * np.pi)))

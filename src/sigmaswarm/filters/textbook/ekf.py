@@ -1,4 +1,4 @@
-"""The extended Kalman filter as the textbook has it.
+"""The extended Kalman filter in textbook form.
 
 References
 ----------

@@ -18,7 +18,7 @@ class Innovation:
     Attributes
     ----------
     nu : ndarray, shape (m,)
-        Measurement less its prediction.
+        Measurement minus its prediction.
     variance : ndarray, shape (m, m)
         S, the covariance of ``nu``.
     cross : ndarray, shape (n, m)
@@ -61,7 +61,7 @@ class Prediction:
 
 
 def less_whole_turns(values: Array, columns: Sequence[int]) -> Array:
-    """``values``, shape (..., m), with the columns that are angles (rad) brought to within half a turn of zero."""
+    """``values``, shape (..., m), with the columns that are angles (rad) wrapped to (-pi, pi]."""
     values = values.copy()
     values[..., columns] -= 2 * np.pi * np.round(values[..., columns] / (2 * np.pi))
     return values

@@ -1,4 +1,4 @@
-"""Filters whose mean lies on a manifold, and whose covariance is that of a small error, added to it by ``plus``.
+"""Filters whose mean is on a manifold, and whose covariance is that of a small error, added to it by ``plus``.
 
 References
 ----------

@@ -97,7 +97,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         (FilterPy 1.4.5, what the paper most likely ran).
     angles : sequence of int
         States that are angles. The changes by f of their differences from the centre point are wrapped. A circular
-        mean would be wrong, since the centre's weight is hugely negative for a small alpha.
+        mean would be wrong, since the center's weight is a large negative number for a small alpha.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their differences from the centre point's, and their innovations, are
         wrapped.

@@ -77,7 +77,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     if not frames:
         raise InputError(
-            f"{path}: holds none of {', '.join(_COLUMNS)}; log them (LOG_BITMASK), and drive again"
+            f"{path}: contains none of {', '.join(_COLUMNS)}; enable them (LOG_BITMASK), and record again"
         )
     parts = [part for part in PARTS if part[1] != "GPA" or "GPS" in frames]
     guess = Guess(

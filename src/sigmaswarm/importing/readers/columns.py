@@ -25,7 +25,7 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it is a table file by its name or its first lines, or a folder that holds one by its name."""
+    """Return True if it is a table file by its name or its first lines, or a folder that contains one by its name."""
     return bool(_files(path)) or (path.is_file() and is_table(path))
 
 
@@ -51,7 +51,7 @@ def of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, scanned when they are wanted; guessed by their columns' names if by no reader."""
+    """Make a log of tables in files, scanned on use; without a reader's guess, guessed by their columns' names."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
@@ -120,7 +120,7 @@ def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
     if ended.returncode:
-        raise InputError(f"{shown_as}: is no Parquet file that can be decoded; mend or export it again")
+        raise InputError(f"{shown_as}: is no Parquet file that can be decoded; export it again")
 
 
 def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
@@ -217,7 +217,7 @@ def _require_closed_quotes(file: Path, shown_as: Path) -> None:
 
 
 def _expected_rows(file: Path) -> int:
-    """About how many rows a file holds, by the length of its first ones."""
+    """Estimate the number of rows of a file by the length of its first ones."""
     head = first_bytes(file, 65536)
     return int(file.stat().st_size / max(len(head) / max(head.count(b"\n"), 1), 1.0)) if file.is_file() else 1
 
@@ -234,4 +234,4 @@ def broken_table(path: Path, table: str, error: Exception) -> InputError:
     """Return the error of polars about a damaged table in one line."""
     where = path if path.name == table else path / table
     said = shown(" ".join(str(error).split("\n")[0].split()), 160)
-    return InputError(f"{where}: can't be read as a table ({said}); mend or export it again")
+    return InputError(f"{where}: can't be read as a table ({said}); export it again")

@@ -27,7 +27,7 @@ _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "speed": (("CAN/speed",), ("speed",)),
 }
-"""By table: the folders that may hold it, and its columns."""
+"""By table: the folders that may contain it, and its columns."""
 _FIX = {
     "lat": "latitude",
     "lon": "longitude",
@@ -82,7 +82,7 @@ def _load(path: Path, width: int, rows: int | None = None) -> Array:
 
 @np.errstate(all="ignore")
 def _pose(folder: Path) -> pl.DataFrame:
-    """The camera's place in degrees, and its velocity and heading there: a broken place concerns no other."""
+    """The camera's position in degrees, and its velocity and heading; a broken position does not affect the others."""
     time = _load(folder / "frame_times", 1)
     if not len(time):
         raise InputError(f"{folder / 'frame_times'}: has shape (0,), not (1,); unpack the segment again")

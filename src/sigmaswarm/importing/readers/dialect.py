@@ -18,13 +18,13 @@ SAMPLE = 200_000
 """Bytes of rows by which a dialect is known."""
 MOST_LINES = 300
 SEPARATORS = (";", "\t", "|", ",")
-"""In the order in which they are preferred where two fit as well: commas may be decimal."""
+"""In the order of preference if two fit equally well: commas may be decimal."""
 BLANKS = " "
-"""The separator of cells that any number of blanks part."""
+"""The separator of cells that are separated by any number of blanks."""
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
-"""A date and a time of day without marks between their parts."""
+"""A date and a time of day without separators between their parts."""
 _EMPTY = ("", "nan", "null", "none", "na", "n/a", "-", "inf", "-inf")
 Rows = Sequence[Sequence[str]]
 
@@ -81,7 +81,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
             raise InputError(
-                f"{shown_as}, row {first + 1}: has {width} cells and the header above it {len(found)}; give the header "
+                f"{shown_as}, row {first + 1}: has {width} cells and the header {len(found)}; give the header "
                 f"{width} names"
             )
         names = [""] * most
@@ -108,7 +108,7 @@ def is_table(file: Path) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True if a column holds numbers with commas, and no texts with commas, as dates."""
+    """Return True if a column contains numbers with commas, and no texts with commas, as dates."""
     filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
     numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in filled)
     return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)
@@ -129,7 +129,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
 
 
 def _first_lines(lines: Sequence[str], begin: int) -> list[int]:
-    """The places of the first lines, until they are many characters."""
+    """The positions of the first lines, up to a number of characters."""
     size, places = 0, list[int]()
     for i, line in enumerate(lines[begin : begin + MOST_LINES], begin):
         size += len(line)
@@ -162,7 +162,7 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """The separator that makes most rows of as many values; that of the first line where none makes any."""
+    """The separator with the most rows of equal length; else that of the first line."""
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
         if separator == BLANKS and best:
@@ -177,7 +177,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _numeric_columns(rows: Rows) -> list[int]:
-    """The places of columns that hold values in most of the rows in which they hold anything."""
+    """Indices of columns with numbers in most of the rows in which they are not empty."""
     filled, values = Counter[int](), Counter[int]()
     for row in rows:
         for k, cell in enumerate(row):
@@ -199,7 +199,7 @@ def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
 def _header(
     above: Sequence[str], separator: str, width: int, most: int, open_end: bool
 ) -> tuple[list[str], bool]:
-    """The names that lines above the rows give, and whether the rows end in a separator; a name may be missing.
+    """The names that lines above the rows give, and whether the rows end in a separator. A name may be missing.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if a line's cells are units rather than names, and more so than the line above them."""
+    """Return True if a line's cells are units rather than names, and more likely so than the line above them."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
     meanings = [sum(read_name(c).meaning is not None for c in row[:100]) for row in (cells, above)]
@@ -262,7 +262,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
-    """The line of the first row with more cells than names, and how many it has; None where there is none."""
+    """The line of the first row with more cells than names, and its number of cells; None if there is none."""
     most = len(dialect.names) + dialect.surplus
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, 1):

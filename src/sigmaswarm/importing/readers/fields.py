@@ -13,7 +13,7 @@ from sigmaswarm.importing.limits import Limits
 
 DEEPEST = 6
 MOST_ELEMENTS = 36
-"""A fixed array, or a list in JSON, has a column for so many elements: those of a 6 x 6 covariance."""
+"""Largest number of elements of a fixed array, or of a list in JSON, that become columns: a 6 x 6 covariance."""
 
 
 def getter(column: str) -> Callable[[Any], Any]:
@@ -71,7 +71,7 @@ def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tupl
 
 
 def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[str]:
-    """Depth first; lists of unknown length and texts are no columns, but count as empty names."""
+    """Depth first; lists of unknown length and texts are not columns, but count as empty names."""
     from rosbags.interfaces import Nodetype
 
     if depth > DEEPEST or msgtype not in typestore.fielddefs:

@@ -12,9 +12,9 @@ from sigmaswarm.importing.source import Placement, Table
 BASES = ("base_link", "base_footprint")
 """Names of the vehicle's frame, x forward, y left, z up (REP-105)."""
 Pose = tuple[Array, Array]
-"""Of a frame in another one: rotation (3, 3) and translation (3,), m."""
+"""Pose of a frame in another one: rotation (3, 3) and translation (3,), m."""
 Tree = Mapping[str, tuple[str, Pose]]
-"""By frame, its parent and its pose in it."""
+"""The parent of each frame, and its pose in it."""
 
 
 def static_topic(tables: Mapping[str, Table]) -> str | None:
@@ -62,7 +62,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """A transform as rotation and translation; None where its numbers are no rotation."""
+    """A transform as rotation and translation; None if its numbers are not a rotation."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))

@@ -1,8 +1,8 @@
 """Android's GnssLogger: one text with lines of several kinds, each kind's columns in a comment at the top.
 
 LOGGING.md of the app's public descriptions: Fix (degrees, m/s, AccuracyMeters a circle with 68%, bearing from north),
-Accel or UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all; older
-logs have it not in Fix, then the milliseconds of UTC serve.
+Accel or UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all; in
+older logs Fix does not have it, and UTC in milliseconds is used.
 """
 
 from contextlib import ExitStack
@@ -38,7 +38,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the comments, and find the kinds of lines that are there; comments also name what was not logged."""
+    """Read the comments, and find the existing kinds of lines; comments also name what was not logged."""
     columns: dict[str, list[str]] = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -57,7 +57,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     columns = {kind: names for kind, names in columns.items() if kind in present}
     _require_one_clock(columns, path)
     if not columns:
-        raise InputError(f"{path}: holds no lines of {', '.join(_KINDS)}; log fixes and sensors")
+        raise InputError(f"{path}: contains no lines of {', '.join(_KINDS)}; log fixes and sensors")
     cells = pl.col("line").str.count_matches(",", literal=True)
     widths = pl.col("kind").replace_strict({k: len(n) for k, n in columns.items()}, default=0)
     for row, line, _ in collect(lines.filter(cells < widths).head(1), path, path.name).iter_rows():

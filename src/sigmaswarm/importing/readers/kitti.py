@@ -1,6 +1,6 @@
 """KITTI raw: the OXTS RT3003's texts, synchronized (10 Hz) or not (100 Hz).
 
-One text of 30 numbers a sample and a file of times; meaning, units and signs from ``dataformat.txt`` of the data set
+One text of 30 numbers per sample, and a file of times; meaning, units and signs from ``dataformat.txt`` of the data set
 (A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward, y left, z up, yaw from east.
 """
 
@@ -34,7 +34,8 @@ GUESS = Guess(
     (
         "KITTI has no receiver of its own: fixes and truth are the same RTK/INS solution; for an honest test make "
         "noisy fixes with --gps-from-truth",
-        "the unit's angular rates are some 0.06 s late by its own yaw; docs/importing.md shows how to advance them",
+        "the unit's angular rates are about 0.06 s late relative to its yaw; docs/importing.md shows how to advance "
+        "them",
     ),
     metadata={"licence": "CC BY-NC-SA 3.0", "dataset": "KITTI raw"},
 )
@@ -50,16 +51,16 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all texts of a drive: an hour of 100 Hz is 360 000 files, and 90 MB."""
+    """Read all texts of a drive: an hour at 100 Hz is 360 000 files of 90 MB in total."""
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(
-            f"{path}: is no drive of KITTI raw; name the folder that holds oxts/timestamps.txt and oxts/data"
+            f"{path}: is not a drive of KITTI raw; name the folder that contains oxts/timestamps.txt and oxts/data"
         )
     stamps = _stamps(folder / "timestamps.txt")
     files = sorted((folder / "data").glob("*.txt"))
     if not files:
-        raise InputError(f"{folder / 'data'}: holds no texts; unpack the drive again")
+        raise InputError(f"{folder / 'data'}: contains no texts; unpack the drive again")
     rows = np.array([_numbers(file, len(stamps)) for file in files])
     times = stamps[rows[:, 0].astype(np.int64)]
     frame = pl.DataFrame({"stamp": times, **dict(zip(COLUMNS, rows.T[1:], strict=True))})
@@ -81,7 +82,7 @@ def _stamps(path: Path) -> np.ndarray:
     if not len(times):
         raise InputError(f"{path} is empty; unpack the drive again")
     if np.any(times.astype("datetime64[D]") != days, where=~np.isnat(days)):  # ns reach from 1678 to 2262
-        raise InputError(f"{path}: holds a date beyond what ns can count; unpack the drive again")
+        raise InputError(f"{path}: contains a date beyond what ns can count; unpack the drive again")
     return times.astype(np.int64)
 
 
@@ -94,7 +95,7 @@ def _numbers(path: Path, count: int) -> list[float]:
         numbers = []
     if len(numbers) != len(COLUMNS):
         raise InputError(
-            f"{path}: holds {len(cells)} cells, not {len(COLUMNS)} numbers; unpack the drive again"
+            f"{path}: contains {len(cells)} cells, not {len(COLUMNS)} numbers; unpack the drive again"
         )
     if not re.fullmatch(r"[0-9]{1,18}", path.stem) or int(path.stem) >= count:
         raise InputError(

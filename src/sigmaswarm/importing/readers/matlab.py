@@ -19,11 +19,11 @@ from sigmaswarm.importing.source import FILES, Choice, Guess, Log, first_bytes, 
 from sigmaswarm.wording import shown
 
 LOOSE = "variables"
-"""The table of the vectors that are in no struct."""
+"""The table of the vectors outside of structs."""
 DEEPEST = 5
 MOST_STRUCTS = 100_000
 MOST_PARTS = 9
-"""Columns of a matrix that are a column each."""
+"""Numbers of columns of a matrix that become separate columns."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
 """Types of elements in a file of version 5 to 7 (MathWorks, "MAT-File Format"), which are arrays."""
@@ -64,11 +64,12 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if not frames:
         if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
             raise InputError(
-                f"{path}: holds MATLAB's own tables (timetable, table), which are not read; in MATLAB type for each: "
+                f"{path}: contains MATLAB's own tables (timetable, table), which are not read; in MATLAB type for "
+                "each: "
                 "writetimetable(NAME, 'NAME.csv')  (or writetable), and import the folder of these files"
             )
         raise InputError(
-            f"{path}: holds no struct of vectors and no vectors; --show lists tables, and there are none"
+            f"{path}: contains no struct of vectors and no vectors; --show lists tables, and there are none"
         )
     for name, frame in frames.items():
         limits.check_rows(len(frame), path, name)
@@ -115,7 +116,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
 
 
 def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> None:
-    """Refuse what is no array, and an array whose class, shape and content do not agree."""
+    """Refuse elements that are not arrays, and an array whose class, shape and content do not agree."""
     if kind != _ARRAY or depth > _DEEPEST_ARRAY:
         raise ValueError(f"an element of type {kind}, {depth} deep, in the place of an array")
     elements = _elements(file, file.tell() + size, order)
@@ -162,7 +163,7 @@ def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple
 
 
 def _columns(field: str, value: "np.ndarray[Any, Any]") -> Iterator[tuple[str, Any]]:
-    """The columns of a vector or of a matrix (n, 2 to 9), lying or standing."""
+    """The columns of a vector or of a matrix (n, 2 to 9) or its transpose."""
     if value.dtype.kind not in "fiub":
         return
     if value.ndim == 1:

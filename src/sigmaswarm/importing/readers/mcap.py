@@ -16,9 +16,9 @@ from sigmaswarm.importing.source import Log, Table, first_bytes, library, whole
 
 Decode = Callable[[bytes], Any]
 LOOKED_AT = 20
-"""Messages that no definition describes, by which a topic's columns are known."""
+"""Number of messages without a definition from which a topic's columns are determined."""
 _LZ4_RATIO = 255
-"""No byte of LZ4 becomes more."""
+"""Largest expansion of a byte of LZ4."""
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -91,7 +91,7 @@ def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> Log:
 def _decoder(
     channel: Any, schema: Any, store: Any, reader: Any, limits: Limits, path: Path
 ) -> tuple[tuple[str, ...], Decode | None]:
-    """The columns of a channel's messages, and their decoder; None where there is none."""
+    """The columns of a channel's messages, and their decoder; None without a decoder."""
     encoding = channel.message_encoding
     if encoding == "json" or (encoding == "protobuf" and schema is not None):
         decode = _json if encoding == "json" else _protobuf(schema)
@@ -114,7 +114,7 @@ def _decoder(
 
 
 def _json(data: bytes) -> dict[str, Any]:
-    """A message; one that is no object holds nothing."""
+    """A message; one that is not an object is empty."""
     content = json.loads(data)
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 

@@ -65,7 +65,7 @@ class _Messages:
     remarks: list[str] = field(default_factory=list[str])
 
     def batches(self, wanted: Wanted) -> Iterator[Batch]:
-        """Some thousand messages at a time."""
+        """Batches of some thousand messages."""
         total = sum(self.tables[topic].rows or 0 for topic in wanted)
         collectors = {topic: _Collector(topic, list(columns)) for topic, columns in wanted.items()}
         for seen, (topic, received, message) in enumerate(self._messages(wanted), 1):
@@ -84,7 +84,7 @@ class _Messages:
             yield from self.stream(topics)
 
     def guess(self, choice: Choice) -> Guess:
-        """By message types, and topics' names; of messages of an author's own, by the names of their numbers."""
+        """Guess by message types and names of topics; for other messages by the names of their numbers."""
         own: dict[str, str] = {}
         for role, chosen in choice.tables.items():
             topic = next((t for t in (chosen, "/" + chosen.lstrip("/")) if t in self.tables), "")
@@ -106,7 +106,7 @@ class _Messages:
         return replace(guess, placed=self._placement(guess))
 
     def _placement(self, guess: Guess) -> Placement | None:
-        """Where the static transforms of the log place IMU and antenna."""
+        """The poses of IMU and antenna from the static transforms of the log."""
         static = static_topic(self.tables)
         if static is None or "imu" not in guess.roles:
             return None
@@ -117,7 +117,7 @@ class _Messages:
         return placement((message for _, _, message in sent), imu, antenna)
 
     def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
-        """A role's part of other messages, by PX4's types or by names; the time alone if the rest is mapped."""
+        """A role's part from other messages, by PX4's types or by names; only the time if the rest is mapped."""
         wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
         topics = [topic] if topic else list(self.tables)
         for name in topics:
@@ -160,7 +160,7 @@ class _Collector:
         self.stamp = self.columns.index("stamp") if "stamp" in self.columns else None
 
     def add(self, received: int, message: Any) -> None:
-        """Take the wanted numbers out of a message."""
+        """Extract the required numbers from a message."""
         row = [get(message) if get else received for get in self.getters]
         self.rows.append(row)
         if self.stamp is not None and row[self.stamp]:  # 0 where it is not set
@@ -174,18 +174,18 @@ class _Collector:
         return pl.DataFrame({c: _numbers(v) for c, v in zip(self.columns, values, strict=True)})
 
     def remarks(self) -> Iterator[str]:
-        """A sentence where stamps and receive times differ."""
+        """A sentence if stamps and receive times differ."""
         delay = float(np.median(self.delays)) if self.delays else 0.0
         if abs(delay) > LATE:
             when = "before" if delay > 0 else "after"
             yield (
                 f"{self.topic}: header stamps are {abs(delay):.3f} s {when} the receive times (median); "
-                "were the stamps wrong, take --receive-times"
+                "if the stamps are wrong, use --receive-times"
             )
 
 
 def _numbers(values: Sequence[Any]) -> pl.Series:
-    """A column (n,) of whole numbers as such, a time has more digits than a float holds; of any others as floats."""
+    """A column (n,): integers stay integers, since a time has more digits than a float; others become floats."""
     if {type(v) for v in values} <= {int, type(None)}:
         try:
             return pl.Series(values, dtype=pl.Int64)

@@ -1,6 +1,7 @@
 """NMEA 0183 sentences of a receiver, through pynmeagps: GGA or GNS for position, RMC for date and velocity, GST.
 
-Sentences with one time of day make one fix. The day comes from RMC or ZDA and goes on at midnight.
+HDT, THS or PASHR give the heading of two antennas.
+Sentences with one time of day make one fix. The day is from RMC or ZDA and advances at midnight.
 """
 
 import math
@@ -18,7 +19,10 @@ KNOT = 1852 / 3600
 """m/s."""
 STILL = 0.5
 """m/s."""
-COLUMNS = ("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon")
+COLUMNS = (
+    *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
+    *("heading", "std_heading"),
+)
 GUESS = Guess(
     {
         "gps": (
@@ -27,6 +31,7 @@ GUESS = Guess(
                 {
                     **{name: name for name in ("t", "lat", "lon", "alt", "speed")},
                     **{"course": "radians(90 - course)", "std_x": "std_lon", "std_y": "std_lat"},
+                    **{"heading": "radians(90 - heading)", "std_heading": "radians(std_heading)"},
                     "keep": "quality > 0",
                 },
             ),
@@ -46,7 +51,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a log; it is decoded when its rows are wanted."""
+    """Open a log; it is decoded when its rows are read."""
     pynmeagps = library("pynmeagps", "logs")
     remarks: list[str] = []
     return of_rows(path, "fixes", COLUMNS, lambda: _rows(path, pynmeagps, remarks), GUESS, remarks)
@@ -83,7 +88,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
 
 
 def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[Any, float]]:
-    """The sentences that are whole, and the share of the file that is read."""
+    """The complete sentences, and the share of the file that is read."""
     broken = complete = read = 0
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -102,7 +107,7 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
             complete += 1
             yield message, read / size
     if not complete:
-        raise InputError(f"{path}: holds no whole NMEA sentence; name the format with --format")
+        raise InputError(f"{path}: contains no whole NMEA sentence; name the format with --format")
     if broken:
         remarks.append(f"{path.name}: {broken} damaged lines passed over")
 
@@ -144,6 +149,12 @@ def _values(message: Any) -> dict[str, float]:
         return {"speed": speed, "course": course, **place}
     if kind == "GST":
         return {"std_lat": number("stdLat"), "std_lon": number("stdLong")}
+    if kind == "HDT":
+        return {"heading": number("headingT")}
+    if kind == "THS" and getattr(message, "mi", "") == "A":
+        return {"heading": number("headt")}
+    if kind == "ASHR" and number("gnssQual") > 0:
+        return {"heading": number("trueHdg"), "std_heading": number("hdgAcc")}
     return {}
 
 

@@ -13,10 +13,10 @@ from sigmaswarm.importing.readers.columns import of_files, scan
 from sigmaswarm.importing.source import Guess, Log, whole
 from sigmaswarm.limits import require_text
 
-FLAT = "the phone taken as lying flat, screen up, top edge forward; turn it with --mount"
+FLAT = "the phone is assumed to lie flat, screen up, top edge forward; --mount states another mounting"
 """A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
 RADIUS_68 = 1.515
-"""A circle with 68% of normal errors has so many standard deviations of one axis: sqrt(-2 ln 0.32)."""
+"""Radius of a circle with 68% of normal errors, in standard deviations of one axis: sqrt(-2 ln 0.32)."""
 
 
 def names_in(path: Path) -> set[str]:

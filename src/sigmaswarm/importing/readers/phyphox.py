@@ -32,7 +32,7 @@ _COLUMNS: tuple[tuple[Role, str, dict[str, str], dict[str, str]], ...] = (
         },
     ),
 )
-"""By role and file: the plain names of columns, and the expressions over them."""
+"""The plain names of columns, and the expressions over them, by role and file."""
 _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 
 

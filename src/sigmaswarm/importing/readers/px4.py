@@ -1,8 +1,8 @@
 """PX4's flight logs, ``.ulg``, through pyulog, and PX4's messages in ROS 2 bags.
 
-Messages of PX4-Autopilot, msg/: times in us since start; sensor_combined in the body's forward, right, down
-(m/s2, rad/s); fixes in degrees (or 1e-7 degrees, mm in older logs), velocity north and east; in simulation also
-the true place, north and east of a reference.
+Messages of PX4-Autopilot, msg/: times in us since start; sensor_combined in the body's forward, right, down (m/s2,
+rad/s); fixes in degrees (or 1e-7 degrees, mm in older logs), velocity north and east; in simulation also the true
+position, north and east of a reference.
 """
 
 import io
@@ -51,7 +51,7 @@ _KINDS: dict[Role, tuple[str, ...]] = {"imu": ("SensorCombined",), "gps": ("Sens
 
 
 def part_of(topic: str, table: Table, role: Role) -> Part | None:
-    """The part of a role that a topic of px4_msgs gives; None where it gives none."""
+    """The part of a role from a topic of px4_msgs, or None."""
     package, _, kind = table.kind.rpartition("/")
     if not package.startswith("px4_msgs") or kind not in _KINDS.get(role, ()):
         return None
@@ -77,17 +77,17 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     }
     if not frames:
         raise InputError(
-            f"{path}: holds none of {', '.join(_TOPICS)}; log them (SDLOG_PROFILE), and fly again"
+            f"{path}: contains none of {', '.join(_TOPICS)}; enable them (SDLOG_PROFILE), and record again"
         )
     guess = _guess(frames)
     return of_frames(path, frames, "uORB topic", lambda _: guess)
 
 
 class _Log(io.BufferedReader):
-    """A file that knows where its reader stopped, and refuses to be searched for the message after a broken one.
+    """A file that records where its reader stopped, and refuses the search for a message after a broken one.
 
-    pyulog ends without a word at a message that is too short. After one of no known kind and an impossible size it goes
-    on at the next byte, which takes hours, or for ever at the end of the file.
+    pyulog ends silently at a message that is too short. After one of unknown kind and impossible size it continues at
+    the next byte, which takes hours, or never ends at the end of the file.
     """
 
     stopped = 0

@@ -30,13 +30,13 @@ def bag_paths(path: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; definitions that a ROS 2 bag does not bring along are given, or those of the latest ROS."""
+    """Open a bag; definitions that a ROS 2 bag lacks are the given ones, or those of the latest ROS."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
     paths = bag_paths(path)
     if not paths:
         raise InputError(
-            f"{path}: holds no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
+            f"{path}: contains no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
         )
     with whole(path):
         store = typesys.get_typestore(typesys.Stores.LATEST)
@@ -49,7 +49,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 
 
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
-    """Add the definitions in files, .msg, to those that a bag brings along; a file's folders name its package."""
+    """Add the definitions in files, .msg, to those of a bag; a file's folders name its package."""
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:
         files = sorted(given.rglob("*.msg")) if given.is_dir() else [given]

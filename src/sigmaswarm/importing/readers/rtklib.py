@@ -32,11 +32,11 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the header, and rows when they are wanted."""
+    """Read the header, and the rows on use."""
     system, columns = _header(path)
     targets = {target: name for target, name in _TARGETS.items() if name in columns}
     notes = {
-        "GPST": f"{path.name}: GPS time taken to UTC; where the other sensors count GPS time, give --truth-offset or "
+        "GPST": f"{path.name}: GPS time converted to UTC; if the other sensors use GPS time, give --truth-offset or "
         "--gps-offset 18 (leap seconds since 2017)",
         "UTC": f"{path.name}: times are UTC",
     }

@@ -47,7 +47,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
-    """Specific force: with gravity as logged, or without it and gravity added (iOS has both with its own sign)."""
+    """Specific force: as logged with gravity, or the sum of acceleration and gravity (with opposite signs on iOS)."""
     if _TOTAL in log.tables:
         return {_TOTAL: {"ax": "y", "ay": "-x", "az": "z"}}
     if not {_MOVED, _GRAVITY} <= log.tables.keys():
@@ -56,7 +56,7 @@ def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     z = [rows["z"].cast(pl.Float64, strict=False) for _, rows, _ in log.batches({_GRAVITY: ["z"]})]
     down = pl.concat(z).median() if z else None
     if not isinstance(down, float):
-        raise InputError(f"{log.path / _GRAVITY}: holds no numbers; export it again")
+        raise InputError(f"{log.path / _GRAVITY}: contains no numbers; export it again")
     turned = ", both with their signs turned, as iOS has them" if down < 0 else ""
     notes.append(f"gravity added to Accelerometer.csv{turned}")
     axes = {"ax": "-y", "ay": "x", "az": "-z"} if down < 0 else {"ax": "y", "ay": "-x", "az": "z"}

@@ -1,4 +1,4 @@
-"""Which topics a drive is made of, by what their messages hold (sensor_msgs, geometry_msgs, nav_msgs)."""
+"""The topics of a drive, by the content of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
 
 import math
 import re
@@ -18,14 +18,22 @@ _IMU = {f"a{i}": f"linear_acceleration.{i}" for i in "xyz"} | {
 _FIX = {"lat": "latitude", "lon": "longitude", "alt": "altitude"}
 _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
 _POSITION = {"x": "position.x", "y": "position.y"}
+_ORIENTATION = {i: f"orientation.{i}" for i in "wxyz"}
 _SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
-"""Where messages have the speed of the wheels: nav_msgs and geometry_msgs, Autoware's reports, and others."""
+"""Paths of the speed of the wheels in messages: nav_msgs and geometry_msgs, Autoware's reports, and others."""
 _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
+_HEADING = re.compile(r"heading|compass", re.IGNORECASE)
 _SATELLITES = re.compile(r"gps|gnss", re.IGNORECASE)
 STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_FIX, _POSITION)}
-"""By role, the paths of its numbers in standard messages."""
+"""The paths of numbers in standard messages, by role."""
+
+
+def _yaw(at: str) -> str:
+    """Yaw of a quaternion, as an expression."""
+    w, x, y, z = (at + i for i in "wxyz")
+    return f"atan2(2*({w}*{z} + {x}*{y}), 1 - 2*({y}*{y} + {z}*{z}))"
 
 
 def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
@@ -61,11 +69,12 @@ class Topics:
         Raises
         ------
         InputError
-            A topic that the user chose is not there, or holds something else.
+            A topic that the user chose is not there, or contains something else.
         """
         roles: dict[Role, tuple[Part, ...]] = {}
         metadata: dict[str, Any] = {}
-        if imu := self._topic("imu", self._having(_IMU)):
+        inertial = self._having(_IMU)
+        if imu := self._topic("imu", {t for t in inertial if not _HEADING.search(t)} or inertial):
             roles["imu"] = (self._part(imu, self._imu(imu)),)
             self._note_frame(imu)
             metadata = self._stated_noise(imu)
@@ -81,6 +90,11 @@ class Topics:
             if velocity := self._topic("velocity", moving - self._having(_POSITION)):
                 roles["gps"] += (self._part(velocity, self._named(velocity, _VELOCITY)),)
                 self.notes.append(f"{velocity} taken as the receiver's velocity, m/s east and north")
+            if heading := self._topic(
+                "heading", {t for t in self._having(_ORIENTATION) if _HEADING.search(t)}
+            ):
+                roles["gps"] += (self._part(heading, self._heading(heading)),)
+                self.notes.append(f"{heading} taken as the heading of two antennas")
         located = self._having(_POSITION) | self._having(_FIX)
         truth = self._topic("truth", {t for t in located if _TRUTH.search(t)})
         if truth:
@@ -159,7 +173,7 @@ class Topics:
         return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Fixes: NavSatFix in degrees, or a pose in meters east and north; deviations where they are stated."""
+        """Fixes: NavSatFix in degrees, or a pose in meters east and north; with stated deviations, if any."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
@@ -176,6 +190,15 @@ class Topics:
         self.notes.append(f"{topic} taken as meters east and north")
         return found
 
+    def _heading(self, topic: str) -> dict[str, str]:
+        """Yaw of an Imu message's orientation, whose first covariance is -1 where it has none and 0 where unknown."""
+        at = self._named(topic, _ORIENTATION)["w"].removesuffix("w")
+        covariance = at.removesuffix(".") + "_covariance"
+        found = {"heading": _yaw(at)}
+        if f"{covariance}[8]" in self.tables[topic].columns:
+            found |= {"std_heading": f"sqrt({covariance}[8])", "keep": f"{covariance}[0] != -1"}
+        return found
+
     def _motion(self, topic: str) -> dict[str, str]:
         """Truth: a pose with its heading and, in Odometry, the velocity in the body; or fixes in degrees."""
         if prefix(self.tables[topic], _FIX) is not None:
@@ -183,8 +206,7 @@ class Topics:
         found = self._named(topic, _POSITION)
         at = found["x"].removesuffix("position.x") + "orientation."
         if at + "w" in self.tables[topic].columns:
-            w, x, y, z = (at + i for i in "wxyz")
-            found["theta"] = f"atan2(2*({w}*{z} + {x}*{y}), 1 - 2*({y}*{y} + {z}*{z}))"
+            found["theta"] = _yaw(at)
             if prefix(self.tables[topic], _VELOCITY) is not None:
                 velocity = self._named(topic, _VELOCITY)
                 found |= {"forward": velocity["vx"], "left": velocity["vy"]}
@@ -192,7 +214,7 @@ class Topics:
         return found
 
     def _part(self, topic: str, columns: dict[str, str]) -> Part:
-        """The part with its time: the header's stamp, unless it is unset or not wanted."""
+        """The part with its time: the header's stamp, unless it is unset or excluded."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
             self.notes.append(f"{topic}: messages have no header; receive times taken")

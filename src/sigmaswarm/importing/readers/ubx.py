@@ -1,8 +1,9 @@
 """u-blox receivers' UBX streams, through pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
-u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are
-standard deviations as the receiver sees them. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED
-in cm/s, times in GPS week (SOL) and ms of week. Other messages in the stream, NMEA among them, are passed over.
+u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are standard
+deviations by the receiver's estimate. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in cm/s,
+times in GPS week (SOL) and ms of week. NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from one
+antenna to the other. Other messages in the stream, such as NMEA, are skipped.
 """
 
 import calendar
@@ -22,9 +23,10 @@ from sigmaswarm.importing.source import Guess, Log, Part, first_bytes, library, 
 from sigmaswarm.wording import names_shown
 
 SYNC = b"\xb5\x62"
-NAV_PVT = b"\x01\x07"
+NAV_PVT, NAV_RELPOSNED = b"\x01\x07", b"\x01\x3c"
 NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED = b"\x01\x02", b"\x01\x06", b"\x01\x03", b"\x01\x12"
 COLUMNS = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gSpeed", "fixType", "gnssFixOk", "carrSoln")
+HEADING = ("relPosHeading", "accHeading")
 COLUMNS_6 = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gpsFix")
 _SPLIT = "the stated horizontal accuracy is split evenly between east and north"
 _FIX = {
@@ -38,6 +40,7 @@ GUESS = Guess(
                 "NAV-PVT",
                 _FIX
                 | {"vx": "velE*1e-3", "vy": "velN*1e-3"}
+                | {"heading": "radians(90 - relPosHeading)", "std_heading": "radians(accHeading)"}
                 | {"keep": "gnssFixOk == 1 and fixType >= 2 and fixType <= 4"},
             ),
         )
@@ -66,14 +69,15 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a stream; it is decoded when its rows are wanted."""
+    """Open a stream; it is decoded when its rows are read."""
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
-        raise InputError(f"{path}: holds no UBX messages; name the format with --format")
+        raise InputError(f"{path}: contains no UBX messages; name the format with --format")
     remarks: list[str] = []
     kinds = {raw[2:4] for raw, _ in _messages(path) if raw is not None}
     if NAV_PVT in kinds:
-        return of_rows(path, "NAV-PVT", COLUMNS, lambda: _rows(path, pyubx2, remarks), GUESS, remarks)
+        columns = (*COLUMNS, *HEADING)
+        return of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), GUESS, remarks)
     if NAV_POSLLH in kinds:
         return of_rows(
             path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), GUESS_6, remarks
@@ -82,13 +86,14 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     raw = any(kind[:1] == b"\x02" for kind in kinds)
     what = RAW if raw else "have the receiver send NAV-PVT, or NAV-POSLLH and NAV-SOL"
     raise InputError(
-        f"{path}: holds {names_shown(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
+        f"{path}: contains {names_shown(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
     )
 
 
 def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row a NAV-PVT message with a valid date and time."""
+    """One row per NAV-PVT message with a valid date and time."""
     broken = undated = 0
+    headings = _headings(path, pyubx2)
     for raw, done in _messages(path):
         if raw is None or raw[2:4] != NAV_PVT:
             broken += raw is None
@@ -97,6 +102,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
             message = pyubx2.UBXReader.parse(raw)
             if message.validDate and message.validTime:
                 row = (_time(message), *(float(getattr(message, name)) for name in COLUMNS[1:]))
+                row += headings.get(message.iTOW, (np.nan, np.nan))
             else:
                 undated += 1
                 continue
@@ -110,8 +116,23 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
         remarks.append(f"{path.name}: {undated} messages without a valid date passed over")
 
 
+def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
+    """Heading and accuracy, deg, from one antenna to the other, by time of week, where the ambiguities are fixed."""
+    found: dict[int, tuple[float, float]] = {}
+    for raw, _ in _messages(path):
+        if raw is None or raw[2:4] != NAV_RELPOSNED:
+            continue
+        try:
+            message = pyubx2.UBXReader.parse(raw)
+            if message.relPosHeadingValid and message.carrSoln == 2:
+                found[message.iTOW] = message.relPosHeading, message.accHeading
+        except Exception:  # of a length that is none, or of version 0, which has no heading
+            continue
+    return found
+
+
 def _time(message: Any) -> float:
-    """s since 1970; ValueError where the calendar has no such day or the day no such time."""
+    """s since 1970; ValueError for an impossible date or time."""
     day = date(message.year, message.month, message.day)
     if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
         raise ValueError("no time of day")
@@ -120,7 +141,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row a time of week, of the messages that state it; the week is the last one that NAV-SOL stated."""
+    """One row per time of week, from the messages that state it; the week is the last one in NAV-SOL."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
@@ -159,7 +180,7 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
 
 
 def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
-    """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is done.
+    """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is read.
 
     The length of a damaged message is unreliable: the next one is searched right after its first bytes.
     """

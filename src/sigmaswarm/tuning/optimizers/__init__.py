@@ -77,7 +77,7 @@ def create_optimizer(
     population : int
         Points per batch, at least 2.
     budget : int
-        Evaluations, at least 1. The last batch is cut to what is left.
+        Evaluations, at least 1. The last batch is cut to the rest of the budget.
     rng : numpy.random.Generator
         The only source of random numbers.
     **options

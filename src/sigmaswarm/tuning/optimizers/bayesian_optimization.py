@@ -3,12 +3,13 @@
 J. Mockus, V. Tiesis and A. Zilinskas, The application of Bayesian methods for seeking the extremum, 1978; D. R. Jones,
 M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-box functions, J. Global Optimization 13,
 455-492, 1998: expected improvement. Several points at a time by the kriging believer of D. Ginsbourger, R. Le Riche and
-L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is believed to cost what is predicted
-for it, until its cost is known.
+L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is assumed to have its predicted cost
+until its cost is known.
 
-The lengths over which costs are alike are found by scikit-learn, from the points and costs alone, each time from the
-beginning, so that these and the generator are the whole state. The search for the next point is our own, as it has the
-slope of the expected improvement in closed form; without it, it takes several times as long as all else.
+The lengths over which costs are alike are found by scikit-learn, from the points and costs alone, each time from these
+alone, so that they and the generator are the whole state. The search for the next point is our own, since it uses the
+slope of the expected improvement in closed form; without the slope it would take several times as long as everything
+else.
 """
 
 import threading
@@ -23,17 +24,17 @@ from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
 MOST = 200
-"""Costs that the process is fitted to, as a fit grows with their number's third power."""
+"""Largest number of costs in a fit, whose time grows with the third power of their number."""
 NOISE = 1e-6
 """Variance of a cost that nearby points can't explain, in variances of all costs."""
 LEAST = 1e-12
 """Variance of a forecast at a point that was tried, in variances of all costs."""
 FEW_BEST, NEAR = 5, 0.02
-"""Half of the places are so near to so many of the best points, in widths of the box."""
+"""Distance of half of the candidates from the best points, in widths of the bounds, and the number of these points."""
 SHORTEST, LONGEST = 0.2, 10.0
-"""Over which distance costs may be alike, in widths of the box."""
+"""Range of the length scales, in widths of the bounds."""
 _ALONE = threading.Lock()
-"""Warnings are switched off and threads counted for the whole process: two at once would leave that so."""
+"""Warnings and thread limits are settings of the whole process, so only one fit may change them at a time."""
 
 
 class BayesianOptimization(AskTell):
@@ -50,7 +51,7 @@ class BayesianOptimization(AskTell):
     batch: int = 1
     """Points between two fits: fewer learn more from each evaluation, more take less time."""
     candidates: int = 2000
-    """Places that are looked at for each point."""
+    """Number of candidates for each point."""
     searches: int = 3
     """Searches that climb from the best of them."""
 
@@ -74,7 +75,7 @@ class BayesianOptimization(AskTell):
         return self.low + found * (self.high - self.low)
 
     def _remembered(self) -> NDArray[np.intp]:
-        """Which of the points the process is fitted to: all, or the best half of `MOST` and the latest."""
+        """Indices of the points of the fit: all, or the best half of `MOST` and the latest."""
         last = len(self.costs) - MOST // 2
         if last <= MOST // 2:
             return np.arange(len(self.costs))
@@ -83,11 +84,11 @@ class BayesianOptimization(AskTell):
 
 
 def leveled(costs: Array) -> Array:
-    """Costs in the same order, of which the worst don't drown the differences between the best.
+    """Costs on a scale that keeps their order and the differences between the best.
 
-    A diverged filter costs a thousand times what a good one does; a process of such costs is flat where it
-    matters. So they are taken as log(1 + (cost - best) / (median - best)): even below the median, logarithmic above. A
-    failure costs as much as the worst of the others.
+    A diverged filter costs a thousand times as much as a good one, and a process of such costs is flat near the best.
+    So the scale is log(1 + (cost - best) / (median - best)): linear below the median, logarithmic above. A failure
+    costs as much as the worst of the others.
 
     Parameters
     ----------
@@ -113,11 +114,11 @@ def suggested(
     Parameters
     ----------
     points : ndarray, shape (n, d)
-        In the unit box.
+        Points of the unit cube.
     costs : ndarray, shape (n,)
     count : int
     effort : (int, int)
-        Places that are looked at, and searches from the best of them.
+        Number of random candidates, and of local searches from the best of them.
     rng : numpy.random.Generator
 
     Returns
@@ -139,7 +140,7 @@ def suggested(
 
 
 def _fitted(points: Array, costs: Array) -> Array:
-    """The lengths, shape (d,), over which a process of these costs is alike: the most likely ones."""
+    """The length scales, shape (d,), of the process with the largest likelihood of these costs."""
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import Matern
 
@@ -155,7 +156,7 @@ def _fitted(points: Array, costs: Array) -> Array:
 
 
 class Improvement:
-    """Expected improvement of a point of the unit box over the lowest cost, in standard deviations of costs.
+    """Expected improvement of a point of the unit cube over the lowest cost, in standard deviations of costs.
 
     Parameters
     ----------
@@ -180,7 +181,10 @@ class Improvement:
         self.weights = self._solved(self.factor, y)
 
     def _alike(self, at: Array) -> tuple[Array, Array, Array]:
-        """Matern 5/2 between places (m, d) and the points, shape (m, n); exp(-r) (1 + r); and the offsets (m, n, d)."""
+        """Matern 5/2 between candidates (m, d) and the points, shape (m, n).
+
+        Exp(-r) (1 + r); and the offsets (m, n, d).
+        """
         offsets = (at[:, np.newaxis] - self.points) / self.lengths
         r = np.sqrt(5 * np.sum(offsets**2, axis=2))
         fading = np.exp(-r)
@@ -191,7 +195,7 @@ class Improvement:
         return self.middle + self.scale * float(self._alike(point[np.newaxis])[0][0] @ self.weights)
 
     def __call__(self, at: Array) -> Array:
-        """At places, shape (m, d): shape (m,); Jones et al. (1998), equation 15."""
+        """Expected improvement at candidates (m, d), shape (m,); Jones et al. (1998), equation 15."""
         near = self._alike(at)[0]
         variance = 1 - np.sum(near * self._solved(self.factor, near.T).T, axis=1)
         deviation = np.sqrt(np.maximum(variance, LEAST))
@@ -217,7 +221,7 @@ def _density(z: Array) -> Array:
 def _highest(
     improvement: Improvement, best: Array, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Where searches from the best of many places lead: half of these lie anywhere, half near the best points."""
+    """Results of searches from the best of many candidates, half of them random, half near the best points."""
     from scipy.optimize import minimize
 
     d, (places, searches) = best.shape[1], effort

@@ -1,12 +1,13 @@
-"""CMA-ES: a normal distribution that learns where to look.
+"""CMA-ES: a normal distribution that adapts to the costs of its samples.
 
 N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; numbers on the lines are its equations.
-Written out rather than taken from a library, since the libraries' states can be saved only by pickling objects.
+It is our own code, since libraries save their state only as pickles.
 
-A sample outside the box is drawn once more. If it is outside again, it gets the cost of its projection on the box, and
-a penalty that grows with the squared distance: after N. Hansen, A. Niederberger, L. Guzzella and P. Koumoutsakos, A
-method for handling uncertainty in evolutionary optimization, IEEE Trans. Evolutionary Computation 13, 180-197, 2009,
-with a weight that is not adapted. Drawing until all are inside would keep the search away from an optimum on a bound.
+A sample outside the bounds is drawn once more. If it is outside again, it gets the cost of its projection on the
+bounds, and a penalty that grows with the squared distance: after N. Hansen, A. Niederberger, L. Guzzella and P.
+Koumoutsakos, A method for handling uncertainty in evolutionary optimization, IEEE Trans. Evolutionary Computation 13,
+180-197, 2009, with a weight that is not adapted. Drawing until all are inside would keep the search away from an
+optimum on a bound.
 """
 
 import numpy as np
@@ -14,9 +15,9 @@ import numpy as np
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 INITIAL_STEP = 0.3
-"""Standard deviation at first, in widths of the box (the tutorial's advice)."""
+"""Initial standard deviation, in widths of the bounds (the tutorial's advice)."""
 NARROWEST, WIDEST, LARGEST_CONDITION = 1e-12, 10.0, 1e14
-"""A distribution narrower or wider than that, in widths of the box, or more stretched, is given up for a new one."""
+"""Width, in widths of the bounds, and ratio of the axes at which a distribution is replaced."""
 
 
 class CmaEs(AskTell):
@@ -81,7 +82,7 @@ class CmaEs(AskTell):
         return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
 
     def _penalized(self, costs: Array) -> Array:
-        """Costs, and outside the box the mean squared distance from it, in steps, times the spread of the costs."""
+        """Costs, plus the mean squared distance from the bounds, in steps, times the spread of the costs."""
         outside = np.mean((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
         lower, upper = np.percentile(costs[np.isfinite(costs)], [25, 75])
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))

@@ -2,7 +2,7 @@
 
 R. Storn and K. Price, Differential evolution, J. Global Optimization 11, 341-359, 1997: the schemes rand/1/bin
 and best/1/bin, with a scale factor redrawn in every generation (dither). Each trial replaces its own parent
-if it is not worse. Trials that leave the box are put back at random in the coordinates in which they left it.
+if it is not worse. Coordinates of a trial outside the bounds are drawn again at random within them.
 """
 
 from typing import Literal

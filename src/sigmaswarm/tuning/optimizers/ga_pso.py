@@ -2,7 +2,7 @@
 
 C.-F. Juang, A hybrid of genetic algorithm and particle swarm optimization for recurrent network design, IEEE Trans.
 Systems, Man, and Cybernetics B 34, 997-1006, 2004 (HGAPSO). Two things differ: crossover and mutation are those of
-`genetic.py`, and children descend from the elites as they stand before they fly, so that a generation is one batch.
+`genetic.py`, and children are bred from the elites before these move, so that a generation is one batch.
 """
 
 import numpy as np
@@ -13,12 +13,12 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class GeneticSwarm(Swarm):
-    """A population of which one half flies and the other is bred."""
+    """A population of which one half moves as a swarm and the other is bred."""
 
     name = "ga-pso"
     saved = ("velocities", "costs", *Swarm.saved)
     inertia: float = INERTIA
-    """w, of the half that flies."""
+    """w, of the half that moves as a swarm."""
     cognitive: float = ACCELERATION
     """c1."""
     social: float = ACCELERATION

@@ -1,9 +1,9 @@
 """A genetic algorithm on real numbers: tournaments, simulated binary crossover, polynomial mutation, elitism.
 
-K. Deb and R. B. Agrawal, Simulated binary crossover for continuous search space, Complex Systems 9, 115-148, 1995,
-in the form for bounded variables of K. Deb, An efficient constraint handling method for genetic algorithms,
-Comput. Methods Appl. Mech. Engrg. 186, 311-338, 2000, which also gives the polynomial mutation. The best of
-parents and children together live on.
+K. Deb and R. B. Agrawal, Simulated binary crossover for continuous search space, Complex Systems 9, 115-148, 1995, in
+the form for bounded variables of K. Deb, An efficient constraint handling method for genetic algorithms, Comput.
+Methods Appl. Mech. Engrg. 186, 311-338, 2000, which also gives the polynomial mutation. The best of parents and
+children together survive.
 """
 
 import numpy as np
@@ -69,7 +69,10 @@ def offspring(
     crossover: float = CROSSOVER,
     eta: float = CROSSOVER_INDEX,
 ) -> Array:
-    """Children, shape (n, d), of parents (m, d) with costs (m,) that won tournaments of two; ``box``: both bounds."""
+    """Children, shape (n, d), of parents (m, d) with costs (m,) that won tournaments of two.
+
+    ``box``: lower and upper bounds.
+    """
     pairs = (n + 1) // 2
     # neighbors of one round, so that hardly ever someone mates with itself
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]

@@ -13,7 +13,7 @@ import numpy as np
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 SMALLEST = 1e-12
-"""A simplex that is smaller, in widths of the box, has nothing left to try."""
+"""Size of a simplex, in widths of the bounds, at which the search ends."""
 
 
 class NelderMead(AskTell):
@@ -31,7 +31,10 @@ class NelderMead(AskTell):
     size: float = 0.05
     """Edge of the first simplex, in widths of the bounds."""
     parallel: int = 1
-    """Number of the worst vertices that are moved at a time: 1 is the algorithm of 1965, half of them the most."""
+    """Number of the worst vertices that are moved at a time.
+
+    1 is the algorithm of 1965, the largest is half of them.
+    """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -68,7 +71,7 @@ class NelderMead(AskTell):
         return self._through_the_middle(np.ones(self.moved))
 
     def _through_the_middle(self, reach: Array) -> Array:
-        """The worst vertices, each carried through the middle of the others to ``reach`` times its distance from it."""
+        """The worst vertices, each reflected through the middle of the others to ``reach`` times its distance."""
         t, middle = reach[:, np.newaxis], np.mean(self.simplex[: -self.moved], axis=0)
         return (1 + t) * middle - t * self.simplex[-self.moved :]
 
@@ -83,7 +86,7 @@ class NelderMead(AskTell):
             self._settle(len(costs), self.positions, costs)
 
     def _judge_reflections(self, costs: Array) -> None:
-        """Expand past the best, keep what is no longer among the worst, contract the others."""
+        """Expand points better than the best, keep those no longer among the worst, contract the others."""
         self.reflected, self.reflected_values = self.positions, costs
         best, kept, own = self.values[0], self.values[-self.moved - 1], self.values[-self.moved :]
         self.reach = np.select(
@@ -97,7 +100,7 @@ class NelderMead(AskTell):
             self._settle(self.moved, self.positions, costs)
 
     def _judge_followers(self, costs: Array) -> None:
-        """Keep the expansions and contractions that are worth it; shrink if no vertex found a better place."""
+        """Keep the expansions and contractions that lower the cost; shrink if no vertex improved."""
         reach = self.reach[self.reach != 0]
         inside, outside = reach < 0, reach == self.contraction
         asked = np.flatnonzero(self.reach)

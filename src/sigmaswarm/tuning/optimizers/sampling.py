@@ -1,7 +1,7 @@
 """Search without memory, the baseline of optimizers.
 
 Random points (J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR 13, 281-305, 2012), and
-Sobol' points, scrambled, which fill the box more evenly (A. B. Owen, Randomly permuted (t,m,s)-nets and
+Sobol' points, scrambled, which fill the space more evenly (A. B. Owen, Randomly permuted (t,m,s)-nets and
 (t,s)-sequences, 1995).
 """
 
@@ -13,7 +13,7 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 
 class RandomSearch(AskTell):
-    """Points drawn evenly from the box."""
+    """Points drawn uniformly within the bounds."""
 
     name = "random"
 
@@ -22,7 +22,7 @@ class RandomSearch(AskTell):
 
 
 class SobolSearch(AskTell):
-    """The points of a scrambled Sobol' sequence; most even where their number is a power of two."""
+    """The points of a scrambled Sobol' sequence; most uniform if their number is a power of two."""
 
     name = "sobol"
     saved = ("seed", "drawn")

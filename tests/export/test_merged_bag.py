@@ -1,4 +1,4 @@
-"""A recorded bag's messages stand beside the estimate: the same bytes, counts and types, on one clock."""
+"""The messages of a recorded bag are merged with the estimate: the same bytes, counts and types, on one clock."""
 
 import tracemalloc
 from itertools import pairwise
@@ -43,11 +43,11 @@ def contents(path: Path) -> list[tuple[str, str, int, bytes]]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_bag_s_own_messages_stand_beside_the_estimate(tmp_path: Path, kind: str):
+def test_the_bag_s_own_messages_are_merged(tmp_path: Path, kind: str):
     source = recorded(tmp_path, kind)
     drive = imported(source).drive
     estimate, out = estimated(drive), tmp_path / "e.ros2"
-    write_estimate(estimate, out, time_origin=time_origin_of(drive), beside=source)
+    write_estimate(estimate, out, time_origin=time_origin_of(drive), merge=source)
     before, after = contents(source), contents(out)
     assert len({topic for topic, *_ in before}) == 5
     originals = [message for message in after if not message[0].startswith("/sigmaswarm/")]
@@ -65,7 +65,7 @@ def test_the_bag_s_own_messages_stand_beside_the_estimate(tmp_path: Path, kind: 
 def test_types_come_along(tmp_path: Path):
     source = recorded(tmp_path, "mcap")
     drive = imported(source).drive
-    write_estimate(estimated(drive), tmp_path / "e.ros2", time_origin=time_origin_of(drive), beside=source)
+    write_estimate(estimated(drive), tmp_path / "e.ros2", time_origin=time_origin_of(drive), merge=source)
     with AnyReader([tmp_path / "e.ros2"]) as bag:  # without a typestore of its own
         packet = next(bag.messages([c for c in bag.connections if c.topic == "/imu/data"]))
         message = bag.deserialize(packet[2], packet[0].msgtype)
@@ -79,13 +79,13 @@ def test_types_come_along(tmp_path: Path):
         ("nowhere", "no such bag"),
         ("cdr", "is an MCAP file that ROS 2 did not write"),
         ("ros1", r"is a ROS 1 bag.*convert it first: rosbags-convert"),
-        ("empty folder", "holds no bag"),
+        ("empty folder", "contains no bag"),
         ("broken", "is cut short or broken"),
         ("another time", r"covers 17000000\d\d\.\d{3} to .*name the bag that the drive was imported from"),
         ("itself", "has /sigmaswarm/odometry already"),
     ],
 )
-def test_what_can_not_stand_beside_is_said_and_leaves_nothing(tmp_path: Path, case: str, said: str):
+def test_what_can_not_be_merged_is_reported_and_leaves_nothing(tmp_path: Path, case: str, said: str):
     bag = recorded(tmp_path, case if case in ("ros1", "cdr") else "mcap")
     drive = a_drive()
     estimate, at = estimated(drive), 0.0 if case == "another time" else float(EPOCH)
@@ -96,9 +96,9 @@ def test_what_can_not_stand_beside_is_said_and_leaves_nothing(tmp_path: Path, ca
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     if case == "itself":
         source = tmp_path / "before.ros2"
-        write_estimate(estimate, source, time_origin=at, beside=bag)
+        write_estimate(estimate, source, time_origin=at, merge=bag)
     with pytest.raises(InputError, match=said):
-        write_estimate(estimate, tmp_path / "e.ros2", time_origin=at, beside=source)
+        write_estimate(estimate, tmp_path / "e.ros2", time_origin=at, merge=source)
     assert not (tmp_path / "e.ros2").exists()
 
 
@@ -114,15 +114,15 @@ def test_a_bag_that_breaks_on_the_way_leaves_nothing(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(AnyReader, "messages", until_it_breaks)
     with pytest.raises(InputError, match=r"bag: is cut short or broken \(bad bytes\)"):
-        write_estimate(estimated(a_drive()), tmp_path / "e.ros2", time_origin=float(EPOCH), beside=bag)
+        write_estimate(estimated(a_drive()), tmp_path / "e.ros2", time_origin=float(EPOCH), merge=bag)
     assert not (tmp_path / "e.ros2").exists()
 
 
-def test_only_a_bag_has_topics_beside(tmp_path: Path):
+def test_only_into_a_bag(tmp_path: Path):
     with pytest.raises(
-        InputError, match=r"--beside copies a bag's messages into a bag; end the name in .ros2"
+        InputError, match=r"--merge copies the messages of a bag into a bag; end the name in .ros2"
     ):
-        write_estimate(estimated(a_drive()), tmp_path / "e.csv", beside=tmp_path / "bag")
+        write_estimate(estimated(a_drive()), tmp_path / "e.csv", merge=tmp_path / "bag")
 
 
 def test_a_large_bag_is_copied_as_it_is_read(tmp_path: Path):
@@ -131,7 +131,7 @@ def test_a_large_bag_is_copied_as_it_is_read(tmp_path: Path):
     bag = write_ros(tmp_path / "bag", (("/blob", 0.02 * k, text(blob)) for k in range(600)), "mcap")
     estimate = estimated(drive)
     tracemalloc.start()
-    write_estimate(estimate, tmp_path / "e.ros2", time_origin=float(EPOCH), beside=bag)
+    write_estimate(estimate, tmp_path / "e.ros2", time_origin=float(EPOCH), merge=bag)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert sum(file.stat().st_size for file in bag.glob("*.mcap")) > 60e6

@@ -1,0 +1,112 @@
+"""The heading of two antennas or a compass against the course and the gyro: convention, mounting, delay."""
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from sigmaswarm.doctor.checks.velocity import CONVENTIONS
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.fixes import Mask
+from sigmaswarm.doctor.windows import integral
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.timeline import headings_of
+from sigmaswarm.geodesy import wrap_angle
+
+HEADINGS: dict[str, Callable[[Array], Array]] = {
+    "rad counter-clockwise from east": np.array,
+    **CONVENTIONS,
+    "rad clockwise from east": np.negative,
+    "deg clockwise from east": lambda angle: -np.radians(angle),
+}
+"""Conventions of a heading; the first one is right."""
+ALIKE = math.radians(15)
+"""rad: median difference from the course, less a constant, up to which a heading follows it."""
+TURNED = math.radians(2), math.radians(10)
+"""rad: constant difference from the course worth a warning, and a serious one."""
+LATE, WORSE = 0.15, 0.8
+"""s of delay worth a warning, and the ratio of the misfits with and without it."""
+WINDOW = 5.0
+"""s over which turns of the heading and of the gyro are compared."""
+FEWEST = 30
+WHERE = "gps.csv, heading"
+
+
+def check_heading(evidence: Evidence) -> Iterator[Finding]:
+    """Find faults of the heading: its convention, a constant offset, and a delay."""
+    gps, course = evidence.drive.gps, evidence.course
+    if gps.heading is None or course is None:
+        return
+    known = np.isfinite(headings_of(gps)[1])[evidence.used]
+    theta, seen = gps.heading[evidence.used], course.moving & known
+    best = 0
+    if np.count_nonzero(seen) >= FEWEST:
+        offsets = [_offset(read(theta[seen]) - course.angle[seen]) for read in HEADINGS.values()]
+        best = _fitting(offsets)
+        yield from _of_convention(evidence, best, *offsets[best])
+    if np.count_nonzero(known) >= FEWEST and (late := _delay(evidence, theta, known, best)):
+        way = "later" if late > 0 else "earlier"
+        what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
+        remedy = (
+            "a filter takes both as of one moment: give headings a time of their own, or leave the column out"
+        )
+        yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
+
+
+def _offset(off: Array) -> tuple[float, float]:
+    """The constant part of angles, and the median size of the rest, rad."""
+    mean = float(np.angle(np.mean(np.exp(1j * off))))
+    mean += float(np.median(wrap_angle(off - mean)))
+    return wrap_angle(mean), float(np.median(np.abs(wrap_angle(off - mean))))
+
+
+def _fitting(offsets: list[tuple[float, float]]) -> int:
+    """The convention that follows the course with the smallest constant, of those that follow it about as well."""
+    limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
+    fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
+    return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
+
+
+def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) -> Iterator[Finding]:
+    span = evidence.span
+    if rest > ALIKE:
+        what = "heading does not follow the positions in any known convention"
+        remedy = "give rad, counter-clockwise from east, or leave the column out"
+        yield Finding("heading-convention", "serious", what, WHERE, span, 0.95, remedy)
+        return
+    turned = offset if abs(offset) >= TURNED[0] else 0.0
+    repair = Repair("heading", (float(best), turned))
+    if best:
+        what, remedy = f"heading is in {[*HEADINGS][best]}", "give rad, counter-clockwise from east"
+        yield Finding("heading-convention", "serious", what, WHERE, span, 0.99, remedy, repair)
+    elif turned:
+        degrees, serious = math.degrees(offset), abs(offset) >= TURNED[1]
+        what = f"heading is {degrees:+.1f} deg off the course, as if the antennas were mounted at that angle"
+        remedy = f"subtract {math.radians(degrees):.4f} rad, if the car does not drive sideways or in reverse"
+        severity = "serious" if serious else "warning"
+        yield Finding("heading-offset", severity, what, WHERE, span, 0.95, remedy, repair)
+
+
+def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
+    """The delay of the heading against the positions, s, by the gyro; 0 if none is seen."""
+    course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
+    assert course is not None
+    if not yaw.known:
+        return 0.0
+    time, angle = course.time[known], np.unwrap([*HEADINGS.values()][best](theta[known]))
+    turned = integral(imu.time, yaw.factor * getattr(imu, yaw.column))
+    end = np.searchsorted(time, time + WINDOW)
+    begin = np.flatnonzero(end < len(time))
+    end = end[begin]
+
+    def misfit(late: float) -> float:
+        seen = np.interp(time - late, imu.time, turned)
+        off = (angle[end] - angle[begin]) - (seen[end] - seen[begin])
+        return float(np.mean(np.abs(off - np.median(off)))) if len(off) else 0.0
+
+    tried = np.arange(-1.5, 1.51, 0.05)
+    each = [misfit(float(late)) for late in tried]
+    found, own = float(tried[int(np.argmin(each))]), evidence.clock.late if evidence.clock.visible else 0.0
+    late = found - own
+    return late if abs(late) >= LATE and min(each) < WORSE * misfit(own) else 0.0

@@ -1,0 +1,296 @@
+"""The antenna's lever arm as the maximum-likelihood estimate from the innovations of a filter.
+
+An innovation nu depends almost linearly on the lever arm and on other unknowns, such as scale factors of the IMU. So
+weighted least squares on L^-1 nu, with L L^T = S, is a Gauss-Newton step on the likelihood of the fixes (N. K. Gupta,
+R. K. Mehra, IEEE Trans. Automatic Control 19, 1974). The derivatives are differences of runs of the compiled filter.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.sensors import sensors_of
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import BY_HAND, HALF_A_WHEELBASE, baseline
+from sigmaswarm.filters.recording import Innovations, Recording
+from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.tuning.config import TuneConfig, validated_config
+from sigmaswarm.tuning.defaults import settled, with_filter
+from sigmaswarm.tuning.problem import car_problem
+from sigmaswarm.tuning.search import Search
+
+ARM = ("forward", "left")
+UNKNOWN_STD, STATED_STD = 2.0, 1.0
+"""m: standard deviation of the prior where drive.toml states no lever arm, and where it states one without its own."""
+SCALES = ("scale_ax", "scale_ay", "scale_gz")
+ROLLING = 0.1
+"""Prior standard deviation of the accelerometers' scales in a planar filter: the body rolls and pitches with them."""
+PRIOR_STD = dict.fromkeys(SCALES, 0.03) | {"latency": 0.02, "rear_axle": 1.0, "tire_slip": 0.01}
+"""Standard deviations of the priors of the other unknowns: 1, s, m, s2/m; the last three are parameters of filters."""
+STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(
+    SCALES, 0.005
+)
+"""Steps of finite differences, in the units of the unknowns."""
+DOF = 8.0
+"""Degrees of freedom of Student's t, which downweights outliers."""
+BLOCK = 20.0
+"""s: the scores of different blocks count as independent. The errors of fixes may last within a block."""
+ROUNDS, CONVERGED = 8, 0.005
+"""Gauss-Newton steps at most, and the step, m, after which they end."""
+SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
+"""Tuning of the noises by likelihood: with noises by hand the standard deviation is two to six times as large."""
+Values = dict[str, float]
+Whitened = tuple[Array, Array, Array, Array]
+"""Of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
+
+
+@dataclass(frozen=True)
+class LeverArmEstimate:
+    """The lever arm of the antenna, estimated from drives.
+
+    Attributes
+    ----------
+    forward, left : float
+        m from the IMU to the antenna.
+    std : (float, float)
+        m, standard deviations of both.
+    stated : (float, float)
+        m, the lever arm of drive.toml; zeros where it states none.
+    within : float
+        m: the lever arm is observable if 95% of estimates with this standard deviation are this accurate per axis.
+    """
+
+    forward: float
+    left: float
+    std: tuple[float, float]
+    stated: tuple[float, float]
+    within: float
+
+    @property
+    def observable(self) -> bool:
+        """True where the turns of the drives show the lever arm."""
+        return 1.96 * max(self.std) <= self.within
+
+    def __str__(self) -> str:
+        """One line for people."""
+        found = f"antenna {_placed(self.forward, self.left)} of the IMU, +-{max(self.std):.2f} m"
+        if not self.observable:
+            times = (1.96 * max(self.std) / self.within) ** 2
+            return (
+                f"the turns of this log do not show the lever arm within {self.within:g} m, that takes {times:.1f} "
+                f"times as many ({found}); drive.toml stays as it is"
+            )
+        return f"{found}; drive.toml states {_placed(*self.stated)}" if any(self.stated) else found
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return vars(self) | {
+            "std": list(self.std),
+            "stated": list(self.stated),
+            "observable": self.observable,
+        }
+
+    def applied(self, drive: Drive) -> Drive:
+        """Return a drive with the estimate as ``gps_lever_arm_m``; an unobservable one changes nothing."""
+        if not self.observable:
+            return drive
+        repaired = [*drive.metadata.get("repaired", []), "lever-arm"]
+        return _with_arm(drive, (round(self.forward, 4), round(self.left, 4)), repaired=repaired)
+
+
+def estimate_lever_arm(
+    drives: Sequence[Drive] | Drive, parameters: FilterParameters | None = None, *, within: float = 0.15
+) -> LeverArmEstimate:
+    """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
+
+    ``gps_lever_arm_m`` of drive.toml is the prior, with ``gps_lever_arm_std_m`` as its standard deviation (1 m where it
+    is not stated). The delay of the fixes is that of the filter: 0.01 s shift the estimate by 0.01 s times the speed.
+
+    Parameters
+    ----------
+    drives : Drive or sequence of Drive
+        Their truth is not used.
+    parameters : FilterParameters, optional
+        The filter whose innovations count. By default the one that suits the logs, with noises by likelihood.
+    within : float
+        m per axis, for 95%: the accuracy from which on the lever arm counts as observable.
+
+    Returns
+    -------
+    LeverArmEstimate
+
+    Raises
+    ------
+    AlignmentError
+        A drive never moves far enough to start a filter.
+    InputError
+        There are no drives, they state different lever arms, or ``within`` is not positive.
+    """
+    read = [replace(drive, truth=None) for drive in listed(drives)]
+    if not read:
+        raise InputError("no drives: give at least one")
+    if not 0 < within < math.inf:
+        raise InputError(f"within = {within:g}: must be positive and finite, m")
+    if len({(*drive.lever_arm, *_stated_std(drive)) for drive in read}) > 1:
+        raise InputError(
+            "the drives state different gps_lever_arm_m: give drives of one vehicle, or one at a time"
+        )
+    mean, std = read[0].lever_arm, _stated_std(read[0])
+    prior = {name: (float(m), s) for name, m, s in zip(ARM, mean, std, strict=True)}
+    if parameters is None:
+        options = with_filter({}, [sensors_of(drive) for drive in read])[0]
+        values, _ = _maximum(read, _by_hand(read[0], options["model"], options["use"]), prior)
+        moved = [_with_arm(drive, (values["forward"], values["left"])) for drive in read]
+        parameters = _tuned(moved, options)
+    else:
+        values = {name: float(m) for name, m in zip(ARM, mean, strict=True)}
+    values, found = _maximum(read, parameters, prior, values)
+    return LeverArmEstimate(
+        values["forward"], values["left"], found, (float(mean[0]), float(mean[1])), within
+    )
+
+
+def _placed(forward: float, left: float) -> str:
+    ahead, aside = "ahead" if forward >= 0 else "behind", "left" if left >= 0 else "right"
+    return f"{abs(forward):.2f} m {ahead} and {abs(left):.2f} m {aside}"
+
+
+def _stated_std(drive: Drive) -> tuple[float, float]:
+    """Prior standard deviation of the lever arm, m forward and left."""
+    known = STATED_STD if "gps_lever_arm_m" in drive.metadata and drive.lever_arm.any() else UNKNOWN_STD
+    stated = drive.metadata.get("gps_lever_arm_std_m", (known, known))
+    return float(stated[0]), float(stated[1])
+
+
+def _with_arm(drive: Drive, arm: tuple[float, float], **more: Any) -> Drive:
+    """Return a drive with another lever arm; the antenna's height stays."""
+    changed = {"gps_lever_arm_m": [*map(float, arm), drive.antenna_height], **more}
+    return replace(drive, metadata={**drive.metadata, **changed})
+
+
+def _by_hand(drive: Drive, model: Any, use: Sequence[str]) -> FilterParameters:
+    """Return the filter that suits the logs, with the noises of the baseline."""
+    used: dict[str, Any] = {name: v for name, v in BY_HAND.items() if name.split("_")[0] in use}
+    like = FilterParameters(
+        0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0, 1.0), model=model, kind="ekf", **used
+    )
+    return baseline(drive, like)
+
+
+def _tuned(drives: Sequence[Drive], options: Mapping[str, Any]) -> FilterParameters:
+    """Return the filter of the highest likelihood on drives with about the right lever arm."""
+    use = (*options["use"], "slip") if "lateral" in options["use"] else options["use"]
+    chosen = {**options, **SEARCH, "use": use, "kind": "ekf", "objective": "innovation-t"}
+    config = settled(validated_config(TuneConfig, chosen), [sensors_of(drive) for drive in drives])
+    problem = car_problem(drives, config)
+    with ThreadPoolExecutor(cores()) as pool:
+        return problem.parameters(Search(config, problem, pool, None, None).trial(0).point)
+
+
+def _maximum(
+    drives: Sequence[Drive],
+    parameters: FilterParameters,
+    arm: Mapping[str, tuple[float, float]],
+    start: Mapping[str, float] | None = None,
+) -> tuple[Values, tuple[float, float]]:
+    """Find the unknowns of the highest posterior density; return them and the standard deviations of the arm, m.
+
+    ``arm`` has mean and standard deviation of its prior.
+    """
+    prior = {**arm, **_others(parameters)}
+    values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
+    values = {name: getattr(parameters, name, values[name]) for name in prior}
+    found = _step(drives, parameters, values, prior)
+    for _ in range(ROUNDS - 1):
+        if np.abs(found[0][: len(ARM)]).max() < CONVERGED:
+            break
+        values = _moved(values, found[0])
+        found = _step(drives, parameters, values, prior)
+    return _moved(values, found[0]), _deviations(*found)
+
+
+def _moved(values: Values, step: Array) -> Values:
+    return {name: value + d for (name, value), d in zip(values.items(), step.tolist(), strict=True)}
+
+
+def _step(
+    drives: Sequence[Drive],
+    parameters: FilterParameters,
+    values: Values,
+    prior: Mapping[str, tuple[float, float]],
+) -> tuple[Array, list[Whitened], Array, Array]:
+    """Take a Gauss-Newton step; return it, the regressions, and the information with them and of the prior alone."""
+    whitened = [_whitened(PreparedDrive(_at(drive, values)), parameters, values) for drive in drives]
+    before = np.diag([1 / std**2 for _, std in prior.values()])
+    pull = before @ [mean - values[name] for name, (mean, _) in prior.items()]
+    information = before.copy()
+    for _, nu, columns, weight in whitened:
+        information += np.einsum("f,fik,fil->kl", weight, columns, columns)
+        pull += np.einsum("f,fik,fi->k", weight, columns, nu)
+    return np.asarray(np.linalg.solve(information, pull), np.float64), whitened, information, before
+
+
+def _deviations(
+    step: Array, whitened: Sequence[Whitened], information: Array, before: Array
+) -> tuple[float, float]:
+    """Standard deviations of the arm: of the model, and at least as blocks of the drives disagree (White, 1980)."""
+    spread, inverse = before.copy(), np.linalg.inv(information)
+    for time, nu, columns, weight in whitened:
+        scores = np.einsum("f,fik,fi->fk", weight, columns, nu - columns @ step)
+        block = ((time - time[0]) / BLOCK).astype(np.intp)
+        sums = np.zeros((block[-1] + 1, len(step)))
+        np.add.at(sums, block, scores)
+        spread += sums.T @ sums
+    both = np.diag(inverse), np.diag(inverse @ spread @ inverse)
+    forward, left, *_ = np.sqrt(np.maximum(*both)).tolist()
+    return forward, left
+
+
+def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of the prior of the other unknowns."""
+    model = MODELS[p.model]
+    rolling = {} if model.tilts else {"scale_ax": ROLLING, "scale_ay": ROLLING}
+    names = SCALES if model.measures_imu else (*SCALES, "latency")
+    names += () if model.measures_imu or p.lateral_noise is None else ("rear_axle", "tire_slip")
+    mean = {"rear_axle": HALF_A_WHEELBASE, "latency": p.latency}
+    return {name: (mean.get(name, 0.0), {**PRIOR_STD, **rolling}[name]) for name in names}
+
+
+def _at(drive: Drive, values: Mapping[str, float]) -> Drive:
+    return _with_arm(drive, (values["forward"], values["left"]))
+
+
+def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:
+    """Run the filter at the unknowns and next to them."""
+    run = partial(_run, ready, parameters, values)
+    found = run(values)
+    moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
+    slopes = [(nu - found.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]
+    columns = -np.linalg.solve(np.linalg.cholesky(found.covariance), np.stack(slopes, axis=-1))
+    return found.time, found.normalized, np.asarray(columns, np.float64), (DOF + 2.0) / (DOF + found.nis)
+
+
+def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) -> Innovations:
+    """Innovations of a filter with other unknowns than those ``at`` which a drive was prepared."""
+    start, line = ready.initial, ready.timeline()
+    c, s = math.cos(start.mean[THETA]), math.sin(start.mean[THETA])
+    x, y = (values[name] - at[name] for name in ARM)
+    mean = start.mean.copy()
+    mean[:2] -= c * x - s * y, s * x + c * y
+    driving = line.driving.copy()
+    driving[:, : len(SCALES)] *= 1.0 + np.array([values[name] for name in SCALES])
+    lever = np.array([*(values[name] for name in ARM), line.lever[2]])
+    moved = replace(line, lever=lever, driving=driving)
+    p = replace(p, **{name: value for name, value in values.items() if hasattr(p, name)})
+    replay = Replay(moved, replace(start, mean=mean), Targets.none(moved))
+    return Recording(replay, p).finished().innovations

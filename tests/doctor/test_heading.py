@@ -1,0 +1,77 @@
+"""Faults of a heading that the doctor finds, and repairs."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sigmaswarm.doctor.checks.heading import check_heading
+from sigmaswarm.doctor.diagnose import diagnose
+from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.doctor.repairs import repair
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.simulation.scenarios import simulate
+
+FAULTS: dict[str, tuple[Callable[[Array], Array], str, str]] = {
+    "sign": (np.negative, "heading-convention", "heading is in rad clockwise from east"),
+    "degrees": (np.degrees, "heading-convention", "heading is in deg counter-clockwise from east"),
+    "from north": (lambda h: np.pi / 2 - h, "heading-convention", "heading is in rad clockwise from north"),
+    "as NMEA": (
+        lambda h: (90.0 - np.degrees(h)) % 360.0,
+        "heading-convention",
+        "heading is in deg clockwise from north",
+    ),
+    "mounted askew": (lambda h: h + np.radians(6.0), "heading-offset", "deg off the course"),
+    "mounted across": (lambda h: h - np.pi / 2, "heading-offset", "deg off the course"),
+}
+
+
+@cache
+def good() -> Drive:
+    return simulate("urban", gps="white-1m", duration=90, heading="dual-antenna", seed=1)
+
+
+def with_column(heading: Array, std: Array | None = None) -> Drive:
+    return replace(good(), gps=replace(good().gps, heading=heading, std_heading=std))
+
+
+def test_a_good_heading_has_no_finding_and_is_recommended():
+    found = {f.code: f.what for f in diagnose(good()).findings}
+    assert not any(code.startswith("heading") for code in found)
+    assert found["use"].endswith("you may add heading to --use: the fixes have one")
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_are_named_and_repaired(name: str):
+    spoil, code, said = FAULTS[name]
+    heading, std = good().gps.heading, good().gps.std_heading
+    assert heading is not None and std is not None
+    degrees = name in ("degrees", "as NMEA")
+    drive = with_column(spoil(heading), np.degrees(std) if degrees else std)
+    (found,) = check_heading(gather(drive))
+    assert found.code == code and said in found.what
+    assert found.severity == ("warning" if name == "mounted askew" else "serious")
+    mended = repair(drive, replace(diagnose(drive), findings=(found,)))
+    assert mended.gps.heading is not None and mended.gps.std_heading is not None
+    assert np.abs(wrap_angle(mended.gps.heading - heading)).max() < np.radians(1.0)
+    np.testing.assert_allclose(mended.gps.std_heading, std)
+    assert not any(check_heading(gather(mended)))
+
+
+@pytest.mark.parametrize("late", [0.4, -0.3])
+def test_a_delay_is_found_by_the_gyro(late: float):
+    heading, time = good().gps.heading, good().gps.time
+    assert heading is not None
+    (found,) = check_heading(gather(with_column(np.interp(time - late, time, np.unwrap(heading)))))
+    assert found.code == "heading-delay" and found.repair is None
+    assert abs(float(found.what.split()[3]) - abs(late)) < 0.06
+    assert ("later" in found.what) == (late > 0)
+
+
+def test_noise_follows_no_convention():
+    rng = np.random.default_rng(0)
+    (found,) = check_heading(gather(with_column(rng.uniform(-3.0, 3.0, len(good().gps)))))
+    assert found.what == "heading does not follow the positions in any known convention"

@@ -1,0 +1,244 @@
+"""The heading of two antennas in every form of the filter: textbook, compiled, smoother, live, bank, C."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from exported import needs_gcc
+from filter_cases import OPTIONS, equipped, parameters, straying
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.errors import InputError
+from sigmaswarm.exports.check import check_export
+from sigmaswarm.exports.targets import export_texts, write_texts
+from sigmaswarm.filters import tilted
+from sigmaswarm.filters.bank.run import run_bank
+from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.presets import baseline
+from sigmaswarm.filters.run import run_filter, run_textbook
+from sigmaswarm.filters.schedule import FIX, HEADING, flags_of
+from sigmaswarm.filters.smoothing import smooth, smooth_textbook
+from sigmaswarm.filters.textbook.car import TextbookCar
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.simulation.gps import GPS_GRADES
+from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.tuning.tune import tune
+
+MORE: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "all": OPTIONS["all"],
+    "weighed": {"accuracy_scale": 0.4, "robust_dof": 4.0},
+    "fix-error": {"fix_error": 1.3, "fix_error_time": 2.0, "latency": 0.05},
+}
+CASES = [
+    *(("planar5", "ukf", "all"), ("planar5", "ekf", "plain"), ("planar8", "ekf", "all")),
+    *(("planar8", "ukf", "weighed"), ("planar8", "ekf", "fix-error"), ("planar8", "adaptive-ukf", "all")),
+    *(("tilted12", "ekf", "all"), ("tilted12", "ekf", "fix-error"), ("tilted12", "ukf", "weighed")),
+    ("tilted12", "ukf", "all"),
+]
+
+
+def filter_of(
+    model: str = "planar8", kind: str = "ekf", option: str = "plain", noise: float | None = 1e-5, **more: Any
+):
+    return parameters(model, **{"kind": kind, **MORE[option], "heading_noise": noise, **more})
+
+
+def with_heading(drive: Drive) -> Drive:
+    """A drive whose receiver tells the heading to 1 degree; four are 57 degrees off, ten are not found."""
+    gps, truth, rng = drive.gps, drive.truth, np.random.default_rng(0)
+    assert truth is not None
+    theta = np.interp(gps.time, truth.time, np.unwrap(truth.theta)) + rng.normal(0, np.radians(1.0), len(gps))
+    theta[30:34] += 1.0
+    std = np.where(np.isin(np.arange(len(gps)), range(50, 60)), np.pi, np.radians(1.0))
+    return replace(drive, gps=replace(gps, heading=np.angle(np.exp(1j * theta)), std_heading=std))
+
+
+@cache
+def driven(option: str = "plain") -> Drive:
+    return with_heading(straying() if option == "weighed" else equipped())
+
+
+@cache
+def hilly() -> Drive:
+    grade = replace(GPS_GRADES["ublox-m8"], lever_arm=(0.4, -0.3, 1.2))
+    drive = simulate("brake", terrain="hilly", gps=grade, jitter=1e-3, run=2)
+    return replace(with_heading(drive), metadata={"gps_lever_arm_m": list(grade.lever_arm)})
+
+
+def relative(a: Any, b: Any) -> float:
+    """The largest difference, of means (headings wrapped) and of covariances relative to their largest element."""
+    off = a.mean - b.mean
+    off[:, THETA] = wrap_angle(off[:, THETA])
+    scale = np.abs(b.covariance).max(axis=(1, 2), keepdims=True)
+    return max(np.abs(off).max(), (np.abs(a.covariance - b.covariance) / scale).max())
+
+
+def test_textbook_update_is_that_of_a_scalar_kalman_filter():
+    drive, p = driven(), filter_of(latency=0.1)
+    line, start = prepared(drive).timeline(), initial_state(equipped())
+    car = TextbookCar(line, p, start)
+    for off in (0.01, -0.02, 0.5, -2.0):  # two beyond the gate
+        x, covariance = car.filter.mean, car.filter.covariance
+        h = np.eye(8)[THETA]
+        car._update_with_heading(x[THETA] + off - 0.1 * 0.3 + 4 * np.pi, 2e-4, 0.3)
+        s = max(h @ covariance @ h + 1e-5 + 2e-4, off**2 / 9.0)
+        gain = covariance @ h / s
+        np.testing.assert_allclose(car.filter.mean, x + gain * off, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            car.filter.covariance, covariance - s * np.outer(gain, gain), rtol=0, atol=1e-13
+        )
+
+
+def test_jacobian_of_the_yaw_of_an_attitude_is_its_derivative():
+    state = np.zeros(12)
+    state[[8, 9, 4]] = 0.2, -0.3, 3.1
+    h = tilted.Heading(state[4])
+    for i in range(12):
+        error = 1e-6 * np.eye(12)[i]
+        numeric = (h(tilted.plus(state, error)) - h(tilted.plus(state, -error))) / 2e-6
+        np.testing.assert_allclose(h.jacobian(state)[:, i], numeric, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("model", "kind", "option"), CASES)
+def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option: str):
+    drive = hilly() if model == "tilted12" and option == "all" else driven(option)
+    p, start = (
+        filter_of(model, kind, option),
+        initial_state(replace(drive, gps=replace(drive.gps, heading=None))),
+    )
+    compiled = run_filter(drive, p, initial=start, recover=False)
+    textbook = run_textbook(drive, p, initial=start)
+    assert compiled.failure is None and textbook.failure is None
+    assert relative(compiled, textbook) < 1e-9
+    without = run_filter(drive, replace(p, heading_noise=None), initial=start, recover=False)
+    assert np.abs(wrap_angle(compiled.mean - without.mean)[:, THETA]).max() > 0.005
+
+
+@pytest.mark.parametrize(("model", "kind", "option"), CASES[::3])
+def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
+    drive, p = driven(option), filter_of(model, kind, option)
+    assert relative(smooth(drive, p, recover=False), smooth_textbook(drive, p)) < 1e-7
+
+
+@pytest.mark.parametrize(("model", "kind", "option"), [CASES[0], CASES[4], CASES[8]])
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_live_filter_gives_the_estimates_of_a_run(model: str, kind: str, option: str, late: float):
+    drive, p = driven("weighed"), filter_of(model, kind, option, velocity_noise=None)
+    whole, gps, imu = run_filter(drive, p, recover=False), drive.gps, drive.imu
+    lever = [*drive.lever_arm, drive.antenna_height]
+    live = LiveFilter(
+        p, whole.initial, nominal_interval=drive.nominal_interval, lever_arm=lever, recover=False
+    )
+    events = [(t, 1, i) for i, t in enumerate(imu.time)]
+    events += [(t + (late if i % 3 else 0.0), 0, i) for i, t in enumerate(gps.time)]
+    for t, is_imu, i in sorted(events):
+        if is_imu:
+            live.predict(t, [getattr(imu, axis)[i] for axis in MODELS[model].imu])
+            continue
+        heading = None if gps.std_heading[i] >= np.pi else (gps.heading[i], gps.std_heading[i])
+        fix = gps.time[i], (gps.x[i], gps.y[i]), None, (gps.std_x[i], gps.std_y[i]), heading
+        taken = live.update(*fix)
+        assert not (taken and live.update(*fix))  # the same again
+    np.testing.assert_allclose(wrap_angle(live.state.mean - whole.mean[-1]), 0.0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(live.state.covariance, whole.covariance[-1], rtol=1e-6, atol=1e-12)
+
+
+def test_lane_zero_of_a_bank_takes_headings_and_its_searches_replay_them():
+    drive, p = driven(), filter_of()
+    bank, plain = run_bank(drive, p, seed=1), run_bank(drive, replace(p, heading_noise=None), seed=1)
+    truth = drive.truth
+    assert truth is not None
+    theta = np.interp(bank.time, truth.time, np.unwrap(truth.theta))
+    off = [float(np.sqrt(np.mean(wrap_angle(of.mean[:, THETA] - theta) ** 2))) for of in (bank, plain)]
+    assert off[0] < np.radians(1.0) and off[0] < off[1]
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("model", "kind", "option"), [case for case in CASES if case[:2] != ("tilted12", "ukf")]
+)
+def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: str, tmp_path: Path):
+    drive = hilly() if model == "tilted12" and option == "all" else driven(option)
+    p = filter_of(model, kind, option, nominal_interval=0.01)
+    write_texts(export_texts(p, "c99", replay=drive), tmp_path)
+    (checked,) = check_export(tmp_path, p, [drive])
+    assert checked.double.state < 1e-11
+    assert checked.single is not None and checked.single.position < 2e-3
+
+
+@needs_gcc
+def test_c_lanes_give_the_estimates_of_a_bank(tmp_path: Path):
+    p, drive = filter_of(nominal_interval=0.01), driven()
+    write_texts(export_texts(p, "c99", lanes=3), tmp_path)
+    (checked,) = check_export(tmp_path, p, [drive], lanes=3)
+    assert checked.double.state < 1e-9
+
+
+def test_headings_count_where_they_were_found():
+    drive, p = driven(), filter_of()
+    line = prepared(drive).timeline()
+    flags = flags_of(line, False, False, False, heading=True)
+    used = drive.gps.std_heading[drive.gps.time > line.start] < np.pi
+    assert np.array_equal(flags[flags & FIX > 0] & HEADING > 0, used)
+    absent = replace(drive, gps=replace(drive.gps, heading=None, std_heading=None))
+    start = initial_state(absent)
+    plain = run_filter(absent, replace(p, heading_noise=None), initial=start)
+    np.testing.assert_array_equal(run_filter(absent, p, initial=start).mean, plain.mean)
+    np.testing.assert_array_equal(
+        run_filter(drive, replace(p, heading_noise=None), initial=start).mean, plain.mean
+    )
+
+
+def test_filterpy_refuses_it_in_one_line():
+    with pytest.raises(InputError, match="filterpy has no heading; tune without it"):
+        export_texts(filter_of(nominal_interval=0.01, kind="ukf"), "filterpy")
+
+
+def test_tuning_searches_its_noise_and_refuses_a_drive_without_one():
+    use = ("lateral", "heading")
+    options: dict[str, Any] = {"model": "planar8", "kind": "ekf", "particles": 4, "generations": 2}
+    found = tune([driven()], use=use, objective="truth-pose", **options)
+    assert found.parameters.heading_noise is not None
+    assert baseline(driven(), found.parameters).heading_noise == pytest.approx(np.radians(0.5) ** 2)
+    with pytest.raises(
+        InputError, match=r"its gps.csv has no heading, which --use heading needs; leave heading out"
+    ):
+        tune([equipped()], use=use, **options)
+
+
+def standing(speed: float, seed: int) -> Drive:
+    """A vehicle that stands for 5 s, then drives at one speed along a curve; headings err by 1 degree."""
+    rng, t = np.random.default_rng(seed), np.arange(6001) / 100
+    v = speed * np.clip((t - 5) / 4, 0, 1)
+    rate = np.where(t > 5, 0.1 * np.sin(t / 5), 0.0)
+    theta = 2.0 + np.append(0.0, np.cumsum(rate[:-1])) / 100
+    velocity = v * np.exp(1j * theta)
+    place = np.append(0.0, np.cumsum(velocity[:-1])) / 100
+    noise = rng.standard_normal((3, len(t)))
+    imu = Imu(
+        t, np.gradient(v, t) + 0.05 * noise[0], v * rate + 0.05 * noise[1], rate + 0.002 * noise[2] + 0.005
+    )
+    fix = slice(7, None, 20)
+    off = rng.standard_normal((3, len(t[fix])))
+    heading, std = theta[fix] + np.radians(1.0) * off[2], np.full(len(t[fix]), np.radians(1.0))
+    gps = Gps(t[fix], place.real[fix] + off[0], place.imag[fix] + off[1], heading=heading, std_heading=std)
+    truth = Truth(t, place.real, place.imag, velocity.real, velocity.imag, theta)
+    return Drive("standing", imu, gps, truth)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_at_standstill_and_half_a_meter_per_second(seed: int):
+    drive = standing(0.5, seed)
+    p = baseline(drive, filter_of("planar8", lateral_noise=0.04, standstill_noise=0.0025, noise=1e-4))
+    found = run_filter(drive, p)
+    truth = drive.truth
+    assert truth is not None and found.initial.time == drive.gps.time[0]
+    off = wrap_angle(found.mean[:, THETA] - np.interp(found.time, truth.time, truth.theta))
+    assert np.degrees(np.sqrt(np.mean(off**2))) < 1.0 and found.failure is None and not found.restarts
