@@ -7,7 +7,7 @@
 # make parity    how closely the filters agree, over a whole drive
 # make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30; then read 6000 odd tables
 # make docs      build the site into docs/_build: open docs/_build/html/index.html
-# make pictures  make the site's pictures anew: the demo's, and those of measured figures
+# make pictures  make the site's pictures anew: the demo's, the workbench's, and those of measured figures
 # make dist      build wheel and sdist into dist/
 # make dist-check  try the wheel on each Python that is found, each in an empty environment
 # make carla-recorder  write the recorder for old CARLA servers as one file, dist/carla_recorder.pyz
@@ -64,7 +64,7 @@ docs: $(DOCS)/installed
 	$(DOCS)/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs auto --conf-dir docs . docs/_build/html
 	@echo "open docs/_build/html/index.html"
 
-pictures: $(VENV)/installed
+pictures: $(VENV)/test-installed
 	$(BIN)/python docs/pictures.py
 
 dist: $(VENV)/release-installed

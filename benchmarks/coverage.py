@@ -125,7 +125,7 @@ def summary(found: list[Pair]) -> None:
     for what, k in (("all fixes", 2), ("end of outages of 5 s", 3)):
         records = [(pair[1], record) for pair in of_one if isinstance(record := pair[k], RadiusRecord)]
         inside = np.array([record.inside_95 for _, record in records])
-        outside = 1 - np.mean([record.inside_999 for _, record in records])
+        outside = 1 - np.mean([record.inside_999 or 0.0 for _, record in records])
         lowest = f"{100 * inside.min():.0f}% ({records[int(np.argmin(inside))][0]})"
         print(f"| {what} | {len(records)} | {100 * inside.mean():.1f}% | {lowest} | {100 * outside:.2f}% |")
     alone = [pair[2].sigma_ratio or 0.0 for pair in of_one]

@@ -1,19 +1,29 @@
 """Make the site's pictures anew: `make pictures`.
 
-Those of the demo come from the demo itself; those of measured figures from the tables in these pages.
+Those of the demo come from the demo itself, that of the workbench from a browser; those of measured figures from the
+tables in these pages.
 """
 
+import json
+import signal
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
 
 from matplotlib.figure import Figure
 
+import sigmaswarm
+from sigmaswarm.importing.mounting import parse_mount
+
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
 DEMO = {"trajectory.png": "demo-track.png"}
+MOUNT = "4,-38,20"
+HIDDEN = ".heading, section.card:not(:has(.sketch)), .section:not(:has(.plot)), .q-expansion-item.card"
+"""What the picture of the workbench leaves out."""
 METHODS = {"with truth": "#0072b2", "without truth": "#d55e00", "raw fixes": "#009e73"}
 
 
@@ -22,6 +32,36 @@ def demo(folder: Path) -> None:
     subprocess.run([sys.executable, "-m", "sigmaswarm", "demo", "--out", str(folder)], check=True)
     for made, kept in DEMO.items():
         copyfile(folder / "figures" / made, IMAGES / kept)
+
+
+def workbench(folder: Path) -> None:
+    """Show the first step with the log of an IMU that is turned, and its mounting."""
+    sys.path.insert(0, str(DOCS.parent / "tests"))
+    from browsing import open_browser
+
+    drive = sigmaswarm.simulate("urban", gps="f9p-rtk", duration=240.0)
+    turned = {}
+    for names in (("ax", "ay", "az"), ("gx", "gy", "gz")):
+        axes = parse_mount(MOUNT).T @ [getattr(drive.imu, name) for name in names]
+        turned |= dict(zip(names, axes, strict=True))
+    log = sigmaswarm.write_drive(replace(drive, imu=replace(drive.imu, **turned)), folder / "log").resolve()
+    (folder / "bench").mkdir()
+    choices = {"logs": {str(log): {"mount": MOUNT}}}
+    (folder / "bench" / "workbench.json").write_text(json.dumps(choices))
+    command = [sys.executable, "-m", "sigmaswarm", "workbench", str(log), "--no-browser", "--out"]
+    server = subprocess.Popen([*command, str(folder / "bench")], stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    try:
+        with open_browser() as browser:
+            page = browser.new_page(viewport={"width": 1228, "height": 1056})
+            page.goto(server.stdout.readline().removeprefix("workbench: ").strip())
+            page.get_by_text("Does it agree?").wait_for(timeout=120_000)
+            page.add_style_tag(content=f"{HIDDEN} {{ display: none }}")
+            page.wait_for_timeout(3000)
+            page.screenshot(path=IMAGES / "workbench.png")
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.wait(30)
 
 
 def held_out() -> dict[str, dict[str, tuple[float, float]]]:
@@ -69,3 +109,4 @@ if __name__ == "__main__":
     real_drives().savefig(IMAGES / "real-drives.png", dpi=110)
     with tempfile.TemporaryDirectory() as scratch:
         demo(Path(scratch) / "demo")
+        workbench(Path(scratch))

@@ -46,8 +46,9 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     name : str, optional
         Name of the drive; by default that of the log.
     **settings
-        ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ("ax=acc_x*g"), ``time``, ``recipe`` (a
-        file) and settings of a recipe, such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
+        ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ({"ax": "acc_x*g"}), ``tables`` ({"imu":
+        "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe, such as ``mount``, ``gps_offset_s``,
+        ``origin``, ``gps_lever_arm_m``.
 
     Returns
     -------
@@ -87,8 +88,13 @@ def inspect_log(log: str | Path, **settings: Any) -> "Look":
     return look(request_of(log, settings))
 
 
-def split(drive: Drive, train_fraction: float = 0.7, *, at: float | None = None) -> tuple[Drive, Drive]:
-    """Split a drive in time into a part to tune on and a part to test on; parameters as of ``split_time``."""
+def split(
+    drive: Drive, train_fraction: float = 0.7, *, at: float | tuple[float, float] | None = None
+) -> tuple[Drive, Drive]:
+    """Split a drive in time into a part to tune on and a part to test on; parameters as of ``split_time``.
+
+    With two times in ``at``, what lies between them is left out.
+    """
     return split_time(drive, train_fraction, at=at)
 
 

@@ -416,21 +416,6 @@ def test_a_pause_in_a_real_log_is_no_jump():
     assert "clock-jump" not in found
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-@pytest.mark.parametrize("scale", [0.84, 1.2])
-def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float):
-    """Circles: what changes within a window may be slip; a wrong scale also shows in whole turns."""
-    rng, t = np.random.default_rng(1), np.arange(0, 100, 0.02)
-    rate = sense * (0.25 + 0.1 * np.sin(2 * np.pi * t / 13))
-    place = np.cumsum(5.0 * np.exp(1j * np.cumsum(rate) * 0.02)) * 0.02
-    noise = 0.02 * rng.standard_normal((3, len(t)))
-    fixes = place[::10] + 0.1 * (rng.standard_normal(500) + 1j * rng.standard_normal(500))
-    for gz, faulty in ((0.25 * sense + (rate - 0.25 * sense) / scale, False), (rate / scale, True)):
-        imu = Imu(t, noise[0], 5.0 * rate + noise[1], gz + 0.1 * noise[2])
-        found = found_of(Drive("circles", imu, Gps(t[::10], fixes.real, fixes.imag)), "gyro-scale")
-        assert bool(found) == faulty, found
-
-
 def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     module = import_module("sigmaswarm.doctor.diagnose")
     drive = make_drive(duration=40.0)
@@ -444,3 +429,18 @@ def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     sigmaswarm.diagnose(replace(drive, name="last"))
     assert len(module._kept) == module.KEPT
     assert ("filler", str(module.KEPT - 1)) in module._kept  # the oldest ones go
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("scale", [0.84, 1.2])
+def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float):
+    """Circles: what changes within a window may be slip; a wrong scale also shows in whole turns."""
+    rng, t = np.random.default_rng(1), np.arange(0, 100, 0.02)
+    rate = sense * (0.25 + 0.1 * np.sin(2 * np.pi * t / 13))
+    place = np.cumsum(5.0 * np.exp(1j * np.cumsum(rate) * 0.02)) * 0.02
+    noise = 0.02 * rng.standard_normal((3, len(t)))
+    fixes = place[::10] + 0.1 * (rng.standard_normal(500) + 1j * rng.standard_normal(500))
+    for gz, faulty in ((0.25 * sense + (rate - 0.25 * sense) / scale, False), (rate / scale, True)):
+        imu = Imu(t, noise[0], 5.0 * rate + noise[1], gz + 0.1 * noise[2])
+        found = found_of(Drive("circles", imu, Gps(t[::10], fixes.real, fixes.imag)), "gyro-scale")
+        assert bool(found) == faulty, found

@@ -108,3 +108,14 @@ def test_one_drive_can_not_be_split_whole():
 def test_a_clip_with_nothing_in_it(start: float, end: float):
     with pytest.raises(DriveError, match=r"synthetic: .* leaves no drive; choose times within t = 0 to 20 s"):
         clip(DRIVE, start, end)
+
+
+@pytest.mark.filterwarnings("ignore:.*can't be used alone")
+def test_the_part_between_two_times_is_left_out():
+    before, after = split_time(DRIVE, at=(3.0, 7.0))
+    assert (before.name, after.name) == ("synthetic-before", "synthetic-after")
+    assert before.imu.time[-1] < 3.0
+    assert after.imu.time[0] >= 7.0
+    assert after.metadata["cut_from"]["start_s"] == after.imu.time[0]
+    with pytest.raises(InputError, match="give them in order"):
+        split_time(DRIVE, at=(7.0, 3.0))

@@ -51,7 +51,7 @@ def filter_of(
 
 
 def with_heading(drive: Drive) -> Drive:
-    """A drive whose receiver tells the heading to 1 degree; four are 57 degrees off, ten are not found."""
+    """a drive whose receiver reports the heading to 1 degree; four are 57 degrees off, ten are not found."""
     gps, truth, rng = drive.gps, drive.truth, np.random.default_rng(0)
     assert truth is not None
     theta = np.interp(gps.time, truth.time, np.unwrap(truth.theta)) + rng.normal(0, np.radians(1.0), len(gps))
@@ -142,7 +142,9 @@ def test_live_filter_gives_the_estimates_of_a_run(model: str, kind: str, option:
         if is_imu:
             live.predict(t, [getattr(imu, axis)[i] for axis in MODELS[model].imu])
             continue
-        heading = None if gps.std_heading[i] >= np.pi else (gps.heading[i], gps.std_heading[i])
+        heading = (gps.heading[i], gps.std_heading[i])
+        if gps.std_heading[i] >= np.pi:
+            heading = [None, (np.nan, 0.1), (1.0, np.inf), (1.0, np.pi)][i % 4]
         fix = gps.time[i], (gps.x[i], gps.y[i]), None, (gps.std_x[i], gps.std_y[i]), heading
         taken = live.update(*fix)
         assert not (taken and live.update(*fix))  # the same again

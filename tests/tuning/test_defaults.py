@@ -99,6 +99,7 @@ def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too
     forecasts = "0.5 innovation-t + 0.5 forecast-t"
     white, copying = noisy(long, 1.0), noisy(long, 0.05, "copying")
     assert auto([white]) == forecasts
+    assert objective_for([white], "auto", "tilted12", ("lateral", "fix-error")) == forecasts
     assert auto([copying]) == "innovation-t"
     assert auto([noisy(long, 1.0, stated=5.0)]) == "innovation-t"  # most of 5 m lasts
     assert auto([noisy(long, 0.3, stated=0.3)]) == forecasts

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sigmaswarm.doctor import evidence
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.presets import DEFAULTS
@@ -29,7 +30,7 @@ def with_r(std: float):
 @pytest.mark.parametrize(
     ("std", "noise", "said"),
     [
-        (0.05, FixNoise(1.8, 0.1), "right to 0.05 m per axis, and the receiver states 1.8 m"),
+        (0.05, FixNoise(1.8, 0.1), "corresponds to 0.05 m per axis, and the receiver states 1.8 m"),
         (0.05, FixNoise(NONE, 1.0), "scatter by 1 m about a path that the IMU can follow"),
         (0.9, FixNoise(1.8, 0.1), "states 1.8 m per axis and its fixes scatter by 0.1 m: their errors last"),
         (0.1, FixNoise(NONE, 0.1), "scatter by 0.1 m per axis and their receiver states no deviation"),
@@ -91,3 +92,14 @@ def test_of_a_long_drive_the_middle_is_looked_at(monkeypatch: pytest.MonkeyPatch
     wild = np.where(early_late, np.random.default_rng(0).normal(0, 3, len(drive.gps)), 0.0)
     rough = replace(drive, gps=replace(drive.gps, x=drive.gps.x + wild))
     assert fix_noise(rough).scatter == pytest.approx(fix_noise(drive).scatter)
+
+
+def test_the_scatter_of_a_drive_is_computed_once(monkeypatch: pytest.MonkeyPatch):
+    drive = replace(BLIND, gps=replace(BLIND.gps, x=BLIND.gps.x + 1.0))
+    diagnose(drive)
+    with monkeypatch.context() as patch:
+        patch.setattr(evidence, "_gather", lambda _: pytest.fail("computed again"))
+        kept = fix_noise(replace(drive, name="the same")).scatter
+    monkeypatch.setattr(evidence, "_scatters", {})
+    assert kept == fix_noise(drive).scatter
+    assert kept != fix_noise(replace(drive, gps=replace(drive.gps, y=1.5 * drive.gps.y))).scatter

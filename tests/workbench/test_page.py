@@ -45,7 +45,7 @@ def tab_to(page: Any, name: str) -> None:
 
 
 def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
-    """One click mends, one takes it back; the original stays as it is; another tab sees it; a cut is a step, too."""
+    """One click mends, one takes it back; the original stays; another tab sees it; cuts keep a part or leave it out."""
     original = wrong_sign(tmp_path / "bench")
     before = (original / "imu.csv").read_bytes()
     served = serve(tmp_path / "bench")
@@ -67,7 +67,16 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_role("button", name="Take back: kept").click()
     page.get_by_text("kept only").wait_for(state="hidden")
     assert not checked.exists()
+    page.get_by_label("from, s").fill("20")
+    page.get_by_label("to, s").fill("25")
+    page.get_by_role("button", name="Leave this part out").click()
+    page.get_by_text("wrote drives/monday-before and monday-after").wait_for()
+    first, last = (sigmaswarm.read_drive(f"{original}-{part}").imu.time for part in ("before", "after"))
+    assert first[-1] < 20.0
+    assert last[0] >= 25.0
     assert (original / "imu.csv").read_bytes() == before
+    page.goto(served.url + "tune")
+    expect(page.get_by_role("combobox", name="monday", exact=True)).to_have_value("leave it out")
 
 
 def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
@@ -89,7 +98,7 @@ def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
 
 
 def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
-    """Keys turn the mounting, make the drive and lead on; the checker objects to nothing on any page."""
+    """Keys alone do all five steps; the checker objects to nothing on any page."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     log = sigmaswarm.write_drive(drive, tmp_path / "log")
     sigmaswarm.tune(drive, out=tmp_path / "bench" / "tunings" / "monday", **SMALL)  # pyright: ignore
@@ -109,6 +118,12 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     page.keyboard.press("Enter")
     page.get_by_role("heading", name="Cut", exact=True).wait_for()
     assert contrast_of(page) == []
+    tab_to(page, "to, s")
+    page.keyboard.press("Control+A")
+    page.keyboard.type("50")
+    tab_to(page, "Keep only this part")
+    page.keyboard.press("Enter")
+    page.get_by_text("kept only 0 to 50 s").wait_for()
     tab_to(page, "Next: tune")
     page.keyboard.press("Enter")
     page.get_by_text("Filter: planar5").wait_for()
@@ -116,12 +131,18 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     tab_to(page, "Start")
     page.keyboard.press("Enter")
     page.get_by_role("cell", name="log", exact=True).wait_for()
-    for step in ("judge", "take"):
-        tab_to(page, "Judge" if step == "judge" else "Take away")
+    for step, name, do, done in (
+        ("judge", "Judge", "Evaluate", "Next: take it away"),
+        ("take", "Take away", "Write C99", "wrote 1"),
+    ):
+        tab_to(page, name)
         page.keyboard.press("Enter")
         page.wait_for_url(f"**/{step}")
         page.get_by_role("combobox", name="Filter").wait_for()
         assert contrast_of(page) == []
+        tab_to(page, do)
+        page.keyboard.press("Enter")
+        page.get_by_text(done).wait_for()
 
 
 def test_envelope_keeps_all_peaks():

@@ -32,7 +32,7 @@ class ExportOptions:
     replay
         c99: a drive, written as input of the replay program.
     check
-        c99: drives to compare C with `sigmaswarm run`. robot-localization: drives for the errors in README.md.
+        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives for README.md's errors.
     against
         robot-localization, with --check: a second tuning to compare in README.md.
     lanes

@@ -16,7 +16,7 @@ def split(
     *,
     out: Path,
     train_fraction: float | None = None,
-    at: float | None = None,
+    at: Annotated[list[float] | None, Parameter(consume_multiple=True)] = None,
     json: Json = False,
 ) -> None:
     """Split a drive in time into a part to tune on and a part to test on.
@@ -36,15 +36,20 @@ def split(
     train_fraction
         Share of the drive's time in the first part; 0.7 by default.
     at
-        Time of the split on the drive's clock (`t` in its files), s.
+        Time of the split on the drive's clock (`t` in its files), s. Of two times, the part between them is left out.
     """
 
     from sigmaswarm.drives.alignment import NoStart, find_start
 
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("give --at or --train-fraction, not both")
+    if at is not None and len(at) > 2:
+        raise sigmaswarm.InputError(
+            f"--at has {len(at)} times; give one, or two to leave out what lies between"
+        )
+    times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     whole = read_known(drive)
-    parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=at)
+    parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=times)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name)
     train, test = (str(out / part.name) for part in parts)

@@ -13,6 +13,7 @@ from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import EXPLAINED, YawFit, fit_yaw
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
 
@@ -24,6 +25,9 @@ AS_RECORDED = Yaw(known=True)
 """A yaw rate that needs no other column, sign or unit: others are believed only where no offset explains them."""
 FEWEST = 20
 """Fixes; with fewer, only checks without motion run."""
+KEPT = 256
+"""Drives whose scatter stays in memory: a tuning asks for it after the diagnosis, and again in each repetition."""
+_scatters: dict[str, float] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +71,20 @@ def gather(drive: Drive) -> Evidence:
     If the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first, up to
     40 s. The times of the fixes are corrected by it before axes are checked.
     """
+    evidence = _read(drive)
+    for old in list(_scatters)[: len(_scatters) + 1 - KEPT]:
+        _scatters.pop(old, None)
+    _scatters[fingerprint(drive)] = evidence.scatter
+    return evidence
+
+
+def scatter_of(drive: Drive) -> float:
+    """The `scatter` of a drive's evidence, m per axis, from memory where the drive was gathered before."""
+    kept = _scatters.get(fingerprint(drive))
+    return gather(drive).scatter if kept is None else kept
+
+
+def _read(drive: Drive) -> Evidence:
     evidence = _gather(drive)
     course, fit = evidence.course, evidence.yaw_fit
     if course is None or fit is None:

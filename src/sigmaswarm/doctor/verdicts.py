@@ -20,8 +20,10 @@ LEAST_SHARE = 0.2
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
-"""Chi-square by which another interpretation must be better than the log as it is. One in g must itself have less (logs
-in g: 4): in steady circles a window's constants take most of the forces, and no unit shows."""
+"""Chi-square by which another interpretation must be better than the log as it is, and the most that one in g may have.
+
+In steady circles forces are hardly more than their windows' noise, and show no unit. Logs in g have 4.
+"""
 ALIKE = 0.05
 """Tolerance of M's entries off the diagonal, for slip and for tilt in maneuvers."""
 SCALE = 0.12

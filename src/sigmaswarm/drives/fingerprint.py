@@ -59,7 +59,7 @@ def fingerprint(drive: Drive) -> str:
         for name, column in sorted(vars(table).items()) if table is not None else ():
             if column is not None:
                 digest.update(name.encode())
-                digest.update(np.ascontiguousarray(column))
+                digest.update(np.ascontiguousarray(column).data)
     if drive.odometer is not None:  # after the others: a drive without one keeps its fingerprint
         digest.update(b"odometer" + drive.odometer.time.tobytes() + drive.odometer.speed.tobytes())
     return digest.hexdigest()

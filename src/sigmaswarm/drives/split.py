@@ -40,7 +40,9 @@ def split_drives(
     return train, [drive for i, drive in enumerate(drives) if i not in chosen]
 
 
-def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = None) -> tuple[Drive, Drive]:
+def split_time(
+    drive: Drive, train_fraction: float = 0.7, *, at: float | tuple[float, float] | None = None
+) -> tuple[Drive, Drive]:
     """Split one long drive in time: ``<name>-train`` is its first part, ``<name>-test`` the rest.
 
     Parameters
@@ -49,8 +51,9 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
         Stays as it is.
     train_fraction : float
         Share of the drive's duration, in (0, 1).
-    at : float, optional
-        s on the drive's clock: split there instead, as where a logger paused.
+    at : float or (float, float), optional
+        s on the drive's clock: split there instead, as where a logger paused. Of two times, the part between them is
+        left out; the parts are ``<name>-before`` and ``<name>-after``.
 
     Warns
     -----
@@ -63,15 +66,20 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
         ``cut_from`` in their metadata has the drive (name, fingerprint) and the part of it (s on its clock).
     """
     _require_fraction(train_fraction)
-    cut = drive.imu.time[0] + train_fraction * drive.duration if at is None else at
+    if at is None:
+        at = float(drive.imu.time[0] + train_fraction * drive.duration)
+    end, start = at if isinstance(at, tuple) else (at, at)
+    if start < end:
+        raise InputError(f"at = {end:g}, {start:g} s: the first time is later; give them in order")
+    names = ("before", "after") if isinstance(at, tuple) else ("train", "test")
     parts = (
-        clip(drive, end=cut, name=f"{drive.name}-train"),
-        clip(drive, start=cut, name=f"{drive.name}-test"),
+        clip(drive, end=end, name=f"{drive.name}-{names[0]}"),
+        clip(drive, start=start, name=f"{drive.name}-{names[1]}"),
     )
     sha256 = fingerprint(drive)
     for part in parts:
-        if isinstance(start := find_start(part), NoStart):
-            message = f"{part.name} can't be used alone: {start.what}; split elsewhere, or {start.remedy}"
+        if isinstance(found := find_start(part), NoStart):
+            message = f"{part.name} can't be used alone: {found.what}; split elsewhere, or {found.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256}

@@ -1,5 +1,6 @@
 """LiveFilter: one sample at a time, for real-time use, with the results of `run_filter` on the same data."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -11,6 +12,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory
 from sigmaswarm.drives.table_files import LARGEST
+from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
@@ -228,9 +230,9 @@ class LiveFilter:
         try:
             takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
             var_x, var_y = _squared(std) if takes else (0.0, 0.0)
-            theta, var_theta = 0.0, np.inf
+            theta, var_theta = 0.0, math.inf
             if heading is not None and self.parameters.heading_noise is not None:
-                theta, var_theta = heading[0], heading[1] ** 2
+                theta, var_theta = _known_heading(*heading)
             seen = fix[0], fix[1], 0.0, 0.0, 0.0
             if velocity is not None and self._takes_velocity:
                 seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
@@ -412,6 +414,12 @@ def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -
 
 _ALIGNING = (1, 2, 3, 5, 6)
 """Indices of ax, ay, gz, gx, gy in a stored sample, after its time: see `AXES`."""
+
+
+def _known_heading(theta: float, std: float) -> tuple[float, float]:
+    """Heading, rad, and its stated variance, rad2; infinite where there is none, as in `Timeline.fixes`."""
+    known = math.isfinite(theta) and 0 <= std < NO_HEADING
+    return (theta, std**2) if known else (0.0, math.inf)
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:

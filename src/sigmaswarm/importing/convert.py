@@ -81,6 +81,10 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
     recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
     if "format" in settings:
         settings["form"] = settings.pop("format")
+    if "tables" in settings:
+        settings["choice"] = Choice(settings.pop("tables"))
+    if isinstance(maps := settings.get("maps"), Mapping):
+        settings["maps"] = [f"{column}={expression}" for column, expression in maps.items()]
     own = {f.name for f in fields(Request)} - {"source", "recipe"}
     if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
         raise InputError(

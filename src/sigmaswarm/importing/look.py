@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
@@ -57,8 +58,9 @@ class Glance:
 class Look:
     """Content of the logs of a request, the recipe that would be used, and its assumptions.
 
-    ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``works``:
-    True where the import with these options succeeds; without a proposal, where IMU and fixes were recognized.
+    ``proposal``: options of `sigmaswarm import` for what was not recognized, the same as ``settings`` of `import_log`,
+    and the ``evidence`` for them. ``works``: True where the import with these options succeeds; without a proposal,
+    where IMU and fixes were recognized.
     ``unread``: by table, the columns that are left out, also with the proposal. ``faults``: reasons not to read a
     column unchanged. ``rows``: the first rows of each table.
     """
@@ -71,6 +73,7 @@ class Look:
     works: bool = False
     unread: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     faults: tuple[Fault, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     rows: Mapping[str, pl.DataFrame] = field(
         default_factory=dict[str, pl.DataFrame], repr=False, compare=False
     )
@@ -108,11 +111,11 @@ def look(request: Request) -> Look:
     if proposal:
         proposal, evidence, works = judged(proposal, partial(_imported, request))
     unread = _unread(tables, recipe, proposal)
-    said = proposal.options if proposal else ""
+    said, settings = (proposal.options, proposal.settings) if proposal else ("", {})
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
     rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
     whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
-    return Look(*whole, said, evidence, works, unread, faults, rows)
+    return Look(*whole, said, evidence, works, unread, faults, settings, rows)
 
 
 def _unread(

@@ -138,6 +138,14 @@ class Proposal:
         ]
 
     @property
+    def settings(self) -> dict[str, Mapping[str, str]]:
+        """As `import_log` takes it; each column with its role."""
+        maps = {
+            f"{role}.{name}": text for role, found in self.columns.items() for name, text in found.items()
+        }
+        return {"maps": maps, "tables": {**self.tables}}
+
+    @property
     def options(self) -> str:
         """Options for the command line, quoted: a shell must not run text in backticks, or in a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]

@@ -50,7 +50,15 @@ from sigmaswarm.scoring.targets import (
     outage_windows,
     tracking_replay,
 )
-from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
+from sigmaswarm.scoring.tracks import (
+    NOTHING_STATED,
+    TRACKS_FILE,
+    Picture,
+    Tracker,
+    Tracks,
+    compared,
+    save_tracks,
+)
 from sigmaswarm.scoring.truth_noise import share_known
 from sigmaswarm.scoring.truth_offset import truth_offset
 from sigmaswarm.scoring.view import EvaluationView
@@ -408,6 +416,10 @@ def _evaluated(
     scores["raw_gps"] = score_raw_gps(drive, ready.initial)
     tuned, start, end = scores["tuned"], ready.initial.time, float(drive.imu.time[-1])
     innovations, sigma = passed.innovations, tracker.own_sigma["tuned"]
+    radii = {
+        TRACKING: passed.radius,
+        **{m: _radius(drive, parameters, of.stated) for m, of in outages.items()},
+    }
     found = Evaluated(
         scores={method: scores[method] for method in (OWN, "tuned", *ALSO, *METHODS) if method in scores},
         consistency=None if tuned.failed else consistency_of(innovations, tuned.mean_nees, sigma),
@@ -424,23 +436,18 @@ def _evaluated(
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
         findings=findings_of(drive),
         truth_offset=truth_offset(drive),
-        radius=_radii(
-            drive, parameters, {TRACKING: tracker.stated, **{m: o.stated for m, o in outages.items()}}
-        ),
+        radius={where: one for where, one in radii.items() if one},
     )
     return drive.name, found, marks
 
 
-def _radii(
-    drive: Drive, parameters: FilterParameters, stated: Mapping[str, tuple[Array, Array, Array | None]]
-) -> dict[str, RadiusRecord]:
-    """Radii of the tuned filter, by where they were stated: times, variances and errors."""
-    known = drive.truth is not None
-    found = {
-        where: radius_record(variance, lasting_variance(drive, parameters, time), error if known else None)
-        for where, (time, variance, error) in stated.items()
-    }
-    return {where: record for where, record in found.items() if record}
+def _radius(
+    drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
+) -> RadiusRecord | None:
+    """Radius of the tuned filter's position, from times, variances and errors."""
+    time, variance, error = stated
+    lasting = lasting_variance(drive, parameters, time)
+    return radius_record(variance, lasting, None if drive.truth is None else error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -451,6 +458,7 @@ class _Passed:
     restarts: Mapping[str, tuple[float, ...]]
     innovations: Innovations
     further: Runs
+    radius: RadiusRecord | None
 
 
 def _tracked(
@@ -477,7 +485,9 @@ def _tracked(
         scores[method] = tracker.scores[method]
         if method != FIXES:  # it is never reset
             restarts[method] = tuple(run.restarts)
-    return _Passed(scores, restarts, recorded["tuned"].innovations, further)
+    radius = _radius(ready.drive, filters["tuned"], tracker.stated)
+    tracker.stated = NOTHING_STATED  # three arrays as long as truth
+    return _Passed(scores, restarts, recorded["tuned"].innovations, further, radius)
 
 
 def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:

@@ -39,6 +39,7 @@ MOST_POINTS = 1500
 """Points of a series in a file; more than a screen has columns."""
 MOST_DRAWN = 20_000
 """Points of a series in a printed picture."""
+NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
 CLOSE_UP = 50.0
 """m: side of the close-up of a track."""
 
@@ -101,7 +102,7 @@ class Tracker:
         self._close: dict[str, Columns] = {}
         self.scores: dict[str, Score] = {}
         self.own_sigma: dict[str, float] = {}
-        self.stated: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
+        self.stated = NOTHING_STATED
         truth = ready.drive.truth
         if truth is not None:
             self._theta = np.unwrap(truth.theta)

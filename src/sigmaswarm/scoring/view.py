@@ -142,7 +142,7 @@ class EvaluationView:
                 Column("errors", number="{:.0f}".format),
                 Column("in 95% radius", "%", percent),
                 Column("in 99.9% radius", "%", percent),
-                Column("sigma of the filter alone"),
+                Column("own sigma"),
             ]
 
         def cells(of: RadiusRecord) -> tuple[Cell, ...]:

@@ -97,7 +97,7 @@ def objective_for(
     tilts = model in MODELS and MODELS[model].tilts
     if "fix-error" in use:
         with_truth = WITH_FIX_ERROR
-    elif not logs and tilts and _allows_forecasts(cars):
+    if not logs and tilts and _allows_forecasts(cars):
         without = WITH_FORECASTS
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):

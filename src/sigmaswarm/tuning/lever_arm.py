@@ -114,7 +114,7 @@ def estimate_lever_arm(
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
     ``gps_lever_arm_m`` of drive.toml is the prior, with ``gps_lever_arm_std_m`` as its standard deviation (1 m where it
-    is not stated). The delay of the fixes is that of the filter: 0.01 s shift the estimate by 0.01 s times the speed.
+    is not stated). The delay of the fixes, which shifts them along the road as ``forward`` does, is unknown by 0.02 s.
 
     Parameters
     ----------

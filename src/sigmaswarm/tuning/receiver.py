@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.doctor.checks.noise import LASTS
-from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.doctor.evidence import scatter_of
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
@@ -49,7 +49,7 @@ def fix_noise(drive: Drive) -> FixNoise:
     """Estimate the errors of a drive's fixes from its middle part, without truth."""
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
-        scatter = gather(clip(drive, middle - LOOK / 2, middle + LOOK / 2)).scatter or np.nan
+        scatter = scatter_of(clip(drive, middle - LOOK / 2, middle + LOOK / 2)) or np.nan
     except DriveError:
         scatter = np.nan
     return FixNoise(stated(drive), float(scatter))

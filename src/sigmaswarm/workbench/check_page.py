@@ -6,174 +6,165 @@ from typing import Any
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import Drive
+from sigmaswarm import Diagnosis, Drive, Finding
 from sigmaswarm.doctor.agreements import Agreement, agreements, shown_by
-from sigmaswarm.doctor.findings import Diagnosis, Finding
 from sigmaswarm.wording import counted
-from sigmaswarm.workbench.parts import aside, button, card, link, message, start, text
-from sigmaswarm.workbench.plots import TimePlot, agreement_plot, fixes_of, map_plot
-from sigmaswarm.workbench.state import CHECKED, Workbench
+from sigmaswarm.workbench.parts import Page, button, card, line, link, message, select, text
+from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
+from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
 SHORTEST = 30.0
 """s: length of the shortest part that can be kept."""
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
 Agreements = dict[str, Agreement]
+Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
+"""The drive after each step, the steps, and what the last one of the drives shows."""
 
 
-class CheckPage:
+class CheckPage(Page):
     """The drive that is checked: the original, the steps applied to it, and the remaining findings."""
 
     def __init__(self, bench: Workbench) -> None:
-        self.bench = bench
+        super().__init__(bench)
         self.stages: list[Drive] = []
         self.steps: list[Step] = []
         self.diagnosis: Diagnosis | None = None
         self.before: Agreements = {}
         self.after: dict[str, tuple[Agreements, str]] = {}
-        self.waiting = self.wrong = ""
-        self._opened = ""
-        self._asked = 0
+        self.done = self._opened = ""
 
     @property
-    def name(self) -> str:
-        """The drive to check, by its original's name."""
-        names = self._originals()
-        chosen = self.bench.choices.get("drive", "")
-        return chosen if chosen in names else (names[-1] if names else "")
+    def originals(self) -> list[str]:
+        """The drives that can be checked."""
+        return [name for name in self.bench.drive_names if not name.endswith(CHECKED)]
 
-    def _originals(self) -> list[str]:
-        return [name for name in self.bench.names("drives", "drive.toml") if not name.endswith(CHECKED)]
-
-    @ui.refreshable_method
     def content(self) -> None:
-        """Show the step."""
-        if not self.name:
+        """Make the content of the step."""
+        names = self.originals
+        if not names:
             text("p", "No drive yet.")
             link("Make one of a log", "log")
             return
-        with ui.element("div").classes("line"):
-            pick = ui.select(self._originals(), label="Drive", value=self.name).classes("grow")
-            pick.on_value_change(lambda event: self.open(event.value))
-        if self._opened != self.name:
-            self.open(self.name, show=False)
-        message(self.waiting, "wait")
-        message(self.wrong, "bad")
-        if not self.stages:
-            return
-        self._done()
-        self._findings()
-        self._cut()
-        with ui.element("div").classes("line"):
+        chosen = self.bench.choices.get("drive")
+        name = chosen if chosen in names else names[-1]
+        if self._opened != name:
+            self._open(name)
+        with line():
+            select("Drive", names, name, self.choose)
+        self.messages()
+        message(self.done, "good")
+        if self.stages:
+            self._steps()
+            self._findings()
+            self._cut()
             link("Next: tune a filter on it", "tune")
 
-    def open(self, name: str, *, show: bool = True) -> None:
+    def choose(self, name: str) -> None:
         """Check another drive."""
+        self.done = ""
+        self._open(name)
+        self.refresh()
+
+    def _open(self, name: str) -> None:
         self.bench.choices["drive"] = self._opened = name
         self.bench.save()
         self.stages, self.steps, self.diagnosis, self.wrong = [], [], None, ""
-        self._begin("reading and checking the drive", None, show=show)
+        self.start("reading and checking the drive", self._checked, name, None, then=self._taken)
+
+    def _do(self, waiting: str, steps: list[Step]) -> None:
+        """Do all steps; those done already are taken from memory."""
+        self.start(waiting, self._checked, self._opened, steps, then=self._taken)
+        self.refresh()
 
     def add(self, step: Step) -> None:
         """Do a repair or a cut."""
-        self._begin("repairing and checking" if "repair" in step else "cutting", [*self.steps, step])
+        self._do("repairing and checking" if "repair" in step else "cutting", [*self.steps, step])
 
-    def take_back(self, number: int) -> None:
-        """Undo one step; the later ones are done again without it."""
-        self._begin("taking it back", [*self.steps[:number], *self.steps[number + 1 :]])
+    def leave_out(self, start: float, end: float) -> None:
+        """Make two drives, without what lies between two times."""
+        self.start("cutting", self._parted, self.stages[-1], (start, end), then=self._was_parted)
+        self.refresh()
 
-    def _begin(self, waiting: str, steps: list[Step] | None, *, show: bool = True) -> None:
-        self.waiting, self._asked = waiting, self._asked + 1
-        start(self._work(self._asked, self.name, steps))
-        if show:
-            self.content.refresh()
+    def _parted(self, drive: Drive, at: tuple[float, float]) -> list[str]:
+        parts = sigmaswarm.split(drive, at=at)
+        for part in parts:
+            sigmaswarm.write_drive(part, self.bench.path("drives", part.name), overwrite=True)
+        return [part.name for part in parts]
 
-    async def _work(self, asked: int, name: str, steps: list[Step] | None) -> None:
-        done, wrong = await aside(self._rebuilt, name, steps)
-        if asked != self._asked:
-            return
-        self.waiting, self.wrong = "", wrong
-        if done is not None:
-            self.stages, self.steps, self.diagnosis, self.before, self.after = *done, {}
-        self.content.refresh()
-        if self.diagnosis and self.stages:
-            await self._look_ahead(asked, self.stages[-1], self.diagnosis)
+    def _was_parted(self, names: list[str] | None) -> None:
+        if names:
+            whole = self._opened
+            plan = self.bench.choices.setdefault("plan", {})
+            plan |= dict.fromkeys((whole, whole + CHECKED), LEFT_OUT)
+            self._open(names[0])
+            self.done = f"wrote drives/{names[0]} and {names[1]}; check both. {whole} is left out of tunings"
+        self.refresh()
 
-    def _rebuilt(
-        self, name: str, steps: list[Step] | None
-    ) -> tuple[list[Drive], list[Step], Diagnosis | None, Agreements]:
-        """Apply the steps, earlier ones from memory, and write the result."""
-        stages, known = self.stages, self.steps
-        if steps is None:
-            stages, known, steps = [self.bench.read(name)], [], self._saved_steps(name)
-        same = next(
-            (i for i, (a, b) in enumerate(zip(steps, known, strict=False)) if a != b),
-            min(len(steps), len(known)),
-        )
-        stages = stages[: same + 1]
-        for step in steps[same:]:
-            stages = [*stages, _apply(stages[-1], step)]
-        target = self.bench.path("drives", name + CHECKED)
-        if steps:
-            metadata = {**stages[-1].metadata, "steps": steps}
-            sigmaswarm.write_drive(
-                replace(stages[-1], name=target.name, metadata=metadata), target, overwrite=True
-            )
-        else:
-            self.bench.remove("drives", target.name)
-        diagnosis = sigmaswarm.diagnose(stages[-1])
-        return stages, steps, diagnosis, {a.key: a for a in agreements(stages[-1])}
+    def _taken(self, checked: Checked | None) -> None:
+        if checked is not None:
+            self.stages, self.steps, self.diagnosis, self.before = checked
+            self.after = {}
+            self.start("", _look_ahead, self.stages[-1], self.diagnosis, then=self._looked_ahead)
+        self.refresh()
 
-    def _saved_steps(self, name: str) -> list[Step]:
-        if name + CHECKED not in self.bench.names("drives", "drive.toml"):
-            return []
-        return list(self.bench.read(name + CHECKED).metadata.get("steps", []))
-
-    async def _look_ahead(self, asked: int, drive: Drive, diagnosis: Diagnosis) -> None:
-        """Try each repair, so that its card shows its effect."""
-        for finding in diagnosis.findings:
-            if finding.repair is None or finding.code in self.after:
-                continue
-            tried, wrong = await aside(_tried, drive, diagnosis, finding.code)
-            if asked != self._asked:
-                return
-            self.after[finding.code] = tried or ({}, wrong)
+    def _looked_ahead(self, after: dict[str, tuple[Agreements, str]] | None) -> None:
+        self.after = after or {}
         if self.after:
             self._findings.refresh()
 
-    def _done(self) -> None:
+    def _checked(self, name: str, steps: list[Step] | None) -> Checked:
+        """Apply the steps to a drive, by default those saved, write the result, and check it."""
+        stages, known, target = self.stages, self.steps, name + CHECKED
+        if steps is None:
+            saved = self.bench.read(target).metadata if target in self.bench.drive_names else {}
+            stages, known, steps = [self.bench.read(name)], [], list(saved.get("steps", []))
+        same = 0
+        while same < min(len(steps), len(known)) and steps[same] == known[same]:
+            same += 1
+        stages = stages[: same + 1]
+        for step in steps[same:]:
+            stages = [*stages, _apply(stages[-1], step)]
+        if steps:
+            made = replace(stages[-1], name=target, metadata={**stages[-1].metadata, "steps": steps})
+            sigmaswarm.write_drive(made, self.bench.path("drives", target), overwrite=True)
+        else:
+            self.bench.remove("drives", target)
+        return stages, steps, sigmaswarm.diagnose(stages[-1]), _agreements(stages[-1])
+
+    def _steps(self) -> None:
         """The applied steps, each with a button to undo it."""
         for number, step in enumerate(self.steps):
-            with card("done"), ui.element("div").classes("line between"):
-                said = f"repaired: {', '.join(step['repair'])}" if "repair" in step else _kept(step["keep"])
+            said = f"repaired: {', '.join(step['repair'])}" if "repair" in step else _kept(step["keep"])
+            rest = [*self.steps[:number], *self.steps[number + 1 :]]
+            with card("done"), line("between"):
                 text("h3", said)
-                back = button("Take it back", lambda number=number: self.take_back(number), "undo")
+                back = button("Take it back", lambda rest=rest: self._do("taking it back", rest), "undo")
                 back.props(f'aria-label="Take back: {said}"').set_enabled(not self.waiting)
 
     @ui.refreshable_method
     def _findings(self) -> None:
-        if (diagnosis := self.diagnosis) is None:
-            return
+        findings = self.diagnosis.findings if self.diagnosis else ()
         with ui.element("div").classes("section"):
-            serious = sum(finding.severity == "serious" for finding in diagnosis.findings)
-            with ui.element("div").classes("line between"):
+            serious = sum(finding.severity == "serious" for finding in findings)
+            with line("between"):
                 text("h2", f"{counted(serious, 'serious finding')}" if serious else "Nothing serious")
-                mendable = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None))
+                mendable = list(dict.fromkeys(f.code for f in findings if f.repair is not None))
                 if len(mendable) > 1:
                     every = button("Mend all", lambda: self.add({"repair": mendable}), "done_all", main=True)
                     every.set_enabled(not self.waiting)
-            for finding in diagnosis.findings:
+            for finding in findings:
                 if finding.severity != "note":
                     self._card(finding)
-            if notes := [f for f in diagnosis.findings if f.severity == "note"]:
+            if notes := [f for f in findings if f.severity == "note"]:
                 with ui.expansion(f"Good to know: {counted(len(notes), 'note')}").classes("card"):
                     for finding in notes:
                         self._card(finding)
 
     def _card(self, finding: Finding) -> None:
         with card(finding.severity):
-            with ui.element("div").classes("line between"):
-                with ui.element("div").classes("line"):
+            with line("between"):
+                with line():
                     ui.label(finding.severity).classes(f"tag {finding.severity}")
                     text("h3", finding.code)
                 self._ways(finding)
@@ -197,56 +188,68 @@ class CheckPage:
             steps |= {f"Keep from {at:g} s": {"keep": [at, last + 1]}}
             if at - first > SHORTEST:
                 steps |= {f"Keep until {at:g} s": {"keep": [first, at]}}
-        with ui.element("div").classes("line"):
+        with line():
             for label, step in steps.items():
                 icon = "build" if "repair" in step else "content_cut"
                 mend = button(label, lambda step=step: self.add(step), icon, main=True)
                 mend.props(f'aria-label="{label}: {finding.code}"').set_enabled(not self.waiting)
 
     def _cut(self) -> None:
-        """Select a span with the mouse or by numbers, and keep only it."""
+        """Select a span with the mouse or by numbers; keep only it, or leave it out."""
         drive = self.stages[-1]
         time = drive.imu.time
+        low, high = float(time[0]), float(time[-1])
+        series = {"gz": (time, drive.imu.gz)}
+        if drive.gps.speed is not None:
+            series["speed / 10"] = (drive.gps.time, drive.gps.speed / 10)
+
+        def selected(a: float, b: float) -> None:
+            begin.value, end.value = round(max(a, low), 2), round(min(b, high), 2)
+
+        def span() -> list[float]:
+            return [float(low if begin.value is None else begin.value), float(end.value or high)]
+
         with card():
             text("h2", "Cut")
-            text("p", "Drag over the part to keep, or enter its ends.", "soft")
+            text("p", "Drag over a part, or enter its ends.", "soft")
             with ui.element("div").classes("grid"):
                 with ui.element("div"):
-                    low, high = float(time[0]), float(time[-1])
-                    with ui.element("div").classes("line"):
+                    with line():
                         begin = ui.number("from, s", value=round(low, 2)).classes("grow")
                         end = ui.number("to, s", value=round(high + 0.01, 2)).classes("grow")
-
-                    def selected(a: float, b: float) -> None:
-                        begin.value, end.value = round(max(a, low), 2), round(min(b, high), 2)
-
-                    series = {"gz": (time, drive.imu.gz)}
-                    if drive.gps.speed is not None:
-                        series["speed / 10"] = (drive.gps.time, drive.gps.speed / 10)
-                    TimePlot("Select the part to keep", "rad/s", series, on_select=selected)
-                    keep = button(
-                        "Keep only this part",
-                        lambda: self.add({"keep": [float(begin.value or low), float(end.value or high)]}),
-                        "content_cut",
-                    )
-                    keep.set_enabled(not self.waiting)
-                map_plot(fixes_of(drive), "Map of the drive", points=("fixes",))
+                    time_plot("Select a part", "rad/s", series, on_select=selected)
+                    with line():
+                        keep = button(
+                            "Keep only this part", lambda: self.add({"keep": span()}), "content_cut"
+                        )
+                        leave = button(
+                            "Leave this part out: two drives", lambda: self.leave_out(*span()), "call_split"
+                        )
+                        for way in (keep, leave):
+                            way.set_enabled(not self.waiting)
+                show_map(drive, "Map of the drive", 340)
 
 
 def _kept(ends: list[float]) -> str:
     return f"kept only {ends[0]:g} to {ends[1]:g} s"
 
 
+def _agreements(drive: Drive) -> Agreements:
+    return {found.key: found for found in agreements(drive)}
+
+
 def _apply(drive: Drive, step: Step) -> Drive:
     if "keep" in step:
-        start_at, end = step["keep"]
-        return sigmaswarm.clip(drive, start_at, end)
+        return sigmaswarm.clip(drive, *step["keep"])
     return sigmaswarm.repair(drive, sigmaswarm.diagnose(drive), only=step["repair"])
 
 
-def _tried(drive: Drive, diagnosis: Diagnosis, code: str) -> tuple[Agreements, str]:
-    """The agreements after one repair; a sentence where it is withheld."""
-    mended = sigmaswarm.repair(drive, diagnosis, only=[code])
-    withheld = code in mended.metadata.get("withheld", ())
+def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
+    """Try each repair: the agreements after it, and a sentence where it is withheld."""
+    after: dict[str, tuple[Agreements, str]] = {}
     said = "This repair is withheld: with it a filter forecasts the fixes worse. Check the log by hand."
-    return {a.key: a for a in agreements(mended)}, said if withheld else ""
+    for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
+        mended = sigmaswarm.repair(drive, diagnosis, only=[code])
+        withheld = code in mended.metadata.get("withheld", ())
+        after[code] = _agreements(mended), said if withheld else ""
+    return after

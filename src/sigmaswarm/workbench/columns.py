@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sigmaswarm.errors import InputError
+from sigmaswarm import InputError
 from sigmaswarm.importing.look import Look
 from sigmaswarm.importing.recipe import COLUMNS
-from sigmaswarm.importing.source import ROLES, Choice
+from sigmaswarm.importing.source import ROLES
 from sigmaswarm.importing.times import written
 
 UNITS: dict[str, dict[str, str]] = {
@@ -46,13 +46,14 @@ TARGETS: dict[str, str] = {UNUSED: "not used"} | {
 }
 """The possible uses of a column, with their labels."""
 CUSTOM = "expression"
-SETTINGS = ("gps_offset_s", "gps_lever_arm_m", "part")
+GIVEN = ("gps", "truth", "tables", "maps")
 FLAGS = {
     "mount": "--mount",
     "gps_offset_s": "--gps-offset",
     "gps_lever_arm_m": "--lever-arm",
     "part": "--part",
 }
+"""Choices that are settings of `import_log`; those with an option of the same content."""
 Uses = dict[tuple[str, str], list[tuple[str, str]]]
 """The targets and their expressions, by table and column."""
 
@@ -106,18 +107,16 @@ def assign(choices: dict[str, Any], look: Look, table: str, column: str, target:
         choices.setdefault("tables", {})[role] = table
 
 
-def options_of(choices: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of `import_log` and `inspect_log` for the choices."""
-    maps = [f"{target}={text}" for target, text in choices.get("maps", {}).items()]
-    options: dict[str, Any] = {"maps": maps, "choice": Choice(choices.get("tables", {}))}
-    options |= {key: choices[key] for key in ("mount", "gps_offset_s", "part") if choices.get(key)}
-    if arm := choices.get("gps_lever_arm_m"):
+def settings_of(choices: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of `import_log` and `inspect_log` for the choices."""
+    settings = {key: choices[key] for key in (*GIVEN, *FLAGS) if choices.get(key)}
+    if arm := settings.get("gps_lever_arm_m"):
         try:
             forward, left, up = (float(v) for v in arm.split(","))
         except ValueError:
             raise InputError(f"{arm!r} is not a lever arm; write m forward,left,up, as 1.2,0,0.5") from None
-        options["gps_lever_arm_m"] = forward, left, up
-    return options | {key: Path(choices[key]) for key in ("gps", "truth") if choices.get(key)}
+        settings["gps_lever_arm_m"] = forward, left, up
+    return settings
 
 
 def command_of(log: Path, out: Path, choices: Mapping[str, Any]) -> str:
@@ -130,4 +129,4 @@ def command_of(log: Path, out: Path, choices: Mapping[str, Any]) -> str:
     if maps := choices.get("maps"):
         words += ["--map", *(f"{target}={text}" for target, text in maps.items())]
     words += [f"{flag}={choices[key]}" for key, flag in FLAGS.items() if choices.get(key)]
-    return " ".join(map(shlex.quote, words))
+    return shlex.join(words)

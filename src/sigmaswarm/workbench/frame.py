@@ -4,16 +4,17 @@ import io
 import zipfile
 from functools import partial
 from importlib.resources import files
-from typing import Any
 from urllib.parse import quote
 
 from fastapi import Response
+from fastapi.responses import HTMLResponse, PlainTextResponse
 from nicegui import app, ui
 
 import sigmaswarm
 from sigmaswarm.workbench.check_page import CheckPage
 from sigmaswarm.workbench.judge_page import JudgePage
 from sigmaswarm.workbench.log_page import LogPage
+from sigmaswarm.workbench.parts import Page, text
 from sigmaswarm.workbench.runs import Runs
 from sigmaswarm.workbench.state import Workbench, attempt
 from sigmaswarm.workbench.take_page import TakePage
@@ -38,7 +39,7 @@ class Frame:
 
     def __init__(self, bench: Workbench) -> None:
         self.bench, self.runs = bench, Runs(bench)
-        self.pages: dict[str, Any] = {
+        self.pages: dict[str, Page] = {
             "log": LogPage(bench),
             "check": CheckPage(bench),
             "tune": TunePage(bench, self.runs),
@@ -48,11 +49,9 @@ class Frame:
 
     def register(self) -> None:
         """Give every step and every file its address."""
-        style, script = (
-            files("sigmaswarm.workbench").joinpath(n).read_text() for n in ("style.css", "page.js")
-        )
-        ui.add_css(style, shared=True)
-        ui.add_head_html(f"<script>{script}</script>", shared=True)
+        own = files("sigmaswarm.workbench")
+        ui.add_css(own.joinpath("style.css").read_text(), shared=True)
+        ui.add_head_html(f"<script>{own.joinpath('page.js').read_text()}</script>", shared=True)
         ui.page("/")(lambda: self._show(self._first()))
         for step in STEPS:
             ui.page(f"/{step}")(partial(self._show, step))
@@ -87,17 +86,14 @@ class Frame:
                         ui.label(name)
         with ui.element("div").classes("page"):
             with ui.element("div").classes("heading"):
-                with ui.element("h1"):
-                    ui.label(f"{title}: {about}")
+                text("h1", f"{title}: {about}")
                 ui.label(str(self.bench.folder)).classes("soft path")
-            self.pages[step].content()
+            self.pages[step].show()
 
     def _report(self, kind: str, name: str) -> Response:
         """The page of `sigmaswarm.report`, which loads nothing else."""
-        text, wrong = attempt(self._page_of, kind, name)
-        if text is None:
-            return Response(wrong, 404, media_type="text/plain; charset=utf-8")
-        return Response(text, media_type="text/html; charset=utf-8")
+        page, wrong = attempt(self._page_of, kind, name)
+        return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 
     def _page_of(self, kind: str, name: str) -> str:
         """Read the page in the folder of a result, or write it there, as `sigmaswarm report` does."""
@@ -111,7 +107,7 @@ class Frame:
         """The folder of a result as a zip."""
         path, wrong = attempt(self.bench.path, kind, name)
         if path is None or not path.is_dir():
-            return Response(wrong or f"no {kind} {name}", 404, media_type="text/plain; charset=utf-8")
+            return PlainTextResponse(wrong or f"no {kind} {name}", 404)
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in sorted(path.rglob("*")):

@@ -7,94 +7,83 @@ from nicegui import ui
 import sigmaswarm
 from sigmaswarm import Tuning
 from sigmaswarm.reports.evaluation import save_evaluation
-from sigmaswarm.workbench.parts import aside, button, card, link, message, start, text
+from sigmaswarm.workbench.parts import Page, button, card, line, link, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
 SCORES = "scores.json"
 
 
-class JudgePage:
+class JudgePage(Page):
     """The choice of filter, rival and drives, and the page of the evaluation."""
 
     def __init__(self, bench: Workbench) -> None:
-        self.bench = bench
-        self.wrong = self.waiting = ""
+        super().__init__(bench)
         self.chosen: dict[str, Any] = {}
 
-    @ui.refreshable_method
     def content(self) -> None:
-        """Show the step."""
-        tunings = self.bench.finished
+        """Make the content of the step."""
+        tunings, chosen = self.bench.finished, self.chosen
         if not tunings:
             text("p", "No tuned filter yet.")
             link("Tune one", "tune")
             return
-        chosen = self.chosen
         if chosen.get("tuning") not in tunings:
-            chosen["tuning"] = tunings[-1]
-            chosen["drives"] = self._held(tunings[-1])
+            chosen |= {"tuning": tunings[-1], "drives": self._held(tunings[-1])}
         with card():
             text("h2", "Judge a filter")
-            with ui.element("div").classes("line"):
-                filter_ = ui.select(tunings, label="Filter", value=chosen["tuning"]).classes("grow")
-                filter_.on_value_change(
-                    lambda event: self._choose(tuning=event.value, drives=self._held(event.value))
-                )
+            with line():
+                select("Filter", tunings, chosen["tuning"], self._choose_filter)
                 rivals = {"": "no other", **{name: name for name in tunings if name != chosen["tuning"]}}
-                rival = chosen.get("against", "")
-                other = ui.select(
-                    rivals, label="Compare with", value=rival if rival in rivals else ""
-                ).classes("grow")
-                other.on_value_change(lambda event: self._choose(against=event.value))
-            drives = self.bench.names("drives", "drive.toml")
-            on = ui.select(drives, label="On these drives", value=chosen["drives"], multiple=True).props(
-                "use-chips"
+                against = chosen.get("against", "")
+                select("Compare with", rivals, against, lambda name: self._choose(against=name))
+            drives = self.bench.drive_names
+            on = [name for name in chosen["drives"] if name in drives]
+            pick = select(
+                "On these drives", drives, on, lambda names: self._choose(drives=names), multiple=True
             )
-            on.on_value_change(lambda event: self._choose(drives=event.value))
-            message(self.waiting, "wait")
-            message(self.wrong, "bad")
+            pick.props("use-chips")
+            self.messages()
             judge = button("Evaluate", self._begin, "speed", main=True)
             judge.set_enabled(bool(chosen["drives"]) and not self.waiting)
         self._result()
 
     def _choose(self, **chosen: Any) -> None:
-        self.chosen.update(chosen)
-        self.content.refresh()
+        self.chosen |= chosen
+        self.refresh()
+
+    def _choose_filter(self, name: str) -> None:
+        self._choose(tuning=name, drives=self._held(name))
 
     def _held(self, name: str) -> list[str]:
         """The drives that a tuning held back, else those that it did not see."""
-        drives = self.bench.names("drives", "drive.toml")
         tuning, _ = attempt(Tuning.load, self.bench.path("tunings", name))
         if tuning is None:
             return []
-        held = list(tuning.validation.drives) if tuning.validation else []
+        held = tuning.validation.drives if tuning.validation else ()
         seen = {one["name"] for one in tuning.data}
-        return [d for d in held if d in drives] or [d for d in self.bench.drives if d not in seen]
+        there = [name for name in held if name in self.bench.drive_names]
+        return there or [name for name in self.bench.drives if name not in seen]
 
     def _begin(self) -> None:
-        self.waiting, self.wrong = "evaluating", ""
-        self.content.refresh()
-        start(self._work(dict(self.chosen)))
+        self.start("evaluating", self._evaluate, {**self.chosen}, then=self._show)
+        self.refresh()
 
-    async def _work(self, chosen: dict[str, Any]) -> None:
-        name, self.wrong = await aside(self._evaluate, chosen)
-        self.waiting = ""
+    def _show(self, name: str | None) -> None:
         if name:
             self.bench.choices["evaluation"] = name
             self.bench.save()
-        self.content.refresh()
+        self.refresh()
 
     def _evaluate(self, chosen: dict[str, Any]) -> str:
         """Evaluate and save; return the evaluation's name."""
-        folder = self.bench.path("tunings", chosen["tuning"])
-        tuning, rival = Tuning.load(folder), chosen.get("against")
+        folder, rival = self.bench.path("tunings", chosen["tuning"]), chosen.get("against")
+        tuning = Tuning.load(folder)
         against = Tuning.load(self.bench.path("tunings", rival)) if rival else None
         drives = [self.bench.read(name) for name in chosen["drives"]]
         recorded = tuning.config.model_dump()["as_recorded"]
         found = sigmaswarm.evaluate(drives, tuning, against=against, as_recorded=recorded)
-        name = self.bench.free(
-            "evaluations", f"{chosen['tuning']}-against-{rival}" if rival else chosen["tuning"]
-        )
+        stem = f"{chosen['tuning']}-against-{rival}" if rival else chosen["tuning"]
+        name = self.bench.free("evaluations", stem)
         save_evaluation(found, self.bench.path("evaluations", name), folder)
         return name
 
@@ -105,17 +94,11 @@ class JudgePage:
         chosen = self.bench.choices.get("evaluation")
         shown = chosen if chosen in names else names[-1]
         with ui.element("div").classes("section"):
-            with ui.element("div").classes("line"):
-                pick = ui.select(names, label="Evaluation", value=shown).classes("grow")
-                pick.on_value_change(lambda event: self._show(event.value))
+            with line():
+                select("Evaluation", names, shown, self._show)
                 link("Open the page alone", f"report/evaluations/{shown}")
                 link("Next: take it away", "take")
-            frame = ui.element("iframe").classes("report").style("margin-top: 12px")
+            frame = ui.element("iframe").classes("report")
             frame.props["src"] = f"report/evaluations/{shown}"
             frame.props["title"] = f"Report of {shown}"
             frame.props["sandbox"] = "allow-scripts allow-downloads"
-
-    def _show(self, name: str) -> None:
-        self.bench.choices["evaluation"] = name
-        self.bench.save()
-        self.content.refresh()

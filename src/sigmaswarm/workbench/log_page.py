@@ -1,7 +1,5 @@
 """Step 1: the content of a log, and its conversion to a drive."""
 
-import asyncio
-import shlex
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,30 +15,31 @@ from sigmaswarm.importing.look import Look
 from sigmaswarm.importing.mounting import find_mount
 from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.mounting_panel import MountingPanel
-from sigmaswarm.workbench.parts import aside, button, card, command, link, message, start, text
-from sigmaswarm.workbench.plots import agreement_plot, fixes_of, map_plot
+from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
+from sigmaswarm.workbench.plots import agreement_plot, show_map
 from sigmaswarm.workbench.state import CHECKED, MOST_UPLOADED, NAME, Workbench, attempt
 from sigmaswarm.workbench.table_panel import TablePanel
 
 SHOWN_FIRST = ("gravity", "turning", "forward")
+Reading = tuple[Look | None, Drive | None, tuple[Agreement, ...], str]
+"""A look at a log, its drive, what agrees in it, and the sentence of an error."""
 
 
-class LogPage:
+class LogPage(Page):
     """The open log: its content, the choices made, and the resulting drive."""
 
     def __init__(self, bench: Workbench) -> None:
-        self.bench = bench
+        super().__init__(bench)
         self.look: Look | None = None
         self.drive: Drive | None = None
         self.found: tuple[Agreement, ...] = ()
-        self.wrong = self.waiting = self.done = ""
+        self.done = ""
         self.panels: list[TablePanel] = []
         self.mounting = MountingPanel(self)
         self._opened: Path | None = None
-        self._asked = 0
 
     def content(self) -> None:
-        """Show the step."""
+        """Show the step; its parts are brought up to date one by one."""
         if self._opened != self.bench.log:
             self.reread()
         self._pick()
@@ -52,11 +51,9 @@ class LogPage:
         self._finish()
 
     def refresh(self) -> None:
-        """Show changes in all tabs."""
-        same = self.look is not None and [p.glance.table for p in self.panels] == [
-            g.table for g in self.look.tables
-        ]
-        if self.look is not None and same:
+        """Show changes; a row of a table that stays keeps its place and focus."""
+        shown = [panel.glance.table for panel in self.panels]
+        if self.look and shown == [glance.table for glance in self.look.tables]:
             uses = columns.uses_of(self.look)
             for panel in self.panels:
                 panel.update(self.look, uses)
@@ -65,13 +62,12 @@ class LogPage:
             self._tables.refresh()
         for part in (self._status, self._notes, self._agreement, self._finish):
             part.refresh()
-        if self.mounting.shown != (self.look is not None, self.bench.log_choices.get("mount", "")):
+        if self.mounting.shown != self.mounting.state:
             self.mounting.show.refresh()
 
     @ui.refreshable_method
     def _status(self) -> None:
-        message(self.waiting, "wait")
-        message(self.wrong, "bad")
+        self.messages()
         if self.wrong and self.look and self.look.tables:
             text("p", "Choose below what each column is used for; the log is read again after every choice.")
         message(self.done, "good")
@@ -82,24 +78,17 @@ class LogPage:
         sources = {str(path): self._named(path) for path in self.bench.sources}
         with card():
             if sources:
-                chosen = self.bench.choices.get("log")
-                with ui.element("div").classes("line"):
-                    options = {"": "choose a log", **sources}
-                    pick = ui.select(options, label="Log", value=chosen if chosen in sources else "").classes(
-                        "grow"
-                    )
-                    pick.on_value_change(lambda event: self.open(event.value))
+                with line():
+                    chosen = str(self.bench.log or "")
+                    select("Log", {"": "choose a log", **sources}, chosen, self.open)
                     further = {"": "in the same log", **sources}
                     for role, label in (("gps", "Fixes"), ("truth", "Truth, if any")):
                         value = self.bench.log_choices.get(role, "") if self.bench.log else ""
-                        other = ui.select(further, label=label, value=value if value in further else "")
-                        other.classes("grow").on_value_change(partial(self._other_log, role))
+                        select(label, further, value, lambda path, role=role: self.choose(**{role: path}))
             else:
                 text("h2", "Begin with a log")
-                text(
-                    "p",
-                    "CSV, Parquet, a ROS bag, MCAP, u-blox, NMEA, PX4, a phone's export: the format is detected.",
-                )
+                formats = "CSV, Parquet, a ROS bag, MCAP, u-blox, NMEA, PX4, a phone's export"
+                text("p", f"{formats}: the format is detected.")
             drop = ui.upload(
                 multiple=True,
                 auto_upload=True,
@@ -108,9 +97,8 @@ class LogPage:
                 on_rejected=lambda: ui.notify("too large: name the log on the command line"),
                 label="Drop a file or a folder here, or press + and choose all files of one log",
             )
-            drop.classes("drop").props(
-                ':filter="files => files.filter(f => !window.droppedFolders.has(f.name))"'
-            )
+            only_files = "files => files.filter(f => !window.droppedFolders.has(f.name))"
+            drop.classes("drop").props(f':filter="{only_files}"')
 
     def _named(self, path: Path) -> str:
         """The log's name, within its folder."""
@@ -135,13 +123,10 @@ class LogPage:
         """Open another log."""
         self.bench.choices["log"] = path
         self.bench.save()
-        self.look, self.drive, self.found, self.panels, self.wrong, self.done = None, None, (), [], "", ""
+        self.look, self.drive, self.found, self.panels, self.wrong = None, None, (), [], ""
         self._pick.refresh()
         self.reread()
         self.refresh()
-
-    def _other_log(self, role: str, event: Any) -> None:
-        self.choose(**{role: event.value})
 
     def choose(self, **choices: Any) -> None:
         """Change choices for the open log; look again."""
@@ -150,10 +135,10 @@ class LogPage:
         self.reread()
         self._status.refresh()
 
-    def assign(self, table: str, column: str, target: str) -> None:
+    def assign(self, table: str, column: str, target: str | None) -> None:
         """Use a column for another quantity."""
         if self.look:
-            columns.assign(self.bench.log_choices, self.look, table, column, target)
+            columns.assign(self.bench.log_choices, self.look, table, column, target or columns.UNUSED)
             self.choose()
 
     def express(self, target: str, expression: str) -> None:
@@ -161,26 +146,15 @@ class LogPage:
         self.choose(maps={**self.bench.log_choices.get("maps", {}), target: expression})
 
     def reread(self) -> None:
-        """Inspect the log and import it in the background; only the last of several requests is used."""
-        self._opened, self._asked = self.bench.log, self._asked + 1
-        self.waiting, self.done = "reading the log" if self._opened else "", ""
-        start(self._read(self._asked))
+        """Look at the log and import it in the background."""
+        self._opened, self.done = self.bench.log, ""
+        if self._opened:
+            self.start("reading the log", _read, self._opened, {**self.bench.log_choices}, then=self._taken)
 
-    async def _read(self, asked: int) -> None:
-        log, look, drive, found = self.bench.log, self.look, None, ()
-        await asyncio.sleep(0.1)
-        if log is None or asked != self._asked:
-            return
-        options, wrong = attempt(columns.options_of, self.bench.log_choices)
-        if options is not None:
-            look, wrong = await aside(sigmaswarm.inspect_log, log, **options)
-        if options is not None and not wrong:
-            drive, wrong = await aside(sigmaswarm.import_log, log, name="drive", **options)
-        if drive is not None:
-            found, wrong = await aside(agreements, drive)
-        if asked == self._asked:
-            self.look, self.drive, self.found, self.wrong, self.waiting = look, drive, found or (), wrong, ""
-            self.refresh()
+    def _taken(self, reading: Reading | None) -> None:
+        look, self.drive, self.found, wrong = reading or (None, None, (), self.wrong)
+        self.look, self.wrong = look or self.look, wrong
+        self.refresh()
 
     @ui.refreshable_method
     def _notes(self) -> None:
@@ -197,27 +171,16 @@ class LogPage:
                     text("p", look.evidence, "soft")
                     button("Use this", self._propose, "auto_fix_high", main=True)
 
+    def _propose(self) -> None:
+        """Take the proposal's settings as choices."""
+        for key, proposed in (self.look.settings if self.look else {}).items():
+            self.bench.log_choices.setdefault(key, {}).update(proposed)
+        self.choose()
+
     @ui.refreshable_method
     def _tables(self) -> None:
         for panel in self.panels:
             panel.show()
-
-    def _propose(self) -> None:
-        """Take the proposal's options as choices."""
-        words, choices = shlex.split(self.look.proposal if self.look else ""), self.bench.log_choices
-        key = ""
-        for word in words:
-            if word.startswith("--"):
-                key = word
-            elif key == "--map":
-                target, _, expression = word.partition("=")
-                role = next(
-                    r for r in columns.ROLES if target.partition(".")[2] or target in columns.COLUMNS[r]
-                )
-                choices.setdefault("maps", {})[target if "." in target else f"{role}.{target}"] = expression
-            else:
-                choices.setdefault("tables", {})[key.removeprefix("--").removesuffix("-table")] = word
-        self.choose()
 
     @ui.refreshable_method
     def _agreement(self) -> None:
@@ -226,38 +189,33 @@ class LogPage:
             return
         with ui.element("div").classes("section"):
             text("h2", "Does it agree?")
-            text(
-                "p",
-                "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse.",
-                "soft",
-            )
+            about = "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse."
+            text("p", about, "soft")
             with ui.element("div").classes("grid"):
                 for found in self.found:
                     if found.key in SHOWN_FIRST:
                         agreement_plot(found)
                 with ui.element("figure"):
-                    with ui.element("figcaption"):
-                        ui.label("Map of the fixes")
-                    map_plot(fixes_of(drive), "Map of the fixes", points=("fixes",), height=220)
+                    text("figcaption", "Map of the fixes")
+                    show_map(drive, "Map of the fixes", 220)
 
     @ui.refreshable_method
     def _finish(self) -> None:
         """Name the drive and write it."""
         if (log := self.bench.log) is None or self.look is None:
             return
-        made = self.bench.log_choices.get("made", "")
-        name = self.bench.log_choices.get("name") or self.bench.free("drives", log.stem)
-        again = bool(made) and made == name
+        choices = self.bench.log_choices
+        name = choices.get("name") or self.bench.free("drives", log.stem)
+        again = choices.get("made") == name
         with card():
             text("h2", "Make a drive of it")
-            with ui.element("div").classes("line end"):
+            with line("end"):
                 field = ui.input("Name of the drive", value=name).classes("grow")
                 field.on("change", lambda: self.choose(name=field.value))
                 label = "Make the drive again" if again else "Make the drive"
                 make = button(label, lambda: self._make(field.value or "", again=again), "check", main=True)
                 make.set_enabled(self.drive is not None and not self.waiting)
-            ui.element("div").style("height: 12px")
-            command(columns.command_of(log, self.bench.folder / "drives" / name, self.bench.log_choices))
+            command(columns.command_of(log, self.bench.folder / "drives" / name, choices))
             if self.done:
                 link("Next: check it", "check")
 
@@ -278,22 +236,33 @@ class LogPage:
 
     def find_mounting(self) -> None:
         """Find the mounting in the log itself."""
-        self.waiting = "looking for the mounting"
+        choices = {**self.bench.log_choices, "mount": ""}
+        self.start(
+            "looking for the mounting", partial(_mounting, self.bench.log), choices, then=self._mounted
+        )
         self._status.refresh()
-        start(self._find_mounting())
 
-    async def _find_mounting(self) -> None:
-        found, wrong = await aside(self._mounting_of_log)
-        self.waiting, self.wrong = "", wrong
-        if found:
-            self.choose(mount=found)
+    def _mounted(self, mount: str | None) -> None:
+        if mount:
+            self.choose(mount=mount)
         else:
             self._status.refresh()
 
-    def _mounting_of_log(self) -> str:
-        """The mounting that is found in the log, whatever the present choice."""
-        if self.bench.log is None:
-            raise InputError("no log is open")
-        plain = {**self.bench.log_choices, "mount": ""}
-        drive = sigmaswarm.import_log(self.bench.log, name="drive", **columns.options_of(plain))
-        return find_mount(drive)[1]
+
+def _read(log: Path, choices: dict[str, Any]) -> Reading:
+    """Look at a log and import it; an error of a later stage leaves the earlier results."""
+    settings = columns.settings_of(choices)
+    drive, found = None, ()
+    look, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
+    if look is not None:
+        drive, wrong = attempt(sigmaswarm.import_log, log, name="drive", **settings)
+    if drive is not None:
+        found, wrong = attempt(agreements, drive)
+    return look, drive, found or (), wrong
+
+
+def _mounting(log: Path | None, choices: dict[str, Any]) -> str:
+    """Find the mounting that a log shows."""
+    if log is None:
+        raise InputError("no log is open")
+    return find_mount(sigmaswarm.import_log(log, name="drive", **columns.settings_of(choices)))[1]

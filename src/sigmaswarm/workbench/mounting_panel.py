@@ -10,7 +10,7 @@ from nicegui.events import GenericEventArguments
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.importing.mounting import parse_mount
-from sigmaswarm.workbench.parts import button, card, message, text
+from sigmaswarm.workbench.parts import button, card, line, message, text
 from sigmaswarm.workbench.state import attempt
 from sigmaswarm.workbench.vehicle import sketch
 
@@ -30,16 +30,17 @@ class MountingPanel:
         self.shown: tuple[bool, str] = False, ""
 
     @property
-    def _mount(self) -> str:
-        return self.page.bench.log_choices.get("mount", "")
+    def state(self) -> tuple[bool, str]:
+        """What the panel depends on: a log is open, and its mounting."""
+        return self.page.look is not None, self.page.bench.log_choices.get("mount", "")
 
     @ui.refreshable_method
     def show(self) -> None:
         """Show the panel."""
-        self.shown = self.page.look is not None, self._mount
-        if self.page.look is None:
+        self.shown = opened, mount = self.state
+        if not opened:
             return
-        rotation, wrong = attempt(parse_mount, self._mount) if self._mount else (np.eye(3), "")
+        rotation, wrong = attempt(parse_mount, mount) if mount else (None, "")
         rotation = np.eye(3) if rotation is None else rotation
         with card():
             text("h2", "Mounting of the IMU in the vehicle")
@@ -48,25 +49,24 @@ class MountingPanel:
                 picture = ui.html(sketch(rotation), sanitize=False)
                 with ui.element("div"):
                     sliders = ui.element("div")
-                    with ui.element("div").classes("line end"):
-                        field = ui.input("As an option: 90, or 0,10,90, or x=-y,y=x", value=self._mount)
-                        field.classes("grow").on(
-                            "change", lambda: self.page.choose(mount=(field.value or "").strip())
+                    with line("end"):
+                        field = ui.input("As an option", value=mount).props(
+                            'hint="90, or 0,10,90, or x=-y,y=x"'
                         )
+                        field.classes("grow").on("change", lambda: self._choose("mount", field.value))
                         with sliders:
                             self._angles(rotation, picture, field)
                         button("Find it in the log", self.page.find_mounting, "explore")
-                    text(
-                        "p",
-                        "The arrows are the sensor's axes: x forward, y left and z up need no rotation.",
-                        "soft",
-                    )
+                    about = "The arrows are the sensor's axes: x forward, y left and z up need no rotation."
+                    text("p", about, "soft")
                     with ui.expansion("More settings").classes("soft"):
                         self._settings()
 
+    def _choose(self, key: str, value: object) -> None:
+        self.page.choose(**{key: value.strip() if isinstance(value, str) else value})
+
     def _angles(self, rotation: Array, picture: ui.html, field: ui.input) -> None:
         """Three sliders, for mouse and arrow keys."""
-        angles = _degrees(rotation)
         sliders: list[ui.slider] = []
 
         def moved() -> None:
@@ -79,10 +79,10 @@ class MountingPanel:
             turned = ",".join(f"{value:g}" for value in values)
             field.value = "" if turned == "0,0,0" else turned
             self.shown = True, field.value
-            self.page.choose(mount=field.value)
+            self._choose("mount", field.value)
 
-        for number, (name, angle) in enumerate(zip(ANGLES, angles, strict=True)):
-            with ui.element("div").classes("line"):
+        for number, (name, angle) in enumerate(zip(ANGLES, _degrees(rotation), strict=True)):
+            with line():
                 label = ui.label().style("width: 92px")
                 slider = ui.slider(min=-180, max=180, step=1, value=angle).classes("grow")
                 slider.props(f'aria-label="{name}, degrees"').on_value_change(moved)
@@ -92,17 +92,13 @@ class MountingPanel:
 
     def _settings(self) -> None:
         """Settings for few logs."""
-        choices = self.page.bench.log_choices
-        offset = ui.number("Added to the times of the fixes, s", value=choices.get("gps_offset_s"), step=0.01)
-        offset.on("change", lambda: self.page.choose(gps_offset_s=offset.value or 0.0))
-        arm = ui.input(
-            "From the IMU to the antenna, m forward,left,up", value=choices.get("gps_lever_arm_m", "")
-        )
-        arm.on("change", lambda: self.page.choose(gps_lever_arm_m=(arm.value or "").strip()))
-        part = ui.number(
-            "Recording, where a clock restarts", value=choices.get("part"), min=1, step=1, precision=0
-        )
-        part.on("change", lambda: self.page.choose(part=int(part.value) if part.value else None))
+        chosen = self.page.bench.log_choices.get
+        offset = ui.number("Added to the times of the fixes, s", value=chosen("gps_offset_s"), step=0.01)
+        arm = ui.input("From the IMU to the antenna, m forward,left,up", value=chosen("gps_lever_arm_m", ""))
+        part = ui.number("Recording, where a clock restarts", value=chosen("part"), min=1, precision=0)
+        offset.on("change", lambda: self._choose("gps_offset_s", offset.value or 0.0))
+        arm.on("change", lambda: self._choose("gps_lever_arm_m", arm.value))
+        part.on("change", lambda: self._choose("part", int(part.value) if part.value else None))
 
 
 def _degrees(r: Array) -> tuple[float, float, float]:

@@ -1,25 +1,63 @@
-"""Common elements of several steps."""
+"""Common elements of the steps: a page with work in the background, and small pieces of a page."""
 
+import asyncio
 import json
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from nicegui import background_tasks, run, ui
 
-from sigmaswarm.workbench.state import attempt
+from sigmaswarm.workbench.state import Workbench, attempt
 
 T = TypeVar("T")
+SETTLED = 0.1
+"""s, in which a later request replaces an earlier one."""
 
 
-def start(work: Coroutine[Any, Any, None]) -> None:
-    """Run work in the background; it continues if the tab is closed."""
-    background_tasks.create(work)
+class Page:
+    """A step: its content, which all tabs show, what it waits for, and what went wrong."""
 
+    def __init__(self, bench: Workbench) -> None:
+        self.bench = bench
+        self.waiting = self.wrong = ""
+        self._latest = 0
 
-async def aside(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Run a function on a thread; return its result, or None and the message of its error."""
-    return await run.io_bound(attempt, work, *arguments, **options) or (None, "")
+    @ui.refreshable_method
+    def show(self) -> None:
+        """Show the step in a tab."""
+        self.content()
+
+    def content(self) -> None:
+        """Make the content of the step."""
+
+    def refresh(self) -> None:
+        """Show changes in all tabs."""
+        self.show.refresh()
+
+    def start(
+        self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
+    ) -> None:
+        """Do work on a thread, which outlives the tab; the last of several requests counts.
+
+        ``then`` receives the result, or None where an error is in ``wrong``.
+        """
+        self.waiting, self._latest = waiting, self._latest + 1
+        background_tasks.create(self._work(self._latest, work, arguments, then))
+
+    async def _work(self, number: int, work: Callable[..., T], arguments: Any, then: Any) -> None:
+        await asyncio.sleep(SETTLED)
+        if number != self._latest:
+            return
+        result, wrong = await run.io_bound(attempt, work, *arguments) or (None, "")
+        if number == self._latest:
+            self.waiting, self.wrong = "", wrong
+            then(result)
+
+    def messages(self) -> None:
+        """Show what the page waits for, and what went wrong."""
+        message(self.waiting, "wait")
+        message(self.wrong, "bad")
 
 
 def text(tag: str, content: str, classes: str = "") -> None:
@@ -40,8 +78,7 @@ def message(content: str, kind: str) -> None:
 def command(line: str) -> None:
     """Show a command with a button that copies it."""
     with ui.element("div").classes("command"):
-        with ui.element("pre"):
-            ui.label(line)
+        text("pre", line)
         copy = ui.button("Copy as command", icon="content_copy").props("outline no-caps")
         quoted = json.dumps(line).replace("<", "\\u003c")
         copy.on("click", js_handler=f"() => navigator.clipboard.writeText({quoted})")
@@ -55,7 +92,12 @@ def card(kind: str = ""):
         yield element
 
 
-def table(heads: list[str], rows: list[list[str]]) -> None:
+def line(classes: str = "") -> ui.element:
+    """A row of elements that wraps."""
+    return ui.element("div").classes(f"line {classes}")
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Show a plain table."""
     scrolled = ui.element("div").classes("wide").props('tabindex="0" role="region" aria-label="table"')
     with scrolled, ui.element("table").classes("plain"):
@@ -67,8 +109,15 @@ def table(heads: list[str], rows: list[list[str]]) -> None:
             for row in rows:
                 with ui.element("tr"):
                     for cell in row:
-                        with ui.element("td"):
-                            ui.label(cell)
+                        text("td", cell)
+
+
+def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
+    """A dropdown; ``choose`` receives the new value. A value that is no option is shown as none."""
+    known = isinstance(value, list) or value in options
+    made = ui.select(options, label=label, value=value if known else None, **more).classes("grow")
+    made.on_value_change(lambda event: choose(event.value))
+    return made
 
 
 def button(label: str, on_click: Callable[[], Any], icon: str = "", *, main: bool = False) -> ui.button:

@@ -1,6 +1,6 @@
 """Plots of any length: the server sends the smallest and largest value per pixel of the visible part."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -14,11 +14,15 @@ from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VE
 
 PIXELS = 600
 """Columns of a plot, each with two points."""
-MOST_PLACES = 3000
-"""Points of a track on a map."""
+EAST = "east, m"
+"""Label of the axis of a map, whose axes have one scale."""
+MOST_PLACES, MOST_POINTS = 3000, 600
+"""Places of a line on a map, and points, each of which is an element of the page."""
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
-"""Times (n,) and values (n,)."""
+"""Times (n,) and values (n,), or places east and north (n,), m."""
+Lines = list[dict[str, Any]]
+"""Lines of a figure of plotly."""
 CONFIG = {"displayModeBar": False, "responsive": True, "doubleClick": "reset"}
 AXIS = {
     "gridcolor": "#e8ebee",
@@ -26,6 +30,15 @@ AXIS = {
     "linecolor": "#a9b0b7",
     "automargin": True,
     "exponentformat": "none",
+}
+LAYOUT: dict[str, Any] = {
+    "margin": {"l": 56, "r": 10, "t": 30, "b": 44},
+    "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#1c2024"},
+    "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+    "showlegend": True,
+    "paper_bgcolor": "#fff",
+    "plot_bgcolor": "#fff",
+    "selectdirection": "h",
 }
 
 
@@ -44,172 +57,140 @@ def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Ser
 
 def thinned(x: Array, y: Array, most: int = MOST_PLACES) -> Series:
     """Take every n-th point of a track."""
-    step = max(len(x) // most, 1)
+    step = max(-(-len(x) // most), 1)
     return x[::step], y[::step]
 
 
-def numbers(values: Array, digits: int = 4) -> list[float]:
-    """Values as JSON."""
-    return np.round(values, digits).tolist()
+def lines(
+    series: Mapping[str, Series],
+    *,
+    points: Collection[str] = (),
+    dashed: Collection[str] = (),
+    pale: Mapping[str, Series] | None = None,
+) -> Lines:
+    """Return the lines of a plot, those in ``points`` as points; ``pale`` are earlier ones in the same colors."""
+    made: Lines = []
+    for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
+        drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}
+        if label in points:
+            drawn = {"mode": "markers", "marker": {"color": color, "size": 4}}
+        elif label in dashed:
+            drawn["line"] = {"color": ORANGE, "width": 1.8, "dash": "dash"}
+        ends = {"x": np.round(x, 4).tolist(), "y": np.round(y, 4).tolist()}
+        made.append(ends | {"name": label, "type": "scatter"} | drawn)
+    before = (
+        lines({label: (pale or {}).get(label, (x[:0], y[:0])) for label, (x, y) in series.items()})
+        if pale
+        else []
+    )
+    return [one | {"opacity": 0.35, "showlegend": False} for one in before if one["x"]] + made
 
 
-class TimePlot:
-    """Series over time. Zooming in fetches the detail; with ``on_select`` the mouse selects a span instead.
+def show_plot(title: str, x: str, y: str, drawn: Lines, height: int = 260, **layout: Any) -> ui.plotly:
+    """Show a plot; its title is read by screen readers."""
+    across: dict[str, Any] = AXIS | {"title": {"text": x}}
+    up: dict[str, Any] = AXIS | {"title": {"text": y}} | ({"scaleanchor": "x"} if x == EAST else {})
+    whole = LAYOUT | {"xaxis": across, "yaxis": up, "height": height, "uirevision": title} | layout
+    plot = ui.plotly({"data": drawn, "layout": whole, "config": CONFIG}).classes("plot")
+    named = ", ".join(one["name"] for one in drawn if one.get("showlegend", True))
+    plot.props["role"], plot.props["aria-label"] = "img", f"{title}; lines: {named}"
+    return plot
+
+
+def redraw(plot: ui.plotly, drawn: Lines) -> None:
+    """Replace the lines of a plot."""
+    cast("dict[str, Any]", plot.figure)["data"] = drawn
+    plot.update()
+
+
+def time_plot(
+    title: str,
+    unit: str,
+    series: Mapping[str, Series],
+    *,
+    dashed: Collection[str] = (),
+    pale: Mapping[str, Series] | None = None,
+    span: tuple[float, float] | None = None,
+    on_select: Callable[[float, float], Any] | None = None,
+    **layout: Any,
+) -> None:
+    """Show series over time. Zooming in fetches the detail; with ``on_select`` the mouse selects a span instead.
 
     Parameters
     ----------
     title, unit : str
     series : mapping of label to `Series`
-    dashed : labels drawn as dashes: the expected values
-    spans : from when to when to shade, s
+    dashed, pale : as of `lines`
+    span : from when to when to shade, s, if it is a part
     """
 
-    def __init__(
-        self,
-        title: str,
-        unit: str,
-        series: Mapping[str, Series],
-        *,
-        dashed: tuple[str, ...] = (),
-        span: tuple[float, float] | None = None,
-        on_select: Callable[[float, float], Any] | None = None,
-        height: int = 220,
-    ) -> None:
-        self.series, self.dashed, self._on_select = series, dashed, on_select
-        x = AXIS | {"title": {"text": "time, s"}}
-        layout: dict[str, Any] = base_layout(height) | {"xaxis": x, "yaxis": AXIS | {"title": {"text": unit}}}
-        layout["dragmode"] = "select" if on_select else "zoom"
-        layout |= {"selectdirection": "h", "uirevision": title}
-        layout["shapes"] = [_shade(*span)] if span and np.isfinite(span).all() else []
-        self.figure: dict[str, Any] = {"data": self._traces(), "layout": layout, "config": CONFIG}
-        self.plot = _plot(self.figure, f"{title}; lines: {', '.join(series)}")
-        self.plot.on("plotly_relayout", self._zoomed, throttle=0.2)
-        if on_select:
-            self.plot.on("plotly_selected", self._selected)
+    def visible(start: float = -np.inf, end: float = np.inf) -> Lines:
+        cut = [{k: envelope(s, start, end) for k, s in some.items()} for some in (series, pale or {})]
+        return lines(cut[0], dashed=dashed, pale=cut[1])
 
-    def _traces(self, start: float = -np.inf, end: float = np.inf) -> list[dict[str, Any]]:
-        traces: list[dict[str, Any]] = []
-        for color, (label, series) in zip(COLORS * 3, self.series.items(), strict=False):
-            time, values = envelope(series, start, end)
-            line: dict[str, Any] = {"color": color, "width": 1.4}
-            if label in self.dashed:
-                line = {"color": ORANGE, "width": 1.8, "dash": "dash"}
-            ends = {"x": numbers(time), "y": numbers(values)}
-            traces.append(ends | {"name": label, "type": "scatter", "mode": "lines", "line": line})
-        return traces
+    def zoomed(event: GenericEventArguments) -> None:
+        ends = cast("dict[str, Any]", event.args)
+        if "xaxis.range[0]" in ends:
+            redraw(plot, visible(float(ends["xaxis.range[0]"]), float(ends["xaxis.range[1]"])))
+        elif ends.get("xaxis.autorange"):
+            redraw(plot, visible())
 
-    def _zoomed(self, event: GenericEventArguments) -> None:
-        args = cast("dict[str, Any]", event.args)
-        if "xaxis.range[0]" in args:
-            self.figure["data"] = self._traces(float(args["xaxis.range[0]"]), float(args["xaxis.range[1]"]))
-        elif args.get("xaxis.autorange"):
-            self.figure["data"] = self._traces()
-        else:
-            return
-        self.plot.update()
-
-    def _selected(self, event: GenericEventArguments) -> None:
+    def selected(event: GenericEventArguments) -> None:
         chosen = cast("dict[str, Any]", event.args or {}).get("range", {}).get("x")
-        if chosen and self._on_select:
-            self._on_select(*sorted(map(float, chosen)))
+        if chosen and on_select:
+            on_select(*sorted(map(float, chosen)))
+
+    ends = np.array([time[[0, -1]] for time, _ in series.values() if len(time)]).T
+    part = span and np.isfinite(span).all() and span[1] - span[0] < 0.95 * np.ptp(ends)
+    layout["shapes"] = [_shade(*span)] if span and part else []
+    layout["dragmode"] = "select" if on_select else "zoom"
+    plot = show_plot(title, "time, s", unit, visible(), 220, **layout)
+    plot.on("plotly_relayout", zoomed, throttle=0.2)
+    if on_select:
+        plot.on("plotly_selected", selected)
 
 
 def agreement_plot(
     found: Agreement, span: tuple[float, float] | None = None, after: Agreement | None = None
 ) -> None:
     """Plot measured values next to expected ones; ``after``: the same after a repair."""
-    measured = found.measured
-    if after:
-        changed = {
-            name: (t, v) for name, (t, v) in after.measured.items() if not _same(measured.get(name), (t, v))
-        }
-        measured = {f"{name} before": s for name, s in measured.items()}
-        measured |= {f"{name} after": series for name, series in changed.items()}
+    changed = after is not None and any(
+        not _same(found.measured.get(k), s) for k, s in after.measured.items()
+    )
+    shown = after if after and changed else found
+    both, pale = shown.measured | shown.expected, found.measured if changed else None
     with ui.element("figure"):
         with ui.element("figcaption"):
-            ui.label(found.title)
-        TimePlot(found.title, found.unit, measured | found.expected, dashed=tuple(found.expected), span=span)
+            ui.label(f"{found.title}{'; pale: before the repair' if changed else ''}")
+            with ui.element("div").classes("legend"):
+                for one in lines(
+                    {label: (x[:0], y[:0]) for label, (x, y) in both.items()}, dashed=shown.expected
+                ):
+                    ui.label(one["name"]).style(f"border-color: {one['line']['color']}")
+        time_plot(
+            found.title, found.unit, both, dashed=shown.expected, pale=pale, span=span, showlegend=False
+        )
 
 
 def _same(a: Series | None, b: Series) -> bool:
     return a is not None and len(a[1]) == len(b[1]) and np.array_equal(a[0], b[0]) and np.allclose(a[1], b[1])
 
 
-def map_plot(
-    tracks: Mapping[str, Series], title: str, *, points: tuple[str, ...] = (), height: int = 340
-) -> ui.plotly:
-    """Draw tracks east and north, m; those in ``points`` as points."""
-    x_axis = AXIS | {"title": {"text": "east, m"}}
-    y_axis = AXIS | {"title": {"text": "north, m"}, "scaleanchor": "x"}
-    layout = base_layout(height) | {"xaxis": x_axis, "yaxis": y_axis, "uirevision": title, "dragmode": "zoom"}
-    figure = {"data": track_traces(tracks, points), "layout": layout, "config": CONFIG}
-    return _plot(figure, f"{title}; {', '.join(tracks)}")
-
-
-def track_traces(tracks: Mapping[str, Series], points: tuple[str, ...] = ()) -> list[dict[str, Any]]:
-    """The lines and points of a map."""
-    traces: list[dict[str, Any]] = []
-    for color, (label, track) in zip((GREEN, *COLORS), tracks.items(), strict=False):
-        x, y = thinned(*track)
-        looks = {"mode": "lines", "line": {"color": color, "width": 2}}
-        if label in points:
-            looks = {"mode": "markers", "marker": {"color": color, "size": 4}}
-        traces.append({"x": numbers(x, 2), "y": numbers(y, 2), "name": label, "type": "scatter", **looks})
-    return traces
-
-
-def fixes_of(drive: Drive) -> dict[str, Series]:
-    """The fixes, and the truth where known, as tracks."""
-    truth = {"truth": (drive.truth.x, drive.truth.y)} if drive.truth else {}
-    return {"fixes": (drive.gps.x, drive.gps.y)} | truth
-
-
-def curves(lines: Mapping[str, Series], title: str, x: str, y: str, height: int = 260) -> ui.plotly:
-    """Draw curves of few points."""
-    axes = {"xaxis": AXIS | {"title": {"text": x}}, "yaxis": AXIS | {"title": {"text": y}}}
-    layout = base_layout(height) | axes | {"uirevision": title}
-    return _plot({"data": curve_traces(lines), "layout": layout, "config": CONFIG}, title)
-
-
-def curve_traces(lines: Mapping[str, Series]) -> list[dict[str, Any]]:
-    """The lines of curves of few points."""
-    return [
-        {
-            "x": numbers(a),
-            "y": numbers(b),
-            "name": label,
-            "type": "scatter",
-            "mode": "lines",
-            "line": {"color": color},
-        }
-        for color, (label, (a, b)) in zip(COLORS * 4, lines.items(), strict=False)
-    ]
-
-
-def redraw(plot: ui.plotly, traces: list[dict[str, Any]]) -> None:
-    """Replace the lines of a plot."""
-    cast("dict[str, Any]", plot.figure)["data"] = traces
-    plot.update()
-
-
-def base_layout(height: int) -> dict[str, Any]:
-    """The common layout of all plots."""
-    legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
-    font = {"family": "system-ui, sans-serif", "size": 12, "color": "#1c2024"}
-    margin = {"l": 56, "r": 10, "t": 30, "b": 44}
-    return {"height": height, "margin": margin, "font": font, "legend": legend, "showlegend": True,
-            "paper_bgcolor": "#fff", "plot_bgcolor": "#fff"}  # fmt: skip
-
-
-def _plot(figure: dict[str, Any], label: str) -> ui.plotly:
-    plot = ui.plotly(figure).classes("plot")
-    plot.props["role"], plot.props["aria-label"] = "img", label
-    return plot
-
-
 def _shade(start: float, end: float) -> dict[str, Any]:
     fill = {"fillcolor": ORANGE, "opacity": 0.12, "line": {"width": 0}}
     return {"type": "rect", "xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1} | fill
+
+
+def map_lines(drive: Drive, tracks: Mapping[str, Series] | None = None) -> Lines:
+    """Return the fixes of a drive, its truth where known, and further tracks."""
+    truth = {"truth": thinned(drive.truth.x, drive.truth.y)} if drive.truth else {}
+    shown = {"fixes": thinned(drive.gps.x, drive.gps.y, MOST_POINTS)} | truth | {**(tracks or {})}
+    return lines(shown, points=("fixes",))
+
+
+def show_map(drive: Drive, title: str, height: int = 260) -> ui.plotly:
+    """Show a drive east and north, m."""
+    return show_plot(title, EAST, "north, m", map_lines(drive), height)
 
 
 def sparkline(values: Array, width: int = 120, height: int = 26) -> str:
@@ -223,7 +204,5 @@ def sparkline(values: Array, width: int = 120, height: int = 26) -> str:
     x = np.linspace(1, width - 1, len(shown))
     y = height / 2 if high == low else height - 2 - (shown - low) / (high - low) * (height - 4)
     places = " ".join(f"{a:.1f},{b:.1f}" for a, b in np.broadcast(x, y))
-    return (
-        f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" aria-hidden="true">'
-        f'<polyline points="{places}" fill="none" stroke="{BLUE}" stroke-width="1.2"/></svg>'
-    )
+    box = f'viewBox="0 0 {width} {height}" width="{width}" height="{height}" aria-hidden="true"'
+    return f'<svg {box}><polyline points="{places}" fill="none" stroke="{BLUE}" stroke-width="1.2"/></svg>'

@@ -27,7 +27,6 @@ class Run:
     Attributes
     ----------
     history : lowest cost by trial, and after each generation
-    parameters : the best ones of the current trial so far
     track : of the best filter so far over the drive that is held back, or else over the first one
     """
 
@@ -66,6 +65,21 @@ class Run:
         self.version += 1
         return not self.stopping
 
+    def stop(self) -> None:
+        """Stop after the current generation."""
+        self.stopping, self.version = True, self.version + 1
+
+    def tune(self, drives: Sequence[Drive], options: Mapping[str, Any]) -> None:
+        """Tune until it is done, stopped or wrong."""
+        try:
+            sigmaswarm.tune(drives, progress=self.advance, **options)
+        except TuningStopped:
+            pass
+        except (sigmaswarm.SigmaswarmError, OSError, MemoryError) as error:
+            self.error = str(error) or type(error).__name__
+        finally:
+            self.ended, self.version = True, self.version + 1
+
 
 class Runs:
     """All tunings of this server, by name."""
@@ -76,57 +90,31 @@ class Runs:
         self._threads: list[threading.Thread] = []
 
     def begin(
-        self,
-        name: str,
-        drives: Sequence[Drive],
-        held: Sequence[Drive],
-        options: Mapping[str, Any],
-        *,
-        resume: bool = False,
-    ) -> Run:
-        """Start or resume a tuning."""
-        run = Run(name, (held or drives)[0])
-        if resume:
-            run.history = {
-                n: list(best) for n, best in saved_history(self.bench.path("tunings", name)).items()
-            }
+        self, name: str, drives: Sequence[Drive], held: Sequence[Drive], options: Mapping[str, Any]
+    ) -> None:
+        """Start a tuning, or go on with it."""
+        run, folder = Run(name, (held or drives)[0]), self.bench.path("tunings", name)
+        if options.get("resume"):
+            run.history = {n: list(best) for n, best in saved_history(folder).items()}
         self.runs[name] = run
-        work = {**options, "resume": resume, "validation": held, "out": self.bench.path("tunings", name)}
-        thread = threading.Thread(target=_tune, args=(run, drives, work), daemon=True)
-        self._threads.append(thread)
-        thread.start()
-        return run
+        work = {**options, "validation": held, "out": folder}
+        self._threads.append(threading.Thread(target=run.tune, args=(drives, work), daemon=True))
+        self._threads[-1].start()
 
-    def resume(self, name: str) -> Run:
+    def resume(self, name: str) -> None:
         """Resume a stopped or killed tuning, begun here or on the command line."""
         options, data = saved_options(self.bench.path("tunings", name))
         known = self.bench.choices.get("tunings", {}).get(name, {})
         drives = [self.bench.read(one) for one in known.get("drives", [one["name"] for one in data])]
         held = [self.bench.read(one) for one in known.get("held", [])]
-        return self.begin(name, drives, held, options, resume=True)
-
-    @property
-    def running(self) -> list[Run]:
-        """The running tunings."""
-        return [run for run in self.runs.values() if not run.ended]
+        self.begin(name, drives, held, {**options, "resume": True})
 
     def stop_all(self) -> None:
         """Stop after the current generation, and wait for it."""
-        for run in self.running:
-            run.stopping = True
+        for run in self.runs.values():
+            run.stop()
         for thread in self._threads:
             thread.join(timeout=20.0)
-
-
-def _tune(run: Run, drives: Sequence[Drive], options: dict[str, Any]) -> None:
-    try:
-        sigmaswarm.tune(drives, progress=run.advance, **options)
-    except TuningStopped:
-        pass
-    except (sigmaswarm.SigmaswarmError, OSError, MemoryError) as error:
-        run.error = str(error) or type(error).__name__
-    finally:
-        run.ended, run.version = True, run.version + 1
 
 
 def best_so_far(history: Sequence[float]) -> Series:

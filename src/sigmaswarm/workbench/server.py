@@ -11,6 +11,7 @@ from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
+from fastapi.responses import PlainTextResponse
 from nicegui import ui
 
 from sigmaswarm.errors import InputError, SigmaswarmWarning
@@ -38,11 +39,11 @@ class Guard:
         origin = headers.get(b"origin", "").removeprefix("http://")
         known = hmac.compare_digest(f"{scope['path']}/"[: len(self.prefix)].encode(), self.prefix.encode())
         if not known or headers.get(b"host") not in self.hosts or (origin and origin not in self.hosts):
-            await self._refuse(scope, receive, send, 403, "403: the address needs the workbench's token")
+            refusal = PlainTextResponse("403: the address needs the workbench's token", 403)
+            await refusal(scope, receive, send)
         elif int(headers.get(b"content-length", "0") or 0) > MOST_UPLOADED:
-            await self._refuse(
-                scope, receive, send, 413, "413: more than 2 GB; name the log on the command line"
-            )
+            refusal = PlainTextResponse("413: more than 2 GB; name the log on the command line", 413)
+            await refusal(scope, receive, send)
         else:
             await self.app(scope, self._bounded(receive), self._with_headers(send))
 
@@ -70,16 +71,6 @@ class Guard:
             await send(message)
 
         return sent
-
-    @staticmethod
-    async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, text: str) -> None:
-        if scope["type"] == "websocket":
-            await receive()
-            await send({"type": "websocket.close", "code": 1008})
-            return
-        headers = [(b"content-type", b"text/plain; charset=utf-8")]
-        await send({"type": "http.response.start", "status": status, "headers": headers})
-        await send({"type": "http.response.body", "body": text.encode()})
 
 
 def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True) -> None:

@@ -11,9 +11,12 @@ from typing import Any, TypeVar, cast
 import sigmaswarm
 from sigmaswarm import Drive, InputError
 from sigmaswarm.files import make_folder, write_json
-from sigmaswarm.tuning.record import FILE as TUNING
 
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
+DRIVE, TUNING = "drive.toml", "tuning.toml"
+"""The files by which the folder of a drive and of a tuning are known."""
+LEFT_OUT = "leave it out"
+"""Of a drive, in the plan of a tuning."""
 CHECKED = "-checked"
 """Ending of the name of a drive's repaired and cut copy; its drive.toml lists the ``steps``."""
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
@@ -75,8 +78,13 @@ class Workbench:
     @property
     def drives(self) -> list[str]:
         """Drives to work with: a checked copy replaces its original."""
-        names = self.names("drives", "drive.toml")
+        names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
+
+    @property
+    def drive_names(self) -> list[str]:
+        """All drives, the checked copies and the parts, too."""
+        return self.names("drives", DRIVE)
 
     def read(self, name: str) -> Drive:
         """Read a drive, or return it from the cache."""

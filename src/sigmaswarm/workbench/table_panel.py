@@ -1,5 +1,6 @@
 """One table of a log: its columns with a plot, and the use of each."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from sigmaswarm.importing.look import Glance, Look, Range
 from sigmaswarm.importing.times import numbers_of
 from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.columns import CUSTOM, NAMES, TARGETS, UNUSED, Uses
-from sigmaswarm.workbench.parts import number, table, text
+from sigmaswarm.workbench.parts import number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
 if TYPE_CHECKING:
@@ -27,10 +28,10 @@ class TablePanel:
 
     def __init__(self, page: "LogPage", look: Look, glance: Glance) -> None:
         self.page, self.look, self.glance, self.uses = page, look, glance, columns.uses_of(look)
-        used = [r for r in glance.ranges if (glance.table, r.column) in self.uses]
-        rest = [r for r in glance.ranges if (glance.table, r.column) not in self.uses]
-        self.rows = [ColumnRow(self, shown) for shown in [*used, *rest][:MOST_COLUMNS]]
-        self.unfolded = page.drive is None and (bool(used) or len(look.tables) <= FEW_TABLES)
+        shown = sorted(glance.ranges, key=lambda r: (glance.table, r.column) not in self.uses)
+        self.rows = [ColumnRow(self, one) for one in shown[:MOST_COLUMNS]]
+        used = (glance.table, shown[0].column) in self.uses if shown else False
+        self.unfolded = page.drive is None and (used or len(look.tables) <= FEW_TABLES)
 
     def update(self, look: Look, uses: Uses) -> None:
         """Show another look at the same table."""
@@ -42,16 +43,16 @@ class TablePanel:
     @property
     def heading(self) -> str:
         """The table's name, and the columns of a drive that come from it."""
-        roles: dict[str, list[str]] = {}
+        roles: dict[str, set[str]] = {}
         for (table_, _), found in self.uses.items():
             for target, _ in found if table_ == self.glance.table else ():
                 role, _, name = target.partition(".")
-                roles.setdefault(NAMES[role], []).append("time" if name == "t" else name)
-        said = "; ".join(f"{role}: {', '.join(sorted({*names}))}" for role, names in roles.items())
+                roles.setdefault(NAMES[role], set()).add("time" if name == "t" else name)
+        said = "; ".join(f"{role}: {', '.join(sorted(names))}" for role, names in roles.items())
         return f"{self.glance.table}: {said or 'not used'}"
 
     def show(self) -> None:
-        """Show the table."""
+        """Show the table; its columns are sent when it is first unfolded."""
         glance = self.glance
         rows = f"{glance.rows} rows" if glance.rows is not None else ""
         rate = f"{glance.rate:.4g} Hz" if glance.rate else ""
@@ -59,15 +60,26 @@ class TablePanel:
         fold = ui.expansion(caption=about).classes("card").bind_value(self, "unfolded")
         fold.bind_text_from(self, "heading")
         with fold:
-            with ui.element("div").classes("columns"):
-                for row in self.rows:
-                    row.show()
-            if (left := len(glance.ranges) - MOST_COLUMNS) > 0:
-                text("p", f"and {left} more columns, which expressions can use, too", "soft")
-            first = self.look.rows[glance.table].head(FIRST_ROWS)
-            if len(first) and (names := first.columns[:12]):
-                with ui.expansion("First rows").classes("soft"):
-                    table(names, [[_cell(row[name]) for name in names] for row in first.to_dicts()])
+            inside = ui.element("div")
+
+        def unfold() -> None:
+            if self.unfolded and not inside.default_slot.children:
+                with inside:
+                    self._content()
+
+        fold.on_value_change(unfold)
+        unfold()
+
+    def _content(self) -> None:
+        with ui.element("div").classes("columns"):
+            for row in self.rows:
+                row.show()
+        if (left := len(self.glance.ranges) - MOST_COLUMNS) > 0:
+            text("p", f"and {left} more columns, which expressions can use, too", "soft")
+        first = self.look.rows[self.glance.table].head(FIRST_ROWS)
+        if len(first) and (names := first.columns[:12]):
+            with ui.expansion("First rows").classes("soft"):
+                table(names, [[_cell(row[name]) for name in names] for row in first.to_dicts()])
 
 
 def _cell(value: Any) -> str:
@@ -80,10 +92,6 @@ class ColumnRow:
     def __init__(self, panel: TablePanel, about: Range) -> None:
         self.panel, self.about = panel, about
         self.shown: Any = None
-        self._spark = ""
-        if about.low is not None:
-            values = numbers_of(panel.look.rows[panel.glance.table][about.column])
-            self._spark = sparkline(values.cast(float).drop_nulls().to_numpy().astype(np.float64))
 
     def state(self) -> tuple[list[tuple[str, str]], list[str]]:
         """The use of the column, and its faults."""
@@ -101,28 +109,36 @@ class ColumnRow:
                 ui.label(about.column).classes("column-name")
                 span = f"{number(about.low)} to {number(about.high)}"
                 ui.label(span if about.low is not None else about.example[:40] or "empty").classes("range")
-            ui.html(self._spark, sanitize=False)
-            use = ui.select(TARGETS, label=f"Use of {about.column}", value=target, with_input=True)
+            ui.html(self._spark(), sanitize=False)
+            choose = partial(page.assign, table_, about.column)
+            use = select(f"Use of {about.column}", TARGETS, target, choose, with_input=True)
             use.classes("field").props("dense options-dense")
-            use.on_value_change(lambda event: page.assign(table_, about.column, event.value or UNUSED))
             if target:
-                units = columns.units_of(target)
-                unit = columns.unit_in(target, about.column, expression)
-                pick = ui.select([*units, CUSTOM], label=f"Unit of {about.column}", value=unit)
-                pick.classes("field").props("dense options-dense")
-                pick.on_value_change(lambda event: self._unit_chosen(target, event.value))
-                field = ui.input("Expression", value=expression).classes("field").props("dense")
-                field.on("change", lambda: page.express(target, field.value or ""))
+                self._unit(target, expression)
             for also, said in found[1:]:
                 ui.label(f"also {TARGETS[also]} = {said}").classes("about")
             for sentence in faults:
                 with ui.element("div").classes("wrong").props('role="alert"'):
                     ui.label(sentence)
 
-    def _unit_chosen(self, target: str, unit: str) -> None:
-        if unit != CUSTOM:
-            expression = columns.units_of(target)[unit].format(columns.written(self.about.column))
-            self.panel.page.express(target, expression)
+    def _unit(self, target: str, expression: str) -> None:
+        page, column, units = self.panel.page, self.about.column, columns.units_of(target)
+
+        def chosen(unit: str) -> None:
+            if unit != CUSTOM:
+                page.express(target, units[unit].format(columns.written(column)))
+
+        unit = columns.unit_in(target, column, expression)
+        pick = select(f"Unit of {column}", [*units, CUSTOM], unit, chosen)
+        pick.classes("field").props("dense options-dense")
+        field = ui.input("Expression", value=expression).classes("field").props("dense")
+        field.on("change", lambda: page.express(target, field.value or ""))
+
+    def _spark(self) -> str:
+        if self.about.low is None:
+            return ""
+        values = numbers_of(self.panel.look.rows[self.panel.glance.table][self.about.column])
+        return sparkline(values.to_numpy().astype(np.float64))
 
     def _faults(self, target: str) -> list[str]:
         """Sentences about the column: reasons not to read it as guessed, and an error that names it."""

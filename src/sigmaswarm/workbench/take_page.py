@@ -1,6 +1,8 @@
 """Step 5: export the filter as C, for ROS or for Python, or its trajectories."""
 
 import shlex
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from nicegui import ui
@@ -9,29 +11,19 @@ import sigmaswarm
 from sigmaswarm import FilterParameters
 from sigmaswarm.exports.trajectory import time_origin_of, write_estimate
 from sigmaswarm.files import make_folder
-from sigmaswarm.tuning.record import FILE
-from sigmaswarm.workbench.parts import aside, button, card, command, link, message, start, text
-from sigmaswarm.workbench.state import Workbench
+from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
+from sigmaswarm.workbench.state import Workbench, attempt
 
 BUILD = (
     "cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay && ./replay < replay.csv > estimate.csv"
 )
+C_NEEDS = "Needs a C compiler and math.h; no heap, no other library. Runs on a microcontroller."
+ROS_NEEDS = "Needs ROS 2 and robot_localization. Its filter has no IMU biases, so these are initial values."
+PYTHON_NEEDS = "Needs numpy and filterpy (pip install filterpy)."
 TARGETS = {
-    "c99": (
-        "C99",
-        "Needs a C compiler and math.h; no heap, no other library. Runs on a microcontroller.",
-        BUILD,
-    ),
-    "filterpy": (
-        "Python",
-        "Needs numpy and filterpy (pip install filterpy).",
-        "python run_filter.py DRIVE estimate.csv",
-    ),
-    "robot_localization": (
-        "ROS robot_localization",
-        "Needs ROS 2 and robot_localization. Its filter has no IMU biases, so these are initial values.",
-        "ros2 launch ekf.launch.py",
-    ),
+    "c99": ("C99", C_NEEDS, BUILD),
+    "filterpy": ("Python", PYTHON_NEEDS, "python run_filter.py DRIVE estimate.csv"),
+    "robot_localization": ("ROS robot_localization", ROS_NEEDS, "ros2 launch ekf.launch.py"),
 }
 """For each target its name, its requirements, and the next command."""
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",
@@ -39,91 +31,86 @@ ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo",
            ".ros2": "ROS 2 bag"}  # fmt: skip
 
 
-class TakePage:
+class TakePage(Page):
     """The choice of a filter, its exports and its trajectories."""
 
     def __init__(self, bench: Workbench) -> None:
-        self.bench = bench
+        super().__init__(bench)
         self.chosen: dict[str, Any] = {}
-        self.said: dict[str, tuple[str, str]] = {}
-        self.waiting = ""
+        self.outcomes: dict[str, tuple[str, str]] = {}
+        """By target: what was written, and the sentence of an error."""
 
-    @ui.refreshable_method
     def content(self) -> None:
-        """Show the step."""
-        tunings, drives = self.bench.finished, self.bench.names("drives", "drive.toml")
+        """Make the content of the step."""
+        tunings, drives = self.bench.finished, self.bench.drive_names
         if not tunings:
             text("p", "No tuned filter yet.")
             link("Tune one", "tune")
             return
-        if self.chosen.get("tuning") not in tunings:
-            self.chosen["tuning"] = tunings[-1]
-        if self.chosen.get("drive") not in drives:
-            self.chosen["drive"] = drives[-1] if drives else ""
-        with ui.element("div").classes("line"):
-            for key, label, names in (("tuning", "Filter", tunings), ("drive", "Drive to replay", drives)):
-                pick = ui.select(names, label=label, value=self.chosen[key] or None).classes("grow")
-                pick.on_value_change(lambda event, key=key: self._choose(key, event.value))
+        for key, names in (("tuning", tunings), ("drive", drives)):
+            if self.chosen.get(key) not in names:
+                self.chosen[key] = names[-1] if names else ""
+        with line():
+            select("Filter", tunings, self.chosen["tuning"], partial(self._choose, "tuning"))
+            select("Drive to replay", drives, self.chosen["drive"], partial(self._choose, "drive"))
         message(self.waiting, "wait")
         for target, (title, needs, then) in TARGETS.items():
             with card():
-                self._head(target, title, needs)
-                self._outcome(target, f"cd {shlex.quote(str(self._folder(target)))} && {then}")
+                self._export(target, title, needs, then)
         with card():
-            text("h2", "Trajectories")
-            text("p", "The filter's estimates over the drive. Maps need a drive with degrees.", "soft")
-            with ui.element("div").classes("line end"):
-                ending = ui.select(ENDINGS, label="Format", value=self.chosen.get("ending", ".csv")).classes(
-                    "grow"
-                )
-                ending.on_value_change(lambda event: self._choose("ending", event.value))
-                smooth = ui.checkbox("smoothed", value=self.chosen.get("smooth", False))
-                smooth.on_value_change(lambda event: self._choose("smooth", event.value))
-                button("Write", lambda: self._begin("track"), "timeline", main=True)
-            self._outcome("track", "")
+            self._trajectories()
         with card():
             text("h2", "The filter itself")
-            text(
-                "p",
-                "tuning.toml has the parameters with units, data and versions; FilterParameters.load reads it.",
-            )
+            about = "tuning.toml has the parameters with units, data and versions; FilterParameters.load reads it."
+            text("p", about)
             link("Download the tuning", f"download/tunings/{self.chosen['tuning']}", download=True)
 
     def _choose(self, key: str, value: Any) -> None:
-        self.chosen[key], self.said = value, {}
-        self.content.refresh()
+        self.chosen[key], self.outcomes = value, {}
+        self.refresh()
 
-    def _folder(self, target: str) -> Any:
+    def _folder(self, target: str) -> Path:
         return self.bench.path("exports", f"{self.chosen['tuning']}-{target}")
 
-    def _head(self, target: str, title: str, needs: str) -> None:
-        with ui.element("div").classes("line between"):
+    def _export(self, target: str, title: str, needs: str, then: str) -> None:
+        tuning = self.bench.path("tunings", self.chosen["tuning"])
+        refused = "" if target == "c99" else attempt(sigmaswarm.export, tuning, target)[1]
+        with line("between"):
             text("h2", title)
-            write = button(f"Write {title}", lambda: self._begin(target), "download", main=True)
+            write = button(f"Write {title}", partial(self._begin, target), "download", main=True)
+            write.set_enabled(not self.waiting and not refused)
+        text("p", (refused and f"Not for this filter: {refused}") or needs, "soft")
+        self._outcome(target, f"cd {shlex.quote(str(self._folder(target)))} && {then}")
+
+    def _trajectories(self) -> None:
+        text("h2", "Trajectories")
+        text("p", "The filter's estimates over the drive. Maps need a drive with degrees.", "soft")
+        with line("end"):
+            ending, smooth = self.chosen.get("ending", ".csv"), self.chosen.get("smooth", False)
+            select("Format", ENDINGS, ending, partial(self._choose, "ending"))
+            box = ui.checkbox("smoothed", value=smooth)
+            box.on_value_change(lambda event: self._choose("smooth", event.value))
+            write = button("Write", partial(self._begin, "track"), "timeline", main=True)
             write.set_enabled(not self.waiting)
-        text("p", needs, "soft")
+        self._outcome("track", "")
 
     def _outcome(self, target: str, then: str) -> None:
         """The written files, the download, and the next command."""
-        if target not in self.said:
-            return
-        good, wrong = self.said[target]
+        good, wrong = self.outcomes.get(target, ("", ""))
         message(wrong, "bad")
+        message(good, "good")
         if good:
-            message(good, "good")
             link("Download as zip", f"download/exports/{self._folder(target).name}", download=True)
             if then:
                 command(then)
 
     def _begin(self, target: str) -> None:
-        self.waiting = "writing"
-        self.content.refresh()
-        start(self._work(target))
+        self.start("writing", self._write, target, then=partial(self._wrote, target))
+        self.refresh()
 
-    async def _work(self, target: str) -> None:
-        good, wrong = await aside(self._write, target)
-        self.said[target], self.waiting = (good or "", wrong), ""
-        self.content.refresh()
+    def _wrote(self, target: str, good: str | None) -> None:
+        self.outcomes[target] = good or "", self.wrong
+        self.refresh()
 
     def _write(self, target: str) -> str:
         """Write an export or a trajectory; return a sentence on it."""
@@ -136,7 +123,7 @@ class TakePage:
             file = folder / f"{name}{self.chosen.get('ending', '.csv')}"
             if file.suffix == ".ros2" and file.exists():
                 file = folder / f"{name}-{len(list(folder.iterdir()))}.ros2"
-            estimate = sigmaswarm.run(drive, tuning / FILE, smooth=self.chosen.get("smooth", False))
+            estimate = sigmaswarm.run(drive, tuning, smooth=self.chosen.get("smooth", False))
             write_estimate(estimate, file, origin=drive.origin, time_origin=time_origin_of(drive), name=name)
             return f"wrote {file}"
         more = {"replay": drive} if target == "c99" and drive else {}

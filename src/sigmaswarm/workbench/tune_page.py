@@ -2,30 +2,25 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import Drive, FilterParameters, Tuning
+from sigmaswarm import Drive, FilterParameters, TuneConfig, Tuning
 from sigmaswarm.drives.sensors import sensors_of
-from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.defaults import settled, with_filter
 from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.options import Option
 from sigmaswarm.tuning.store import saved_history
 from sigmaswarm.wording import counted
-from sigmaswarm.workbench.parts import aside, button, card, link, message, number, start, table, text
-from sigmaswarm.workbench.plots import curve_traces, curves, fixes_of, map_plot, redraw, track_traces
+from sigmaswarm.workbench.parts import Page, button, card, line, link, message, number, select, table, text
+from sigmaswarm.workbench.plots import lines, map_lines, redraw, show_map, show_plot
 from sigmaswarm.workbench.runs import Run, Runs, best_so_far
-from sigmaswarm.workbench.state import CHECKED, Workbench, attempt
+from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench, attempt
 
-TRAIN, SPLIT, HOLD, LEAVE = (
-    "tune on it",
-    "tune on the first 70%, hold back the rest",
-    "hold it back",
-    "leave it out",
-)
+TRAIN, SPLIT, HOLD = "tune on it", "tune on the first 70%, hold back the rest", "hold it back"
 MODELS = {
     "": "chosen by the log",
     "planar5": "planar5 (the paper's)",
@@ -35,33 +30,34 @@ MODELS = {
 SIZES = {"particles": 30, "generations": 50, "trials": 1, "seed": 0}
 REFRESH = 0.7
 """s between two updates of running tunings."""
+STARTING = "reading the drives, to tune on them"
+"""What no change of a choice may replace."""
+COMPARED = 6
+"""Tunings, the newest, whose convergence is shown."""
+Update = Callable[[], None]
 
 
-class TunePage:
+class TunePage(Page):
     """The choice of drives and of the filter, and the tunings."""
 
     def __init__(self, bench: Workbench, runs: Runs) -> None:
-        self.bench, self.runs = bench, runs
-        self.wrong = self.waiting = ""
+        super().__init__(bench)
+        self.runs = runs
         self.why: list[str] = []
-        self.compared: list[str] = []
 
     def content(self) -> None:
-        """Show the step."""
+        """Show the step; a timer of each tab looks at the running tunings."""
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
         cards = ui.element("div")
         self._finished()
-        updates: dict[str, Callable[[], None]] = {}
+        updates: dict[str, Update] = {}
         shown: list[Any] = [None]
 
         def look() -> None:
-            now = (
-                [(r.name, r.ended, r.error) for r in self.runs.runs.values()],
-                self.bench.unfinished,
-                self.wrong,
-            )
+            runs = [(run.name, run.ended, run.error) for run in self.runs.runs.values()]
+            now = runs, self.bench.unfinished, self.wrong
             if now != shown[0]:
                 self._finished.refresh()
                 shown[0] = now
@@ -74,110 +70,97 @@ class TunePage:
 
         ui.timer(REFRESH, look)
 
+    def refresh(self) -> None:
+        """Show the changed choices."""
+        self._setup.refresh()
+
     @property
     def plan(self) -> dict[str, str]:
         """The use of each drive: as chosen, or one to tune on and one to hold back."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
-        usual = dict.fromkeys(names, TRAIN)
-        if len(names) == 1:
-            usual = {names[0]: SPLIT}
-        elif names:
-            usual[names[-1]] = HOLD
         chosen = self.bench.choices.get("plan", {})
-        return {name: chosen.get(name, value) for name, value in usual.items()}
+        used = [name for name in names if chosen.get(name) != LEFT_OUT]
+        usual = dict.fromkeys(used, TRAIN)
+        if used:
+            usual[used[-1]] = HOLD if len(used) > 1 else SPLIT
+        return {name: chosen.get(name) or usual[name] for name in names}
 
     @ui.refreshable_method
     def _setup(self) -> None:
         with card():
             text("h2", "What to tune on")
-            plan = self.plan
-            if not plan:
+            if not self.plan:
                 text("p", "No drive yet.")
                 link("Make one of a log", "log")
                 return
-            for name, value in plan.items():
-                pick = ui.select([TRAIN, SPLIT, HOLD, LEAVE], label=name, value=value)
-                pick.on_value_change(lambda event, name=name: self._planned(name, event.value))
+            planned = self.bench.choices.setdefault("plan", {})
             options = self.bench.choices.setdefault("options", {})
-            with ui.element("div").classes("line"):
-                model = ui.select(MODELS, label="Filter", value=options.get("model", "")).classes("grow")
-                model.on_value_change(lambda event: self._set("model", event.value))
+            for name, value in self.plan.items():
+                ways = [TRAIN, SPLIT, HOLD, LEFT_OUT]
+                select(name, ways, value, lambda way, name=name: self._choose(planned, name, way))
+            with line():
+                choose = partial(self._choose, options)
+                select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
+                use, names = options.get("use") or [], list(get_args(Option))
+                more = select("Measurements", names, use, partial(choose, "use"), multiple=True)
+                more.props('hint="none: chosen by the log"')
+            with line():
                 for key, usual in SIZES.items():
-                    size = ui.number(key, value=options.get(key, usual), min=0, step=1, precision=0).style(
-                        "width: 110px"
-                    )
-                    size.on("change", partial(self._sized, key, size))
-            message(self.waiting, "wait")
-            message(self.wrong, "bad")
+                    size = ui.number(key, value=options.get(key, usual), min=0, precision=0).classes("size")
+                    size.on("change", partial(self._sized, options, key, size))
+            self.messages()
             for sentence in self.why:
                 text("p", sentence)
             begin = button("Start", self._begin, "play_arrow", main=True)
             begin.set_enabled(not self.waiting)
 
-    def _planned(self, name: str, value: str) -> None:
-        self.bench.choices.setdefault("plan", {})[name] = value
-        self._changed()
+    def _choose(self, choices: dict[str, Any], key: str, value: Any) -> None:
+        choices[key] = value
+        self.bench.save()
+        if self.waiting != STARTING:
+            self._explain()
+        self.refresh()
 
-    def _set(self, key: str, value: Any) -> None:
-        self.bench.choices.setdefault("options", {})[key] = value
-        self._changed()
-
-    def _sized(self, key: str, size: ui.number) -> None:
-        self._set(key, int(size.value or 0))
+    def _sized(self, options: dict[str, Any], key: str, size: ui.number) -> None:
+        self._choose(options, key, int(size.value or 0))
 
     @property
     def _options(self) -> dict[str, Any]:
-        return {key: value for key, value in self.bench.choices.get("options", {}).items() if value != ""}
+        return {k: v for k, v in self.bench.choices.get("options", {}).items() if v not in ("", [])}
 
     def _explain(self) -> None:
-        """Show the filter to be tuned, and why; the drives are read in the background."""
-        self.waiting = "reading the drives"
-        start(self._explained())
+        """Show the filter to be tuned, and why."""
+        self.start("reading the drives", self._reasons, then=self._explained)
 
-    async def _explained(self) -> None:
-        why, self.wrong = await aside(self._reasons)
-        self.why, self.waiting = why or [], ""
-        self._setup.refresh()
-
-    def _changed(self) -> None:
-        self.bench.save()
-        self._explain()
-        self._setup.refresh()
+    def _explained(self, why: list[str] | None) -> None:
+        self.why = why or []
+        self.refresh()
 
     def _reasons(self) -> list[str]:
         """The filter, the objective, and why."""
-        sensors = [sensors_of(self.bench.read(n)) for n, what in self.plan.items() if what != LEAVE]
+        sensors = [sensors_of(self.bench.read(n)) for n, what in self.plan.items() if what != LEFT_OUT]
         options, because = with_filter(self._options, sensors)
-        config = TuneConfig(**options)
-        objective = objective_for(sensors, config.objective, config.model)
-        sets = config.particles * config.generations * config.trials
+        config = settled(TuneConfig(**options), sensors)
+        sets, trials = config.particles * config.generations * config.trials, counted(config.trials, "trial")
         return [
             f"Filter: {because or config.model}",
-            f"Objective: {objective}: {objective_named(objective).summary}",
-            f"Search: {sets} parameter sets by {config.optimizer}, {config.trials} trial(s), seed {config.seed}",
+            f"Objective: {config.objective}: {objective_named(config.objective).summary}",
+            f"Search: {sets} parameter sets by {config.optimizer}, {trials}, seed {config.seed}",
         ]
 
     def _begin(self) -> None:
-        self.waiting = "reading the drives"
-        self._setup.refresh()
-        start(self._begun())
+        self.start(STARTING, self._drives, then=self._begun)
+        self.refresh()
 
-    async def _begun(self) -> None:
-        name = self.bench.free(
-            "tunings",
-            "+".join(n.removesuffix(CHECKED) for n, w in self.plan.items() if w in (TRAIN, SPLIT))[:40],
-        )
-        parts, wrong = await aside(self._drives)
-        if parts and not wrong:
-            drives, held = parts
-            self.bench.choices.setdefault("tunings", {})[name] = {
-                "drives": [d.name for d in drives],
-                "held": [d.name for d in held],
-            }
+    def _begun(self, parts: tuple[list[Drive], list[Drive]] | None) -> None:
+        if parts:
+            used = [n.removesuffix(CHECKED) for n, what in self.plan.items() if what in (TRAIN, SPLIT)]
+            name = self.bench.free("tunings", "+".join(used)[:40])
+            drives, held = ([drive.name for drive in part] for part in parts)
+            self.bench.choices.setdefault("tunings", {})[name] = {"drives": drives, "held": held}
             self.bench.save()
-            self.runs.begin(name, drives, held, self._options)
-        self.wrong, self.waiting = wrong, ""
-        self._setup.refresh()
+            self.runs.begin(name, *parts, self._options)
+        self.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
         """Read the drives; split those that are to be split, as `sigmaswarm split` does."""
@@ -194,16 +177,12 @@ class TunePage:
             raise sigmaswarm.InputError("no drive to tune on is chosen; tune on at least one")
         return drives, held
 
-    def _cards(self) -> dict[str, Callable[[], None]]:
-        """Show tunings that run or failed, and those that wait to be resumed.
-
-        Return a function that updates the former.
-        """
-        live = [r for r in self.runs.runs.values() if not r.ended or r.error]
-        updates = {one.name: self._run_card(one) for one in live}
+    def _cards(self) -> dict[str, Update]:
+        """Show tunings that run or failed, and those to be resumed; return what updates the former."""
+        updates = {r.name: self._run_card(r) for r in self.runs.runs.values() if not r.ended or r.error}
         for name in self.bench.unfinished:
             if name not in updates:
-                with card("warning"), ui.element("div").classes("line between"):
+                with card("warning"), line("between"):
                     saved = attempt(saved_history, self.bench.path("tunings", name))[0] or {}
                     done = counted(sum(map(len, saved.values())), "generation")
                     text("h3", f"{name}: not finished, {done} saved")
@@ -212,61 +191,49 @@ class TunePage:
 
     def _resume(self, name: str) -> None:
         _, self.wrong = attempt(self.runs.resume, name)
-        self._setup.refresh()
+        self.refresh()
 
-    def _run_card(self, one: Run) -> Callable[[], None]:
+    def _run_card(self, run: Run) -> Update:
         """Show a tuning; return a function that updates the card."""
-        with card("warning" if one.error else ""):
-            with ui.element("div").classes("line between"):
+        with card("warning" if run.error else ""):
+            with line("between"):
                 with ui.element("h2"):
-                    title = ui.label(one.name)
-                stop = button("Stop", lambda: self._stop(one), "stop")
-                stop.set_visibility(not one.ended)
-            message(one.error, "bad")
-            if one.error and one.progress is None:
-                title.text = f"{one.name}: {one.state}"
+                    title = ui.label(f"{run.name}: {run.state}")
+                stop = button("Stop", run.stop, "stop")
+                stop.set_visibility(not run.ended)
+            message(run.error, "bad")
+            if run.error and run.progress is None:
                 return lambda: None
             bar = ui.linear_progress(value=0.0, show_value=False, size="10px")
             bar.props('aria-label="generations" rounded')
             with ui.element("div").classes("figures"):
                 figures = [_figure(label) for label in ("generation", "trial", "best cost")]
             with ui.element("div").classes("grid"):
-                cost = curves({}, "Lowest cost", "generation", "cost")
-                track = map_plot({}, f"Held out: {one.shown_on.name}", height=260)
+                cost = show_plot("Lowest cost", "generation", "cost", [])
+                track = show_map(run.shown_on, f"Track over {run.shown_on.name}")
             with ui.expansion("Parameters").classes("soft"):
                 parameters = ui.element("div")
         shown = [-1]
 
         def update() -> None:
-            if one.version == shown[0]:
+            if run.version == shown[0]:
                 return
-            shown[0] = one.version
-            progress = one.progress
-            title.text = f"{one.name}: {one.state}"
-            stop.set_enabled(not one.stopping)
-            redraw(cost, curve_traces({f"trial {n + 1}": best_so_far(h) for n, h in one.history.items()}))
-            best = {"best filter so far": one.track} if one.track is not None else {}
-            redraw(track, track_traces(fixes_of(one.shown_on) | best, points=("fixes",)))
+            shown[0], progress = run.version, run.progress
+            title.text = f"{run.name}: {run.state}"
+            stop.set_enabled(not run.stopping)
+            redraw(cost, lines({f"trial {n + 1}": best_so_far(h) for n, h in run.history.items()}))
+            best = {} if run.track is None else {"best filter so far": run.track}
+            redraw(track, map_lines(run.shown_on, best))
             if progress is None:
                 return
             bar.value = progress.done / progress.total
-            values = (
-                f"{progress.done} of {progress.total}",
-                str(progress.trial + 1),
-                number(progress.best_cost),
-            )
-            for label, value in zip(figures, values, strict=True):
-                label.text = value
-            if isinstance(progress.parameters, FilterParameters):
-                parameters.clear()
-                with parameters:
-                    _parameters(progress.parameters)
+            figures[0].text = f"{progress.done} of {progress.total}"
+            figures[1].text, figures[2].text = str(progress.trial + 1), number(progress.best_cost)
+            parameters.clear()
+            with parameters:
+                _parameters(progress.parameters)
 
         return update
-
-    def _stop(self, one: Run) -> None:
-        one.stopping = True
-        one.version += 1
 
     @ui.refreshable_method
     def _finished(self) -> None:
@@ -282,19 +249,18 @@ class TunePage:
             table(["name", "filter", "objective", "cost", "held out", "drives"], rows)
             for _, wrong in found.values():
                 message(wrong, "bad")
-            lines = {
+            costs = {
                 name if len(t.trials) == 1 else f"{name}, trial {i + 1}": best_so_far(trial.best.tolist())
-                for name, t in list(tunings.items())[-6:]
+                for name, t in list(tunings.items())[-COMPARED:]
                 for i, trial in enumerate(t.trials)
             }
-            if lines:
-                curves(lines, "Convergence of the tunings", "generation", "lowest cost")
+            if costs:
+                show_plot("Convergence of the tunings", "generation", "lowest cost", lines(costs))
             for name, tuning in reversed(tunings.items()):
                 with ui.expansion(f"{name}: parameters and remarks").classes("card"):
                     for remark in tuning.remarks:
                         text("p", remark, "soft")
-                    if isinstance(tuning.parameters, FilterParameters):
-                        _parameters(tuning.parameters)
+                    _parameters(tuning.parameters)
                     link("The page of this tuning", f"report/tunings/{name}")
             link("Next: judge it", "judge")
 
@@ -306,20 +272,18 @@ def _figure(label: str) -> ui.label:
 
 
 def _row(tuning: Tuning[Any]) -> list[str]:
-    config = tuning.config
+    config, held = tuning.config, tuning.validation
     chosen = f"{config.model} ({config.kind})" if isinstance(config, TuneConfig) else "own model"
-    held = (
-        f"{tuning.validation.cost:.4g} on {', '.join(tuning.validation.drives)}"
-        if tuning.validation
-        else "none"
-    )
-    return [chosen, config.objective, f"{tuning.cost:.4g}", held, ", ".join(d["name"] for d in tuning.data)]
+    judged = f"{held.cost:.4g} on {', '.join(held.drives)}" if held else "none"
+    return [chosen, config.objective, f"{tuning.cost:.4g}", judged, ", ".join(d["name"] for d in tuning.data)]
 
 
-def _parameters(parameters: FilterParameters) -> None:
-    """Numbers of the filter as it would be saved."""
-    rows: list[list[str]] = []
-    for name, value in parameters.to_dict().items():
-        several = isinstance(value, list | tuple | np.ndarray)
-        rows.append([name, ", ".join(f"{v:.4g}" for v in value) if several else str(value)])  # pyright: ignore
-    table(["parameter", "value"], rows)
+def _parameters(parameters: Any) -> None:
+    """Numbers of the filter as it would be saved; of own models nothing."""
+    if isinstance(parameters, FilterParameters):
+        rows: list[list[str]] = []
+        for name, value in parameters.to_dict().items():
+            several = isinstance(value, list | tuple | np.ndarray)
+            shown = ", ".join(f"{v:.4g}" for v in value) if several else str(value)  # pyright: ignore
+            rows.append([name, shown])
+        table(["parameter", "value"], rows)

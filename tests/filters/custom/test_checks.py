@@ -76,7 +76,7 @@ def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
         ({"parameters": (Tunable("q", 1, 2), Tunable("q", 1, 2))}, "'q' is there twice"),
         ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' is not a name"),
         ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' is not a name"),
-        ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' is a parameter of the sigma points'"),
+        ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' is a parameter of the sigma points"),
         ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1; give a lower and an upper bound"),
         ({"parameters": (Tunable("q", 1, math.nan),)}, "parameter q: bounds 1, nan"),
         ({"parameters": (Tunable("q", 0, 1),)}, "can't be searched in log10 down to 0; give a positive bound"),

@@ -16,7 +16,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Guess, Log, Role, first_bytes, library, of_frames, roles_of, whole
 
-MOST_SKIPPED = 1_000_000
+MOST_SKIPPED = 200_000
 """Bytes that are no messages; a second is lost with so many."""
 MAGIC = b"\xa3\x95\x80"
 _T = {"t": "TimeUS*1e-6"}
