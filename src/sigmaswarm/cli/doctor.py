@@ -45,7 +45,7 @@ def doctor(
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     lever_arm_within
-        Estimate the antenna's lever arm, one for all drives; --fix writes it if its 95% interval is within this many m.
+        Estimate one lever arm for all drives; --fix writes it if its 95% interval is within this many meters.
     """
 
     read = _read(drives)

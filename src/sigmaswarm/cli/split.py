@@ -36,7 +36,7 @@ def split(
     train_fraction
         Share of the drive's time in the first part; 0.7 by default.
     at
-        Time of the split on the drive's clock (`t` in its files), s. Of two times, the part between them is left out.
+        Time of the split on the drive's clock, s. Two times leave out the part between them.
     """
 
     from sigmaswarm.drives.alignment import NoStart, find_start
