@@ -160,7 +160,7 @@ def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here
     assert line.startswith(f"lever arm: antenna {forward} m ")
     assert f" and {left} m " in line
     assert copy.metadata["repaired"] == ["lever-arm"]
-    assert "mended: lever-arm. What is left" in ended.out
+    assert "mended: lever-arm. Remaining findings" in ended.out
 
 
 def test_a_lever_arm_that_the_turns_do_not_show_changes_no_copy(sigmaswarm, good, here: Path):
