@@ -12,7 +12,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.lever_arm import LeverArmEstimate, estimate_lever_arm
-from support import make_drive
+from support import DRIVES, make_drive, needs_shared
 
 
 def planted(drive: Drive, forward: float, left: float) -> Drive:
@@ -74,7 +74,7 @@ def urban() -> Drive:
 
 @pytest.fixture(scope="module")
 def found(urban: Drive) -> LeverArmEstimate:
-    return estimate_lever_arm(urban, within=0.2)
+    return estimate_lever_arm(urban, within=0.25)
 
 
 def test_an_urban_drive_shows_the_arm_without_truth_and_each_time_the_same(
@@ -86,7 +86,7 @@ def test_an_urban_drive_shows_the_arm_without_truth_and_each_time_the_same(
     assert str(found).startswith(
         f"antenna {found.forward:.2f} m ahead and {-found.left:.2f} m right of the IMU, +-0."
     )
-    assert estimate_lever_arm(replace(urban, truth=None), within=0.2) == found
+    assert estimate_lever_arm(replace(urban, truth=None), within=0.25) == found
 
 
 def test_an_estimate_becomes_the_stated_arm_and_the_height_stays(urban: Drive, found: LeverArmEstimate):
@@ -149,6 +149,15 @@ def test_outliers_do_not_move_it():
     x = drive.gps.x.copy()
     x[100::50] += 20.0
     found = estimate_lever_arm(replace(drive, gps=replace(drive.gps, x=x)), parameters)
+    assert np.all(np.abs(np.array([found.forward + 1.5, found.left - 0.6])) < 3 * np.array(found.std))
+
+
+@needs_shared
+@pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")  # a gap of 0.13 s
+def test_a_real_drive_shows_a_planted_arm_within_its_standard_deviation():
+    drive = planted(sigmaswarm.read_drive(DRIVES / "kitti-09-26-0022"), -1.5, 0.6)
+    found = estimate_lever_arm(drive)
+    assert max(found.std) < 0.5
     assert np.all(np.abs(np.array([found.forward + 1.5, found.left - 0.6])) < 3 * np.array(found.std))
 
 

