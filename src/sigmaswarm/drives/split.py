@@ -52,8 +52,8 @@ def split_time(
     train_fraction : float
         Share of the drive's duration, in (0, 1).
     at : float or (float, float), optional
-        s on the drive's clock: split there instead, as where a logger paused. Of two times, the part between them is
-        left out; the parts are ``<name>-before`` and ``<name>-after``.
+        s on the drive's clock: split there instead, for example at a pause of the logger. Two times leave out the part
+        between them; the parts are ``<name>-before`` and ``<name>-after``.
 
     Warns
     -----

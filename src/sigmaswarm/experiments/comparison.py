@@ -106,7 +106,7 @@ class Outcome:
         remedy = "delete it to redo this run"
         found = load_record(cls, file, remedy, missing="repeat the comparison")
         if not 0 < len(found.history_evaluations) == len(found.history_steps) == len(found.history_best):
-            raise InputError(f"{file}: the histories have not one length; {remedy}")
+            raise InputError(f"{file}: the histories differ in length; {remedy}")
         return found
 
 

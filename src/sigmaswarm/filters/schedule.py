@@ -72,7 +72,7 @@ def require_odometer(drive: Drive) -> None:
     Raises
     ------
     InputError
-        Naming the drive and the remedy.
+        If the drive lacks data that the filter needs; the message states drive and remedy.
     """
     if drive.odometer is None:
         raise InputError(
@@ -82,12 +82,12 @@ def require_odometer(drive: Drive) -> None:
 
 
 def require_accuracy(line: Timeline) -> None:
-    """Refuse a drive for a filter that weighs fixes by their stated accuracy, where not all of them state one.
+    """Refuse a drive for a filter that weighs fixes by stated accuracy, where not every fix has one.
 
     Raises
     ------
     InputError
-        Naming the drive and the remedy.
+        If the drive lacks data that the filter needs; the message states drive and remedy.
     """
     if not line.states_accuracy:
         raise InputError(

@@ -181,7 +181,7 @@ def _entry(text: str) -> tuple[Role, str, str]:
         raise InputError(f'--map {text!r} is not a mapping; write for example --map "ax=-acc_y*9.80665"')
     if dot and prefix not in ROLES:
         raise InputError(
-            f"--map {text!r}: {prefix!r} is none of {', '.join(ROLES)}; write for example gps.t=stamp"
+            f"--map {text!r}: {prefix!r} is not one of {', '.join(ROLES)}; write for example gps.t=stamp"
         )
     roles: list[Role] = [role for role in ROLES if prefix in ("", role)]
     for role in roles:  # x, y without a role are the fixes'; t, keep the IMU's

@@ -22,9 +22,9 @@ SMALLEST = 20
 JUMP = {"a": 0.1, "g": np.radians(0.5)}
 """m/s2, rad/s: change of a sensor's mean from one block to the next that shows motion."""
 RESTLESS = 3.0
-"""Ratio of a block's deviation to that of the quietest ones that shows motion,"""
+"""Ratio of a block's deviation to that of the quietest ones that shows motion, unless it is below `CALM`."""
 CALM = {"a": 0.02, "g": np.radians(0.1)}
-"""m/s2, rad/s: unless it stays below this,"""
+"""m/s2, rad/s: a smaller deviation never shows motion."""
 ROUGH = 0.3
 """m/s2: deviation of an accelerometer that always shows motion."""
 FIX_SPEED = 0.5
