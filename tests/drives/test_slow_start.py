@@ -19,6 +19,7 @@ from sigmaswarm import (
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.split import clip
+from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.geodesy import wrap_angle
 from support import quickly
 
@@ -107,3 +108,16 @@ def test_an_impossible_heading_is_refused(tmp_path, value: str) -> None:
 def test_split_warns_of_a_part_without_a_start(at: float, part: str) -> None:
     with pytest.warns(SigmaswarmWarning, match=f"robot-{part} can't be used alone"):
         split_time(robot(1.0, 0.5), at=at)
+
+
+def test_a_start_takes_the_first_fix_that_has_a_heading() -> None:
+    drive = robot(0.5, noise=0.1)
+    std = np.full(len(drive.gps.time), np.radians(1.0))
+    std[:7] = NO_HEADING
+    heading = np.where(std < NO_HEADING, 0.4, 0.0)
+    start = initial_state(replace(drive, gps=replace(drive.gps, heading=heading, std_heading=std)))
+    assert start.mean[4] == pytest.approx(0.4)
+    assert start.time == drive.gps.time[7]
+    none = replace(drive.gps, heading=heading, std_heading=np.full_like(std, NO_HEADING))
+    by_travel = initial_state(replace(drive, gps=none))
+    np.testing.assert_array_equal(by_travel.mean, initial_state(drive).mean)

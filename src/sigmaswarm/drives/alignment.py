@@ -18,6 +18,7 @@ from sigmaswarm.drives.alignment_fit import Fit, InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.gyro_seen import CONTRADICTS, MOST_BIAS, GyroSeen
+from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
@@ -71,8 +72,8 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and four
     fixes or more in that time. A drive that never is that fast starts at the first fix with 10 m of travel in up to
     90 s, more where the fixes are noisy. Where ``heading_deg`` is in the metadata (degrees counter-clockwise from
-    east, at the first IMU sample), or the fixes have a column ``heading``, the start is the first fix. The state
-    follows from earlier samples only.
+    east, at the first IMU sample), the start is the first fix; where fixes have a column ``heading``, the first fix
+    with one. The state follows from earlier samples only.
 
     Parameters
     ----------
@@ -97,8 +98,10 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoS
     # Later code may start a filter only where IMU samples follow.
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
-    if drive.heading is not None or drive.gps.heading is not None:
+    if drive.heading is not None:
         return _stated_start(drive, usable)
+    if (headed := usable & np.isfinite(headings_of(drive.gps)[1])).any():
+        return _stated_start(drive, headed)
     alignments = Alignments(drive, usable)
     for k in range(len(alignments.time)):
         if found := alignments.at(k):
@@ -121,7 +124,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """The start at the first fix, with a heading stated there or at the first IMU sample, and unknown speed."""
+    """The start at the first usable fix, with a heading stated there or at the first IMU sample; unknown speed."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):

@@ -105,6 +105,14 @@ class Gps(Table):
     std_heading: Array | None = None
 
 
+def headings_of(gps: Gps) -> tuple[Array, Array]:
+    """Heading, rad, and its stated variance, rad2, of each fix; infinite where it has none."""
+    if gps.heading is None:
+        return np.zeros(len(gps)), np.full(len(gps), np.inf)
+    std = np.zeros(len(gps)) if gps.std_heading is None else gps.std_heading
+    return gps.heading, np.where(std < NO_HEADING, std**2, np.inf)
+
+
 @dataclass(frozen=True, eq=False)
 class Odometer(Table):
     """The speed of the wheels, each column of shape (n,).

@@ -23,7 +23,7 @@ from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.odometer import Wheels, measurements_of
 from sigmaswarm.drives.standstill import standing
-from sigmaswarm.drives.tables import NO_HEADING
+from sigmaswarm.drives.tables import headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
 """A step's numbers: its own three, and those of the IMU's axes, the last three where the IMU has them."""
@@ -250,14 +250,6 @@ def _fixes_of(gps: Gps) -> dict[str, Any]:
         "has_velocity": has_velocity,
         "states_accuracy": stated,
     }
-
-
-def headings_of(gps: Gps) -> tuple[Array, Array]:
-    """Heading, rad, and its stated variance, rad2, of each fix: see `Timeline`."""
-    if gps.heading is None:
-        return np.zeros(len(gps)), np.full(len(gps), np.inf)
-    std = np.zeros(len(gps)) if gps.std_heading is None else gps.std_heading
-    return gps.heading, np.where(std < NO_HEADING, std**2, np.inf)
 
 
 def _is_last(ends: Array) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy as np
 from sigmaswarm.drives import standstill
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps
-from sigmaswarm.drives.timeline import headings_of
+from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_kernels import kernels_of
 from sigmaswarm.exports.c_rules import rules_of

@@ -11,7 +11,7 @@ from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.drives.timeline import headings_of
+from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.geodesy import wrap_angle
 
 HEADINGS: dict[str, Callable[[Array], Array]] = {

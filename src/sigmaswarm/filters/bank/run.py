@@ -12,7 +12,7 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.timeline import headings_of
+from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
