@@ -13,6 +13,7 @@ from importing.logs import EPOCH, ORIGIN, imported
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
+from sigmaswarm.importing.magnetometer import part_of
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Choice
 
@@ -61,7 +62,7 @@ def field_of(time: np.ndarray, heading: np.ndarray, seed: int) -> tuple[np.ndarr
     hard = 0.3 * np.array([np.cos(way), np.sin(way), 0.5])
     soft = np.eye(3) + 0.1 * np.array([[0.8, 0.6, 0.1], [0.6, -0.8, 0.2], [0.1, 0.2, 0.3]])
     begin, end = STEEL
-    bridge = 0.2 * np.sin(np.pi * np.clip((time - begin) / (end - begin), 0, 1))[:, None]
+    bridge = (0.2, 0.1)[seed % 2] * np.sin(np.pi * np.clip((time - begin) / (end - begin), 0, 1))[:, None]
     toward = rng.uniform(-np.pi, np.pi)
     field = field @ soft.T + hard + bridge * [np.cos(toward), np.sin(toward), 0.4]
     constant = hard + soft[:, 2] * world[2]  # the vertical field is constant in the vehicle, as hard iron is
@@ -173,6 +174,19 @@ def test_without_a_choice_a_magnetometer_changes_nothing(tmp_path: Path):
         imported(folder, maps=maps, choice=TABLE)
     with pytest.raises(InputError, match="nothing gives mx"):
         imported(folder, choice=Choice({"mag": "gps.csv"}), maps=("mag.mx=", "mag.my="))
+
+
+def test_axes_are_found_by_name_in_a_chosen_table():
+    for x, y in (
+        ("imu.mag.x", "imu.mag.y"),
+        ("magX", "magY"),
+        ("Magnetometer x (µT)", "Magnetometer y (µT)"),
+        ("mx", "my"),
+    ):
+        part = part_of("t", ("t", "x", "y", "accel_b_x", "accel_b_y", x, y, f"{x}_raw", f"{y}_raw"))
+        assert [text.strip("`") for text in part.columns.values()] == [x, y]
+    assert part_of("t", ("x", "y", "z")).columns == {"mx": "x", "my": "y", "mz": "z"}
+    assert not part_of("t", ("ax", "ay")).columns
 
 
 def test_a_bag_with_a_magnetic_field(tmp_path: Path):

@@ -33,17 +33,22 @@ DRIFT = 10.0
 MOST_ROWS = 20_000
 """Rows that are used for the calibration, evenly over the drive."""
 STEEL = 4.0, 0.03
-"""Largest deviation of the field's size: in standard deviations, and at least this share of the field."""
+"""Largest deviation of the field's size and direction: in standard deviations, and at least so much, 1 and rad."""
 AROUND = 1.0
-"""s before and after a wrong size of the field in which there is no heading, too."""
+"""s before and after such a deviation in which there is no heading, too."""
 WORST = np.radians(20)
 """rad: a heading that scatters more than this does not come from a magnetometer fixed to the vehicle."""
 LEAST_STD = np.radians(0.5)
 """rad: smallest stated standard deviation."""
 LONGEST_GAP = 1.0
 """s between samples, across which a heading is interpolated."""
-_NAMES = (r"(?:.*[\W_])?(?:m|b|mag[a-z]*|magnetic[\W_]?field)[\W_]*([xyz])(?:[\W_].*)?", r"([xyz])")
-"""Names of a magnetometer's axes, the usual ones first, in lower case."""
+_UNLIKE = "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
+_AXES = (
+    r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
+    r"[mb][\W_]?([xyz])",
+    r"([xyz])",
+)
+"""Names of a magnetometer's axes in lower case, the usual ones first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +85,8 @@ class Calibration:
 
 def part_of(table: str, columns: Sequence[str]) -> Part:
     """The axes of a magnetometer in a table that the user chose, by their names; none where they have others."""
-    for pattern in _NAMES:
-        found = {m[1]: column for column in columns if (m := re.fullmatch(pattern, column.lower()))}
+    for pattern in _AXES:
+        found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():
             return Part(table, {f"m{axis}": written(found[axis]) for axis in "xyz" if axis in found})
     return Part(table, {})
@@ -111,18 +116,17 @@ def with_magnetometer(
         )
     calibration = calibrate(reference[moving], field[moving])
     vector: Array = (field - calibration.center) @ np.linalg.inv(calibration.shape).T
-    near_steel = _near_steel(time, np.hypot(*vector.T), moving)
-    usable = moving & ~near_steel
-    off = np.asarray(wrap_angle(np.arctan2(vector[:, 1], vector[:, 0]) - reference))[usable]
-    std = max(1.4826 * float(np.median(np.abs(off))), LEAST_STD) if len(off) else np.inf
+    off: Array = wrap_angle(np.arctan2(vector[:, 1], vector[:, 0]) - reference)
+    near_steel = _near_steel(time, np.hypot(*vector.T), off, moving)
+    usable = np.abs(off[moving & ~near_steel])
+    std = max(1.4826 * float(np.median(usable)), LEAST_STD) if len(usable) else np.inf
     if std > WORST:
-        raise InputError(
-            "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
-        )
+        raise InputError(_UNLIKE)
     turn = _turn(calibration, recipe.declination_deg)
     heading, known = _at(drive.gps.time, time, vector, near_steel)
     say(_said(calibration, recipe.declination_deg))
-    say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg; {_without(known)}")
+    none = f"{np.count_nonzero(~known)} of {len(known)} fixes have none (steel nearby, or no sample)"
+    say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg; {none}")
     heading = np.where(known, wrap_angle(heading + turn), 0.0)
     return replace(
         drive, gps=replace(drive.gps, heading=heading, std_heading=np.where(known, std, NO_HEADING))
@@ -176,19 +180,22 @@ def calibrate(heading: Array, field: Array) -> Calibration:
         size = np.hypot(*(field - columns @ solution).T)
         weight = 1 / (1 + (size / max(2 * float(np.median(size)), 1e-12)) ** 2)
     if np.linalg.cond(solution[1:]) > 100:
-        raise InputError(
-            "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
-        )
+        raise InputError(_UNLIKE)
     return Calibration(solution[0], solution[1:].T)
 
 
-def _near_steel(time: Array, size: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples (n,) within a second of one whose field has another size."""
-    usual = float(np.median(size[moving]))
-    off = np.abs(size - usual)
-    deviations, share = STEEL
-    wrong = time[off > max(deviations * 1.4826 * float(np.median(off[moving])), share * usual)]
+def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Samples (n,) within a second of one whose field has another size, or turns without the vehicle, by rad."""
+    odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
+    wrong = time[odd]
     return np.searchsorted(wrong, time - AROUND) < np.searchsorted(wrong, time + AROUND, side="right")
+
+
+def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Values (n,) far from the others, by the robust deviation of those while the vehicle moves."""
+    apart = np.abs(values - float(np.median(values[moving])))
+    deviations, least = STEEL
+    return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)
 
 
 def _at(
@@ -225,7 +232,3 @@ def _said(calibration: Calibration, stated: float | None) -> str:
     if stated is None:
         return f"{fitted}; declination, with the sensor's turn about z, {found}"
     return f"{fitted}; declination {stated:+.1f} deg as stated, with the sensor's turn about z {found}"
-
-
-def _without(known: NDArray[np.bool_]) -> str:
-    return f"{np.count_nonzero(~known)} of {len(known)} fixes have none (steel nearby, or no sample)"
