@@ -164,6 +164,14 @@ def test_a_stated_declination_and_the_mounting(tmp_path: Path):
         imported(folder, maps=(*axes, "mag.mz="), choice=TABLE, recipe=Recipe(mount="0,10,0"))
 
 
+def test_fixes_that_come_late_get_the_heading_at_their_positions(tmp_path: Path):
+    folder, heading, _ = a_log(tmp_path / "log", "town")
+    got = imported(folder, choice=TABLE, recipe=Recipe(gps_offset_s=0.5))
+    off, known = errors_of(got.drive, heading)
+    assert np.quantile(np.abs(off[known]), 0.95) < 3.0
+    assert any("s before the fixes" in note for note in got.notes)
+
+
 def test_without_a_choice_a_magnetometer_changes_nothing(tmp_path: Path):
     folder, _, _ = a_log(tmp_path / "log", "block")
     got = imported(folder)

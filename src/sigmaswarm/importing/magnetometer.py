@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.evidence import gather as gather_evidence
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.drive import Array, Drive
@@ -107,7 +108,9 @@ def with_magnetometer(
     stamps, values = join(parts, "mag", ("mx", "my"), say, recording)
     zero = int(drive.metadata.get("time_origin_s", 0))
     time, field = (stamps - zero * SECOND) / SECOND, _in_vehicle(values, recipe.mount)
-    reference, moving = _reference(drive, time)
+    evidence = gather_evidence(drive)
+    late = evidence.clock.late if abs(evidence.clock.late) > evidence.clock.least else 0.0
+    reference, moving = _reference(evidence, time, late)
     turned = _turned(reference[moving])
     if turned < LEAST_TURN:
         raise InputError(
@@ -123,10 +126,11 @@ def with_magnetometer(
     if std > WORST:
         raise InputError(_UNLIKE)
     turn = _turn(calibration, recipe.declination_deg)
-    heading, known = _at(drive.gps.time, time, vector, near_steel)
+    heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_said(calibration, recipe.declination_deg))
+    when = f", at the moment of the positions, {late:.2f} s before the fixes" if late else ""
     none = f"{np.count_nonzero(~known)} of {len(known)} fixes have none (steel nearby, or no sample)"
-    say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg; {none}")
+    say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg{when}; {none}")
     heading = np.where(known, wrap_angle(heading + turn), 0.0)
     return replace(
         drive, gps=replace(drive.gps, heading=heading, std_heading=np.where(known, std, NO_HEADING))
@@ -142,14 +146,14 @@ def _in_vehicle(values: Values, mount: str) -> Array:
     return np.column_stack(axes) @ rotation[:2, : len(axes)].T
 
 
-def _reference(drive: Drive, time: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDArray[np.bool_]]:
     """Heading (n,), rad, of the gyro set right by the course, and where the vehicle moves, at times (n,), s."""
-    evidence = gather_evidence(drive)
     course, yaw, imu = evidence.course, evidence.yaw, evidence.drive.imu
     if course is None or not course.moving.any() or not yaw.known:
         raise InputError("mag: the calibration needs a moving vehicle, and a gyro that follows its course")
     angle = integral(imu.time, yaw.factor * getattr(imu, yaw.column))
-    at, moving = course.time[course.moving], course.moving
+    seen, moving = course.time + evidence.moved - late, course.moving
+    at = seen[moving]
     drift = np.exp(1j * (course.angle[moving] - smoothed(imu.time, angle, at, course.span)))
     rows = ((at - at[0]) // DRIFT).astype(np.int64)
     _, rows = np.unique(rows, return_inverse=True)
@@ -157,7 +161,7 @@ def _reference(drive: Drive, time: Array) -> tuple[Array, NDArray[np.bool_]]:
     sums = np.bincount(rows, drift.real) + 1j * np.bincount(rows, drift.imag)
     known = np.bincount(rows, at) / count, np.unwrap(np.angle(sums))
     inside = (time >= imu.time[0]) & (time <= imu.time[-1])
-    moves = np.interp(time, course.time, moving.astype(np.float64), left=0.0, right=0.0) == 1.0
+    moves = np.interp(time, seen, moving.astype(np.float64), left=0.0, right=0.0) == 1.0
     return np.interp(time, imu.time, angle) + np.interp(time, *known), inside & moves
 
 
