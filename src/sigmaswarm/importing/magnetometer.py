@@ -104,7 +104,7 @@ def with_magnetometer(
         The fixes have a heading, or the drive does not determine the calibration.
     """
     if drive.gps.heading is not None:
-        raise InputError("mag: the fixes have a heading already; omit one of both with --map")
+        raise InputError("mag: the fixes have a heading already; omit one of the two with --map")
     stamps, values = join(parts, "mag", ("mx", "my"), say, recording)
     zero = int(drive.metadata.get("time_origin_s", 0))
     time, field = (stamps - zero * SECOND) / SECOND, _in_vehicle(values, recipe.mount)
