@@ -42,7 +42,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization |" in page
     assert "The tuning has seen urban-clear-00" in page
     for wrong, said in (
-        (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against goes with --check"),
+        (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against needs --check"),
         (("--to", "filterpy", "--out", "ekf"), "filterpy does not support robot-localization"),
     ):
         ended = sigmaswarm("export", "t", *wrong)

@@ -303,7 +303,7 @@ def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
     assert not found_of(drive, "gps-correlated")
     assert not found_of(states(drive, np.full(n, 2.0)), "gps-correlated")
     said = found_of(states(drive, np.full(n, 3.0)), "gps-correlated")
-    assert "the receiver states 3 m: their errors last" in said
+    assert "the receiver states 3 m: their errors are correlated" in said
     assert found_of(
         states(drive, np.full(n, 9.0)), "gps-noise"
     )  # white noise so far below it: it is stated wrong
@@ -382,7 +382,7 @@ def test_a_clock_that_jumps_is_told_from_a_logger_that_pauses(jumped: bool):
     found = {f.code: f for f in sigmaswarm.diagnose(replace(drive, imu=imu, gps=gps, truth=None)).findings}
     code, other = ("clock-jump", "logger-pause") if jumped else ("logger-pause", "clock-jump")
     assert other not in found
-    assert "IMU and fixes both miss 1.3 s" in found[code].what
+    assert "IMU and fixes are both missing for 1.3 s" in found[code].what
     assert found[code].span[0] == pytest.approx(begin, abs=0.05)
     assert {"clock-jump", "logger-pause"}.isdisjoint(sigmaswarm.diagnose(drive).codes)
 

@@ -95,7 +95,7 @@ def bag(folder: Path) -> list[Path]:
 def drop(page: Any, files: list[Path]) -> None:
     """Choose files as with the + of the drop zone, and wait until they have been read."""
     page.locator("input[type=file]").first.set_input_files(files)
-    page.get_by_text("What is in it").wait_for()
+    page.get_by_text("Contents of the log").wait_for()
     settle(page)
 
 

@@ -84,7 +84,7 @@ class ImportOptions:
     heading_from_north
         Heading at the first IMU sample, degrees clockwise from north; written as heading_deg. For slow vehicles.
     gps_from_truth
-        rate,noise: make fixes from the truth, Hz and m of white noise, as 5,1.
+        Make fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows
         Largest number of rows of a table; 10 million by default, 28 hours at 100 Hz.
     max_columns

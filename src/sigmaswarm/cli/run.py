@@ -197,7 +197,7 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
             what = "is a folder" if file.is_dir() else "is also asked for by another option"
             raise InputError(
-                f"{file}: the filter bank writes it next to {out}, and it {what}; take another --out"
+                f"{file}: the filter bank writes it next to {out}, and it {what}; choose another --out"
             )
 
 

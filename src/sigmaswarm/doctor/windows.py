@@ -26,7 +26,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Means around times ``at`` over ``span`` s, weighted by the parabola of the slope of a fitted line."""
+    """Average around times ``at`` over ``span`` s with parabolic weights: of a rate, the slope of a line fit."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 

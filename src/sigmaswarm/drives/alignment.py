@@ -205,13 +205,15 @@ class Alignments:
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (FEWEST_FIXES - 1):
-            what = f"its fixes come every {every:.3g} s, and the heading takes {FEWEST_FIXES} of them within {time}"
+            what = f"its fixes come every {every:.3g} s, and the heading needs {FEWEST_FIXES} of them within {time}"
             return NoStart(f"no filter can start: {what}", "log the receiver at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
-        usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s"
-        takes = f"the heading takes {FEWEST_FIXES} within {time}, {MIN_DURATION:g} s or more"
+        usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
+        needs = (
+            f"the heading needs {FEWEST_FIXES} within {time}, at least {MIN_DURATION:g} s from first to last"
+        )
         return NoStart(
-            f"no filter can start: only {usable} from first to last, and {takes} from first to last",
+            f"no filter can start: only {usable}, and {needs}",
             "use a longer drive, whose fixes come at 1 Hz or faster, without gaps, and don't repeat each other",
         )
 

@@ -50,7 +50,7 @@ ALONE = Lanes()
 def c99(
     parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
 ) -> dict[str, str]:
-    """Headers, sources and the replaying program, by file name; ``interval`` (s) is that of Q.
+    """Return headers, sources and the replay program, by file name; Q refers to steps of ``interval`` s.
 
     ``as_recorded``: see `PreparedDrive`.
 
@@ -67,7 +67,7 @@ def c99(
     model = MODELS[parameters.model]
     kinds = ("ekf",) if model.tilts else model.kinds
     if parameters.kind not in kinds:
-        raise InputError(f"{parameters.model} has no {parameters.kind} in C; take kind {' or '.join(kinds)}")
+        raise InputError(f"{parameters.model} has no {parameters.kind} in C; use kind {' or '.join(kinds)}")
     features = features_of(parameters)
     fits = all(fits_float(p) for p in lanes.filters(parameters))
     features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
@@ -233,7 +233,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
-        "BELIEF_NOTE": " /* and the error of fixes that lasts, m east and north */" if lasting else "",
+        "BELIEF_NOTE": " /* and the correlated fix error, m east and north */" if lasting else "",
         "GYRO_NOTE": gyro_note,
         "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
         "LEVER_AXES": ", left and up" if tilted else " and left",

@@ -115,7 +115,7 @@ def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
     Raises
     ------
     InputError
-        A column is wanted that the log does not have.
+        If the mounting needs a column that the log does not have.
     """
     turned = dict(imu)
     for sensor, names in (("accelerometer", ("ax", "ay", "az")), ("gyro", ("gx", "gy", "gz"))):

@@ -74,7 +74,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     if len(rows) < 5:
         if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
             return angle
-        say(f"{what} taken as degrees clockwise from north; no course shows it")
+        say(f"{what} taken as degrees clockwise from north; no course confirms it")
         return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (
         ("", angle),

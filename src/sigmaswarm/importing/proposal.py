@@ -63,7 +63,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Quantities whose accuracy a receiver states, too; it is not the accuracy of the position."""
+"""Words that show that an accuracy is not that of the position but of another quantity."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 """Repairs that are applied to a proposal's expressions; the others change the drive."""
 EXCHANGED = 0.2

@@ -69,7 +69,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
-    """The rows of the chosen recording; several without a choice are refused."""
+    """Return the rows of the chosen recording; if there are several, one must be chosen."""
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""

@@ -45,10 +45,10 @@ PAIRED = (
     "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
-    "The interval over trials (as in the paper) is the uncertainty by optimizer and split; it covers the mean of new "
-    "drives only about half of the time. The other two are intervals for new drives: in a study of full size the "
-    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%), the corrected t as often or more; it is too "
-    "wide where the optimizer varies much."
+    "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it covers the mean of "
+    "new drives only about half of the time. The other two are intervals for new drives. In a study of full size the "
+    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%). The interval from the corrected t covers it "
+    "as often or more, and is too wide where the optimizer's results vary much."
 )
 EFFORT = (
     "Labelled: driving with truth that the tuning used. Learned: driving that a network learned from, without truth. "

@@ -7,7 +7,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.scoring.truth_noise import is_known
 
 BLOCKS = 8
-"""Number of stretches of a drive, whose means show the spread of lasting errors."""
+"""Number of stretches of a drive, whose means show the spread of correlated errors."""
 CLEAR = 5.0
 """Standard deviations of the mean from which an offset is reported."""
 SIMILAR = 0.5

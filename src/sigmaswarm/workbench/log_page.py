@@ -162,7 +162,7 @@ class LogPage(Page):
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
-            text("h2", "What is in it")
+            text("h2", "Contents of the log")
             for note in look.notes:
                 text("p", note, "soft")
             if look.proposal:

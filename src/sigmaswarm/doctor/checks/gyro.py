@@ -48,7 +48,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     imu, course = evidence.drive.imu, evidence.course
     if fit is None or course is None or not yaw.known:
         if impossible_rate(imu.gz - np.median(imu.gz)):
-            what = f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the course does not show it"
+            what = (
+                f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; no course confirms it"
+            )
             remedy = "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s"
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return

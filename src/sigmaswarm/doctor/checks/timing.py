@@ -155,7 +155,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
             what = "the logger paused: the car drove on"
-        what = f"IMU and fixes both miss {missed:.2g} s after t = {imu[i]:.2f} s: {what}"
+        what = f"IMU and fixes are both missing for {missed:.2g} s after t = {imu[i]:.2f} s: {what}"
         span = float(imu[i]), float(imu[i + 1])
         yield Finding(code, severity, what, "imu.csv, gps.csv, t", span, 0.9, remedy, repair)
 
