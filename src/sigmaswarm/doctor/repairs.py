@@ -14,6 +14,7 @@ from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.geodesy import wrap_angle
 
 
@@ -123,14 +124,12 @@ def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
 
 def _heading(drive: Drive, convention: float, offset: float) -> Drive:
     """Which of `HEADINGS` the heading is in, and a constant, rad, to be taken off."""
-    heading, std, (name, read) = (
-        drive.gps.heading,
-        drive.gps.std_heading,
-        [*HEADINGS.items()][int(convention)],
-    )
+    heading, std = drive.gps.heading, drive.gps.std_heading
+    name, read = [*HEADINGS.items()][int(convention)]
     if heading is None:
         return drive
-    std = np.radians(std) if std is not None and name.startswith("deg") else std
+    if std is not None and name.startswith("deg"):
+        std = np.where(std < NO_HEADING, np.radians(std), std)
     return _with("gps", drive, heading=wrap_angle(read(heading) - offset), std_heading=std)
 
 

@@ -195,7 +195,7 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
         "REPLAYED_HEADING": ", n < 9 || isnan(z[7]) ? NULL : heading",
         "OR_NINE": " || n == 9",
         "TAKES_HEADING": ", heading: Sequence[float] | None = None",
-        "GIVES_HEADING": ", heading and self._reals(heading)",
+        "GIVES_HEADING": ", None if heading is None else self._reals(heading)",
     }
     return {name: text if used else "" for name, text in texts.items()}
 

@@ -73,10 +73,10 @@ class Look:
     works: bool = False
     unread: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     faults: tuple[Fault, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     rows: Mapping[str, pl.DataFrame] = field(
         default_factory=dict[str, pl.DataFrame], repr=False, compare=False
     )
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
@@ -115,7 +115,7 @@ def look(request: Request) -> Look:
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
     rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
     whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
-    return Look(*whole, said, evidence, works, unread, faults, settings, rows)
+    return Look(*whole, said, evidence, works, unread, faults, rows, settings)
 
 
 def _unread(

@@ -122,5 +122,6 @@ def radius_record(variance: Array, lasting: Array, error: Array | None) -> Radiu
     if error is None:
         return found
     inside = [float(np.mean(error <= radius)) for radius in radii]
-    ratio = math.sqrt(2 * float(np.mean(variance)) / float(np.mean(error**2)))
+    squared = float(np.mean(error**2))
+    ratio = math.sqrt(2 * float(np.mean(variance)) / squared) if squared else None
     return found.model_copy(update={"inside_95": inside[0], "inside_999": inside[1], "sigma_ratio": ratio})

@@ -277,6 +277,11 @@ def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values
     """Run the filter at the unknowns and next to them."""
     run = partial(_run, ready, parameters, values)
     found = run(values)
+    if not np.isfinite(found.nis).all():
+        name = ready.drive.name
+        raise InputError(
+            f"the filter fails on {name}; repair what `sigmaswarm doctor` finds, or leave the drive out"
+        )
     moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
     slopes = [(nu - found.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]
     columns = -np.linalg.solve(np.linalg.cholesky(found.covariance), np.stack(slopes, axis=-1))

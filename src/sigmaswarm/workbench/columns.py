@@ -22,6 +22,7 @@ UNITS: dict[str, dict[str, str]] = {
               "mph": "{}*0.44704"},
     "angle": {"rad from east": "{}", "deg from north": "radians(90-{})", "deg from east": "radians({})",
               "rad from north": "pi/2-{}"},
+    "deviation": {"rad": "{}", "deg": "radians({})"},
     "condition": {"as it is": "{}"},
 }  # fmt: skip
 """Units of each kind of quantity, and the expressions that convert them to those of a drive."""
@@ -31,8 +32,8 @@ KINDS = {
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "vx", "vy", "forward", "left"), "speed"),
     **dict.fromkeys(("lat", "lon"), "degrees"),
-    **dict.fromkeys(("course", "theta"), "angle"),
-    **{"t": "time", "keep": "condition"},
+    **dict.fromkeys(("course", "theta", "heading"), "angle"),
+    **{"t": "time", "keep": "condition", "std_heading": "deviation"},
 }
 """The kind of quantity of each column of a drive."""
 SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",

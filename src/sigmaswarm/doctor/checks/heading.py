@@ -107,6 +107,9 @@ def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
 
     tried = np.arange(-1.5, 1.51, 0.05)
     each = [misfit(float(late)) for late in tried]
-    found, own = float(tried[int(np.argmin(each))]), evidence.clock.late if evidence.clock.visible else 0.0
+    found, own = (
+        float(tried[int(np.argmin(each))]),
+        evidence.clock.late - evidence.moved if evidence.clock.visible else 0.0,
+    )
     late = found - own
     return late if abs(late) >= LATE and min(each) < WORSE * misfit(own) else 0.0

@@ -124,7 +124,9 @@ def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)
-            if message.relPosHeadingValid and message.carrSoln == 2:
+            if (
+                message.relPosHeadingValid and message.carrSoln == 2 and message.isMoving
+            ):  # not a base station
                 found[message.iTOW] = message.relPosHeading, message.accHeading
         except Exception:  # of a length that is none, or of version 0, which has no heading
             continue
