@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ANSWER_TIMEOUT = 30.0
 """s: timeout of a request to the scheduler."""
 CONNECT_TIMEOUT = 10.0
-"""s: timeout of the connection to it."""
+"""s: timeout of the connection to the scheduler."""
 
 
 class ClusterError(SigmaswarmError):

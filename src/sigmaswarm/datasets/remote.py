@@ -37,7 +37,7 @@ DRIVES_SHOWN = 10
 
 
 class Assignment:
-    """Which worker of a cluster has which drive; shared by all subsets of a dataset."""
+    """Assignment of drives to the workers of a cluster; shared by all subsets of a dataset."""
 
     def __init__(self, cluster: Cluster, sources: Sequence[Source]) -> None:
         self.cluster, self.sources = cluster, sources

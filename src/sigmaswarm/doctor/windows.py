@@ -66,7 +66,7 @@ class Regression:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the solution (k, k); it allows for windows that overlap and for correlated residuals."""
+        """Covariance of the solution, shape (k, k); allows for overlapping windows and correlated residuals."""
         return _covariance(self.columns, self.left, self.own)
 
 

@@ -188,7 +188,7 @@ def fits_float(p: FilterParameters) -> bool:
 
 
 def _texts_of_heading(used: bool) -> dict[str, str]:
-    """What a filter that uses headings has in addition in the templates."""
+    """Additions to the templates for a filter that uses headings."""
     texts = {
         "ALSO_HEADING": ", const ins_gps_real *heading",
         "NO_HEADING": ", 0",

@@ -14,7 +14,7 @@ from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
-    """Which parts of the templates a filter needs."""
+    """Flags of the template parts that a filter needs."""
     velocity, lateral, stands, wheels, _, heading = schedule.switches(p)
     has_tilts = MODELS[p.model].tilts is not None
     biases, gate, robust = bool(MODELS[p.model].sensors), p.gate is not None, p.robust_dof is not None

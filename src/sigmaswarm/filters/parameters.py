@@ -66,14 +66,14 @@ class FilterParameters:
     forgetting : float
         In (0, 1): memory of an adaptive, strong tracking or fuzzy filter from fix to fix.
     fuzzy_widths : tuple of float, length 2
-        Distances of ratio and trend, both in (-1, 1), from 0 at which "large" and "rises" are wholly true.
+        Magnitudes of ratio and trend, both in (-1, 1), at which "large" and "rises" have membership 1.
     fuzzy_gains : tuple of float, length 2
-        At least 1: largest factors and divisors of R and Q by a fuzzy filter's rules.
+        Largest factors (and divisors) that a fuzzy filter's rules apply to R and Q; at least 1.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     imu_noise : tuple of float, length 2 or 3
-        robot-localization: variances that the IMU's messages state: of gz, (rad/s)2, ax, (m/s2)2, and, where ay is
-        fused, of ay.
+        robot-localization: variances in the IMU's messages: of gz, (rad/s)2; of ax, (m/s2)2; where ay is fused, also
+        of ay.
     imu_gate : tuple of float, length 2
         robot-localization: the largest NIS of gz and of ax that is used; infinite without a limit.
     velocity_noise : float or None

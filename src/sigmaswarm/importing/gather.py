@@ -117,7 +117,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Where values are far from those that are not marked, by the spread of these."""
+    """A mask of values far from the unmarked ones, relative to the spread of these."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)

@@ -165,7 +165,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """What an IMU lacks in one table, from another: only where no column has the same name in both."""
+    """Columns that an IMU lacks in one table, from another; only where no column has the same name in both."""
     others = {other: columns for other, columns in names.items() if other != table}
     if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
         return {}

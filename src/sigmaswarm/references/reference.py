@@ -41,7 +41,7 @@ HIDDEN = (2.0, 20.0)
 HIDDEN_FIRST = 10.0
 """s from the start before fixes are hidden, and between two windows."""
 PLACEMENTS = 3
-"""Of the hidden windows."""
+"""Number of placements of the hidden windows."""
 COVERED = 0.95, 1.96
 """Required share of the hidden fixes within this many sigma, per axis."""
 OBJECTIVE = "innovation-t"

@@ -54,7 +54,7 @@ SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, 
 """Tuning of the noises by likelihood: with noises by hand the standard deviation is two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
-"""Of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
+"""Arrays of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ SIZES = {"particles": 30, "generations": 50, "trials": 1, "seed": 0}
 REFRESH = 0.7
 """s between two updates of running tunings."""
 STARTING = "reading the drives, to tune on them"
-"""What no change of a choice may replace."""
+"""Status that a changed choice must not replace."""
 COMPARED = 6
 """Tunings, the newest, whose convergence is shown."""
 Update = Callable[[], None]

@@ -26,7 +26,7 @@ BIAS = (np.radians(0.1), np.radians(1.0))
 """rad/s: a bias of at least the first is a note, of at least the second a warning."""
 
 SMOOTHED, LAG = 0.3, 0.5
-"""s: over which the force is averaged, and over which its direction changes.
+"""s: windows for the mean of the force and for the change of its direction.
 
 Longer ones contain more of the car's own acceleration, shorter ones more vibration. On seven recordings every correct
 sign is significant by 9.5 standard deviations or more.

@@ -20,7 +20,7 @@ WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 STANDS = 1.0
 """m/s: at lower speeds a car may change between forward and reverse."""
 STEP = 2.0
-"""s: over which changes of speed are compared with ax."""
+"""s: interval over which changes of speed are compared with ax."""
 CLEAR, LEAST = 3.0, 0.4
 """Deviations and size by which the slope of the changes of speed on ax differs from 0."""
 

@@ -31,7 +31,7 @@ Rows = Sequence[Sequence[str]]
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text table is written.
+    """Format of a text table.
 
     Attributes
     ----------
