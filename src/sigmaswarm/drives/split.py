@@ -70,7 +70,7 @@ def split_time(
         at = float(drive.imu.time[0] + train_fraction * drive.duration)
     end, start = at if isinstance(at, tuple) else (at, at)
     if start < end:
-        raise InputError(f"at = {end:g}, {start:g} s: the first time is later; give them in order")
+        raise InputError(f"at = {end:g}, {start:g} s: the first time is after the second; exchange them")
     names = ("before", "after") if isinstance(at, tuple) else ("train", "test")
     parts = (
         clip(drive, end=end, name=f"{drive.name}-{names[0]}"),
