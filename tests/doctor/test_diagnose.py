@@ -200,7 +200,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, 
             continue
         (note,) = [f for f in clean.findings if f.code == "unseen-clock"]
         if size is None:
-            assert "of any size could be invisible here" in note.what
+            assert "of any size can't be detected in this drive" in note.what
             continue
         assert f"below {size:.2f} s" in note.what
         for sign in (1, -1):
@@ -314,7 +314,7 @@ def test_the_options_follow_from_the_log():
     drive = simulated("mpu-6050")
     n, rng = len(drive.gps), np.random.default_rng(0)
     six = "tune takes --model tilted12 --use lateral standstill robust: "
-    tilts = "az, gx and gy are there, which distinguish hills from motion"
+    tilts = "the IMU has az, gx and gy, which distinguish hills from motion"
     assert found_of(drive, "use") == six + tilts
     planar = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
     assert found_of(planar, "use") == "tune takes --model planar8 --use lateral standstill robust"

@@ -110,6 +110,6 @@ def _check_names(drives: "list[Drive]", out: Path) -> None:
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{names.count(name)} drives are named {name!r}; mend them one at a time")
+            raise InputError(f"{names.count(name)} drives are named {name!r}; repair them one at a time")
         if (out / name).exists():
             raise InputError(f"{out / name} exists already; delete it, or name another folder")

@@ -85,7 +85,7 @@ def export(
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:
         raise sigmaswarm.InputError(
-            f"--check is for --to c99, and for tunings of robot-localization: {to} is not C that could be built here"
+            f"--check is for --to c99, and for tunings of robot-localization: {to} is not C code that can be compiled"
         )
     if options.against and not (options.check and ros):
         raise sigmaswarm.InputError(

@@ -46,9 +46,9 @@ class ImportOptions:
     odometer
         Separate log of the wheel speed.
     map
-        column=expression for a drive's columns, as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
+        column=expression for a drive's columns, such as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
     time
-        Expression of the time in SOURCE's tables, s, as "stamp*1e-9" or "utc(date)".
+        Expression of the time in SOURCE's tables, s, such as "stamp*1e-9" or "utc(date)".
     recipe
         A saved recipe.
     save_recipe

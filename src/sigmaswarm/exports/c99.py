@@ -61,7 +61,7 @@ def c99(
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(
-            f"nominal_interval = {interval:g} s: the C library keeps a second of samples, of an IMU of "
+            f"nominal_interval = {interval:g} s: the C library keeps one second of samples, at "
             f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
         )
     model = MODELS[parameters.model]

@@ -121,7 +121,7 @@ def in_range(value: float, of: str) -> float:
     """
     if not math.isfinite(value):
         raise InputError(
-            f"the filter can't be handed over: {of} is beyond the range of numbers; tune it again or correct it"
+            f"the filter can't be exported: {of} is beyond the range of numbers; tune it again or correct it"
         )
     return value
 

@@ -92,7 +92,7 @@ class Gathered:
                 i = int(wrong.fill_null(False).arg_max() or 0)
                 raise InputError(
                     f"{log.path}, {shown(self.part.table)}, row {self.seen + i + 1} of the data, column {shown(name)}: "
-                    f"{quoted(said[i])} is not a number; mend or delete the row, or use utc(...) where the column "
+                    f"{quoted(said[i])} is not a number; correct or delete the row, or use utc(...) where the column "
                     "holds dates"
                 )
 

@@ -131,7 +131,7 @@ def in_order(
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
         moved = int(np.count_nonzero(order != np.arange(len(order))))
-        say(f"{where}: {moved} rows were out of order ({backwards} falls of the time); sorted by time")
+        say(f"{where}: {moved} rows were out of order (the time decreases {backwards} times); sorted by time")
         time, rows = time[order], rows[order]
     time, note = spread(time, role, where)
     if note:

@@ -95,8 +95,8 @@ def on_trend(axis: str, trend: float) -> list[str]:
     if not trend:
         return []
     return [
-        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its random processes explain, as a "
-        "sensor does that warms up: log it after half an hour of running"
+        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its random processes explain, as "
+        "when a sensor warms up: log it after half an hour of running"
     ]
 
 
@@ -112,8 +112,8 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
     if not found:
         return []
     return [
-        f"the Allan deviation is not that of the model ({', '.join(found)}), as with vibration or a sensor's filter: "
-        "the model describes the slow noise, which a navigation filter integrates"
+        f"the Allan deviation is not that of the model ({', '.join(found)}), as with vibration or a filter in the "
+        "sensor: the model describes the slow noise, which a navigation filter integrates"
     ]
 
 

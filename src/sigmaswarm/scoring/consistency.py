@@ -164,8 +164,8 @@ VERDICTS: dict[Kind, str] = {
     ),
     "consistent": "is consistent: its innovations agree with their covariances",
     "optimistic_position": (
-        "is overconfident of its position: the sigmas are {nees_size}. Fixes share these errors, which NIS therefore "
-        "does not show"
+        "is overconfident about its position: the sigmas are {nees_size}. Fixes share these errors, which NIS "
+        "therefore does not show"
     ),
     "unknown": "failed or had too few fixes to judge its consistency",
 }

@@ -144,4 +144,4 @@ def said_of_position(found: Consistency) -> str:
         return f"{said}, or somewhat less: {included}, less than expected ({nis})"
     if alike:
         return f"{said}, or more: {included}, as expected, but neighboring fixes share a part of it"
-    return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not in it"
+    return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not included"

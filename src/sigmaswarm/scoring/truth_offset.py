@@ -52,7 +52,7 @@ def truth_offset(drive: Drive) -> str:
     return (
         f"the fixes of {drive.name} lie {abs(offset):.2f} m from the truth on average ({world.real:+.2f} m east, "
         f"{world.imag:+.2f} m north; {body.real:+.2f} m forward, {body.imag:+.2f} m left), and all position errors "
-        f"contain that: {'; or '.join(causes)}"
+        f"contain this offset: {'; or '.join(causes)}"
     )
 
 

@@ -224,5 +224,5 @@ def scale_warnings(objective: str, parameters: FilterParameters, replays: Replay
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= SCALE_MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= SCALE_NEAR:
             right = f"all noises times {nis / 2:.3g} make the mean NIS 2 and change the position RMSE by {moved:+.1%}"
-            return [to_do(f"{remedy}, or take FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
+            return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
     return [to_do(remedy, said)]

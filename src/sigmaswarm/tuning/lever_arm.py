@@ -90,8 +90,8 @@ class LeverArmEstimate:
         if not self.observable:
             times = (1.96 * max(self.std) / self.within) ** 2
             return (
-                f"the turns of this log do not show the lever arm within {self.within:g} m, that takes {times:.1f} "
-                f"times as many ({found}); drive.toml stays as it is"
+                f"the turns of this log do not determine the lever arm to {self.within:g} m, which needs "
+                f"{times:.1f} times as many ({found}); drive.toml stays as it is"
             )
         return f"{found}; drive.toml states {_placed(*self.stated)}" if any(self.stated) else found
 

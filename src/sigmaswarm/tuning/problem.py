@@ -257,7 +257,7 @@ def car_problem(
     objective = objective_named(config.objective)
     if config.prior and not objective.nats:
         raise InputError(
-            f"prior = {config.prior:g}: is counted in nats, and {objective.name} is not; leave prior out, or take "
+            f"prior = {config.prior:g}: is in nats, but {objective.name} is not; leave prior out, or use "
             "innovation-nll or innovation-t"
         )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives

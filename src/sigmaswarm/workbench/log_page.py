@@ -208,7 +208,7 @@ class LogPage(Page):
         name = choices.get("name") or self.bench.free("drives", log.stem)
         again = choices.get("made") == name
         with card():
-            text("h2", "Make a drive of it")
+            text("h2", "Make a drive from it")
             with line("end"):
                 field = ui.input("Name of the drive", value=name).classes("grow")
                 field.on("change", lambda: self.choose(name=field.value))

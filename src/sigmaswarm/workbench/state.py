@@ -60,7 +60,7 @@ class Workbench:
         """Return the folder of a drive, tuning, ... by its name; refuse names that lead elsewhere."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
-            raise InputError(f"{name!r} is not a name within {kind}; use letters, digits, - and _")
+            raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, holds: str = "") -> list[str]:

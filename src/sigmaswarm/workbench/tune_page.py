@@ -88,10 +88,10 @@ class TunePage(Page):
     @ui.refreshable_method
     def _setup(self) -> None:
         with card():
-            text("h2", "What to tune on")
+            text("h2", "Drives to tune on")
             if not self.plan:
                 text("p", "No drive yet.")
-                link("Make one of a log", "log")
+                link("Make one from a log", "log")
                 return
             planned = self.bench.choices.setdefault("plan", {})
             options = self.bench.choices.setdefault("options", {})

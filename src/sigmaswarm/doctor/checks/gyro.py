@@ -135,15 +135,15 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         signs = [axis[1] if axis else 1.0 for axis in follows]
         yield Finding(
             "gyro-tilt", "warning",
-            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign against how gravity turns: the roll rate "
-            "gx must be positive where the left side comes up, the pitch rate gy where the nose goes down",
+            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign relative to gravity's rotation: the roll "
+            "rate gx must be positive where the left side comes up, the pitch rate gy where the nose goes down",
             f"imu.csv, {', '.join(columns)}", span, confidence_of(min(axis[2] for axis in wrong) / 2),
             f"change the sign of {names}", Repair("tilt-rates", (signs[0], 0.0, 0.0, signs[1])),
         )  # fmt: skip
     if unseen := [k for k, axis in enumerate(follows) if axis is None]:
         columns, motion = ([names[k] for k in unseen] for names in (("gx", "gy"), ("rolls", "pitches")))
         what = (
-            f"the body hardly {' or '.join(motion)} as far as the forces show: "
+            f"the body hardly {' or '.join(motion)} according to the specific force: "
             f"the sign of {' and '.join(columns)} can't be checked"
         )
         remedy = "use a drive with turns, starts and stops to check it"

@@ -49,7 +49,7 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
         way = "later" if late > 0 else "earlier"
         what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
         remedy = (
-            "a filter takes both as of one moment: give headings a time of their own, or leave the column out"
+            "a filter assumes one time for both: give headings a time of their own, or leave the column out"
         )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 

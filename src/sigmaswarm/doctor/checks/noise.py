@@ -61,7 +61,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
                 "are hardly better than one; without truth neither the stated deviation nor a filter's error can be "
                 "checked"
             )
-            remedy = "read a filter's own position deviation as the scatter alone"
+            remedy = "a filter's own position deviation covers the scatter alone"
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )

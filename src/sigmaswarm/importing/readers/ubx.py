@@ -111,9 +111,9 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
             continue
         yield row, done
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged messages passed over")
+        remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if undated:
-        remarks.append(f"{path.name}: {undated} messages without a valid date passed over")
+        remarks.append(f"{path.name}: {undated} messages without a valid date skipped")
 
 
 def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
@@ -167,7 +167,7 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
     if "lat" in fix:
         yield _row_6(fix, week), 1.0
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged messages passed over")
+        remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if not week:
         remarks.append(
             f"{path.name}: no NAV-SOL states the GPS week: times are those of the week; --gps-offset moves them"
