@@ -63,6 +63,10 @@ class ImportOptions:
         Topic or table of the truth.
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
+    mag_topic
+        Topic or table of a magnetometer in the IMU's axes, which gives the fixes a heading; or map mag.mx, mag.my.
+    declination
+        Magnetic north east of true north, deg; by default found from the course, with the sensor's turn.
     receive_times
         Use the times at which messages were received, not their headers' stamps.
     part
@@ -116,6 +120,8 @@ class ImportOptions:
     odometer_topic: Annotated[str | None, MORE, Parameter(name=("--odometer-topic", "--odometer-table"))] = (
         None
     )
+    mag_topic: Annotated[str | None, MORE, Parameter(name=("--mag-topic", "--mag-table"))] = None
+    declination: Annotated[float | None, MORE, Parameter(allow_leading_hyphen=True)] = None
     receive_times: Annotated[bool, MORE] = False
     part: int | None = None
     msg: Annotated[list[Path] | None, MORE] = None
@@ -180,13 +186,15 @@ def _request(source: Path, options: ImportOptions) -> "Request":
     from sigmaswarm.importing.source import Choice
 
     topics = {
-        name: getattr(options, f"{name}_topic") for name in ("imu", "gps", "velocity", "truth", "odometer")
+        name: getattr(options, f"{name}_topic")
+        for name in ("imu", "gps", "velocity", "truth", "odometer", "mag")
     }
     settings: dict[str, Any] = {
         "mount": options.mount,
         "gps_offset_s": options.gps_offset,
         "truth_offset_s": options.truth_offset,
         "odometer_offset_s": options.odometer_offset,
+        "declination_deg": options.declination,
         "origin": numbers_of(options.origin, 3, "--origin", "50.1,8.7,120"),
         "gps_lever_arm_m": numbers_of(options.lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
         "gps_from_truth": numbers_of(options.gps_from_truth, 2, "--gps-from-truth", "5,1"),

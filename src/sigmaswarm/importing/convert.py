@@ -14,6 +14,7 @@ from sigmaswarm.importing.assemble import assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Gathered, complete_parts, gather
 from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Log, Part, Progress, Role
@@ -53,7 +54,7 @@ class Request:
 
     def home(self, role: Role) -> Path:
         """The log that gives a role."""
-        return (None if role == "imu" else getattr(self, role)) or self.source
+        return (None if role in ("imu", "mag") else getattr(self, role)) or self.source
 
 
 @dataclass(frozen=True)
@@ -126,11 +127,16 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     progress(1.0)
     try:
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
+        field = gathered.pop("mag", ())
         drive = assemble(name, gathered, plain, notes.append, request.part)
         if recipe.mount == AUTO:
             drive, mount, note = find_mount(drive)
             recipe = replace(recipe, mount=mount)
             notes.append(note)
+        if field:
+            drive = with_magnetometer(drive, field, recipe, notes.append, request.part)
+        elif recipe.declination_deg is not None:
+            raise InputError("--declination needs a magnetometer; choose its table with --mag-topic")
     except InputError as error:
         raise InputError(f"{request.source.name}: {error}") from None
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
@@ -180,7 +186,12 @@ def _guess(log: Log, request: Request) -> Guess:
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
             tables[role] = next(iter(log.tables))
-    return log.guess(replace(request.choice, mapped=mapped_roles(request.maps), tables=tables))
+    chosen = tables.pop("mag", None) if log.path == request.source else None
+    guess = log.guess(replace(request.choice, mapped=mapped_roles(request.maps), tables=tables))
+    if chosen is None:
+        return guess
+    part = part_of(chosen, log.tables[chosen].columns if chosen in log.tables else ())
+    return replace(guess, roles={**guess.roles, "mag": (part,)})
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:

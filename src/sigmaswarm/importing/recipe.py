@@ -26,6 +26,7 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
         *("speed", "course", "forward", "left", "theta", "keep"),
     ),
     "odometer": ("t", "speed", "keep"),
+    "mag": ("t", "mx", "my", "mz", "keep"),
 }
 """Columns that can be given for each role. Next to the drive's columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
 north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
@@ -33,7 +34,7 @@ rows count. A further table's ``+ax`` is added to ``ax``."""
 
 _SETTINGS: dict[str, type | int] = {
     "mount": str,
-    **dict.fromkeys(("gps_offset_s", "truth_offset_s", "odometer_offset_s"), float),
+    **dict.fromkeys(("gps_offset_s", "truth_offset_s", "odometer_offset_s", "declination_deg"), float),
     **{"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2},
 }
 """Types of the settings; for several numbers their count."""
@@ -45,11 +46,12 @@ class Recipe:
 
     Attributes
     ----------
-    roles : the parts of imu, gps, truth and odometer
+    roles : the parts of imu, gps, truth, odometer and mag (magnetometer)
     mount : mounting of the IMU in the vehicle, as ``parse_mount`` takes it
     gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times of fixes, of truth and of the odometer
     origin : latitude (deg), longitude (deg), altitude (m) of the local frame
     gps_lever_arm_m : m forward, left, up from the IMU to the antenna
+    declination_deg : deg, magnetic north east of true north; found from the course where None
     gps_from_truth : Hz, m; make fixes of the truth with so much white noise per axis, for data without a receiver
     """
 
@@ -58,6 +60,7 @@ class Recipe:
     gps_offset_s: float = 0.0
     truth_offset_s: float = 0.0
     odometer_offset_s: float = 0.0
+    declination_deg: float | None = None
     origin: tuple[float, float, float] | None = None
     gps_lever_arm_m: tuple[float, float, float] | None = None
     gps_from_truth: tuple[float, float] | None = None
@@ -84,7 +87,7 @@ class Recipe:
 
     def to_toml(self) -> str:
         """The recipe as TOML that ``load`` reads."""
-        content: dict[str, Any] = {k: v for k in _SETTINGS if (v := getattr(self, k))}
+        content: dict[str, Any] = {k: v for k in _SETTINGS if (v := getattr(self, k)) != getattr(Recipe, k)}
         for role, parts in self.roles.items():
             content[role] = [{"table": part.table, **part.columns} for part in parts]
         return tomli_w.dumps(content)

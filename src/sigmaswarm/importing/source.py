@@ -14,8 +14,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import fits
 from sigmaswarm.wording import quoted, shown
 
-Role = Literal["imu", "gps", "truth", "odometer"]
-ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer")
+Role = Literal["imu", "gps", "truth", "odometer", "mag"]
+ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 """Rows of a batch, where they are decoded one by one."""
 FILES = "columns"

@@ -12,7 +12,7 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
-LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0}
+LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
 """s: largest likely interval between samples."""
 SHORTEST_STEP = 1e-4
 """s: shortest interval of a car's sensor."""

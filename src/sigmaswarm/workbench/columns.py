@@ -24,6 +24,7 @@ UNITS: dict[str, dict[str, str]] = {
               "rad from north": "pi/2-{}"},
     "deviation": {"rad": "{}", "deg": "radians({})"},
     "condition": {"as it is": "{}"},
+    "field": {"as it is": "{}", "reversed": "-{}"},
 }  # fmt: skip
 """Units of each kind of quantity, and the expressions that convert them to those of a drive."""
 KINDS = {
@@ -33,6 +34,7 @@ KINDS = {
     **dict.fromkeys(("speed", "vx", "vy", "forward", "left"), "speed"),
     **dict.fromkeys(("lat", "lon"), "degrees"),
     **dict.fromkeys(("course", "theta", "heading"), "angle"),
+    **dict.fromkeys(("mx", "my", "mz"), "field"),
     **{"t": "time", "keep": "condition", "std_heading": "deviation"},
 }
 """The kind of quantity of each column of a drive."""
@@ -40,7 +42,7 @@ SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "
         "gz": "gz yaw rate", "lat": "latitude", "lon": "longitude", "alt": "altitude", "x": "x east", "y": "y north",
         "std_x": "accuracy east", "std_y": "accuracy north", "vx": "velocity east", "vy": "velocity north",
         "theta": "heading", "keep": "condition: row counts"}  # fmt: skip
-NAMES = {"imu": "IMU", "gps": "fixes", "truth": "truth", "odometer": "wheels"}
+NAMES = {"imu": "IMU", "gps": "fixes", "truth": "truth", "odometer": "wheels", "mag": "magnetometer"}
 UNUSED = ""
 TARGETS: dict[str, str] = {UNUSED: "not used"} | {
     f"{role}.{name}": f"{NAMES[role]}: {SAID.get(name, name)}" for role in ROLES for name in COLUMNS[role]

@@ -1,0 +1,234 @@
+"""The heading of a magnetometer: calibrated against the course of the same drive, and given at its fixes."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.doctor.evidence import gather as gather_evidence
+from sigmaswarm.doctor.windows import integral, smoothed
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.tables import NO_HEADING
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.dates import SECOND
+from sigmaswarm.importing.gather import Gathered
+from sigmaswarm.importing.joining import join
+from sigmaswarm.importing.mounting import parse_mount
+from sigmaswarm.importing.places import Say, Values
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Part
+from sigmaswarm.importing.times import written
+
+LEAST_TURN = 180
+"""deg: a drive that covers fewer directions than this does not determine the hard iron."""
+BIN = 10
+"""deg: directions within one such bin count as one."""
+LEAST_SAMPLES = 5
+"""Samples in a bin."""
+DRIFT = 10.0
+"""s: the gyro's heading is set right by the course over so much time."""
+MOST_ROWS = 20_000
+"""Rows that are used for the calibration, evenly over the drive."""
+STEEL = 4.0, 0.03
+"""Largest deviation of the field's size and direction: in standard deviations, and at least so much, 1 and rad."""
+AROUND = 1.0
+"""s before and after such a deviation in which there is no heading, too."""
+WORST = np.radians(20)
+"""rad: a heading that scatters more than this does not come from a magnetometer fixed to the vehicle."""
+LEAST_STD = np.radians(0.5)
+"""rad: smallest stated standard deviation."""
+LONGEST_GAP = 1.0
+"""s between samples, across which a heading is interpolated."""
+_UNLIKE = "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
+_AXES = (
+    r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
+    r"[mb][\W_]?([xyz])",
+    r"([xyz])",
+)
+"""Names of a magnetometer's axes in lower case, the usual ones first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The field in the sensor's axes as ``center + shape @ (cos, sin)`` of the heading.
+
+    Attributes
+    ----------
+    center : (2,), the hard iron, in the log's unit
+    shape : (2, 2), field, soft iron and mounting; its determinant is negative for x forward, y left, z up
+    """
+
+    center: Array
+    shape: Array
+
+    @property
+    def soft_iron(self) -> float:
+        """The ratio of the ellipse's axes, less 1."""
+        sizes = np.linalg.svd(self.shape, compute_uv=False)
+        return float(sizes[0] / sizes[1] - 1)
+
+    @property
+    def mirrored(self) -> bool:
+        """True where an axis of the sensor has the wrong sign, or x and y are exchanged."""
+        return bool(np.linalg.det(self.shape) > 0)
+
+    @property
+    def declination(self) -> float:
+        """Magnetic north east of true north, rad, with any turn of the sensor about the vertical axis."""
+        left, _, right = np.linalg.svd(self.shape)  # the orthogonal factor next to a symmetric soft iron
+        (sin, cos), _ = left @ right
+        return float(np.arctan2(sin, cos))
+
+
+def part_of(table: str, columns: Sequence[str]) -> Part:
+    """The axes of a magnetometer in a table that the user chose, by their names; none where they have others."""
+    for pattern in _AXES:
+        found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
+        if {"x", "y"} <= found.keys():
+            return Part(table, {f"m{axis}": written(found[axis]) for axis in "xyz" if axis in found})
+    return Part(table, {})
+
+
+def with_magnetometer(
+    drive: Drive, parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None
+) -> Drive:
+    """Add the heading of a magnetometer to a drive's fixes.
+
+    Raises
+    ------
+    InputError
+        The fixes have a heading, or the drive does not determine the calibration.
+    """
+    if drive.gps.heading is not None:
+        raise InputError("mag: the fixes have a heading already; omit one of both with --map")
+    stamps, values = join(parts, "mag", ("mx", "my"), say, recording)
+    zero = int(drive.metadata.get("time_origin_s", 0))
+    time, field = (stamps - zero * SECOND) / SECOND, _in_vehicle(values, recipe.mount)
+    reference, moving = _reference(drive, time)
+    turned = _turned(reference[moving])
+    if turned < LEAST_TURN:
+        raise InputError(
+            f"mag: the drive covers {turned} of 360 deg while it moves, too little to determine the hard iron "
+            f"({LEAST_TURN} are needed); import a drive with more turns, or omit the magnetometer"
+        )
+    calibration = calibrate(reference[moving], field[moving])
+    vector: Array = (field - calibration.center) @ np.linalg.inv(calibration.shape).T
+    off: Array = wrap_angle(np.arctan2(vector[:, 1], vector[:, 0]) - reference)
+    near_steel = _near_steel(time, np.hypot(*vector.T), off, moving)
+    usable = np.abs(off[moving & ~near_steel])
+    std = max(1.4826 * float(np.median(usable)), LEAST_STD) if len(usable) else np.inf
+    if std > WORST:
+        raise InputError(_UNLIKE)
+    turn = _turn(calibration, recipe.declination_deg)
+    heading, known = _at(drive.gps.time, time, vector, near_steel)
+    say(_said(calibration, recipe.declination_deg))
+    none = f"{np.count_nonzero(~known)} of {len(known)} fixes have none (steel nearby, or no sample)"
+    say(f"mag: heading with a standard deviation of {np.degrees(std):.1f} deg; {none}")
+    heading = np.where(known, wrap_angle(heading + turn), 0.0)
+    return replace(
+        drive, gps=replace(drive.gps, heading=heading, std_heading=np.where(known, std, NO_HEADING))
+    )
+
+
+def _in_vehicle(values: Values, mount: str) -> Array:
+    """The field (n, 2) forward and left; a constant tilt that is left is part of the calibration."""
+    rotation = parse_mount(mount) if mount else np.eye(3)
+    if "mz" not in values and np.any(rotation[:2, 2]):
+        raise InputError("mag: the mounting needs mz; map it, as in --map mag.mz=mag_z")
+    axes = [values[name] for name in ("mx", "my", "mz") if name in values]
+    return np.column_stack(axes) @ rotation[:2, : len(axes)].T
+
+
+def _reference(drive: Drive, time: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Heading (n,), rad, of the gyro set right by the course, and where the vehicle moves, at times (n,), s."""
+    evidence = gather_evidence(drive)
+    course, yaw, imu = evidence.course, evidence.yaw, evidence.drive.imu
+    if course is None or not course.moving.any() or not yaw.known:
+        raise InputError("mag: the calibration needs a moving vehicle, and a gyro that follows its course")
+    angle = integral(imu.time, yaw.factor * getattr(imu, yaw.column))
+    at, moving = course.time[course.moving], course.moving
+    drift = np.exp(1j * (course.angle[moving] - smoothed(imu.time, angle, at, course.span)))
+    rows = ((at - at[0]) // DRIFT).astype(np.int64)
+    _, rows = np.unique(rows, return_inverse=True)
+    count = np.bincount(rows)
+    sums = np.bincount(rows, drift.real) + 1j * np.bincount(rows, drift.imag)
+    known = np.bincount(rows, at) / count, np.unwrap(np.angle(sums))
+    inside = (time >= imu.time[0]) & (time <= imu.time[-1])
+    moves = np.interp(time, course.time, moving.astype(np.float64), left=0.0, right=0.0) == 1.0
+    return np.interp(time, imu.time, angle) + np.interp(time, *known), inside & moves
+
+
+def _turned(heading: Array) -> int:
+    """Degrees of the circle that a heading (n,), rad, covers."""
+    bins = (np.degrees(heading) % 360 // BIN).astype(np.int64)
+    return int(np.count_nonzero(np.bincount(bins, minlength=1) >= LEAST_SAMPLES)) * BIN
+
+
+def calibrate(heading: Array, field: Array) -> Calibration:
+    """Fit the ellipse of a field (n, 2) to the heading (n,), rad, by least squares with Cauchy weights."""
+    rows = slice(None, None, -(-len(heading) // MOST_ROWS))
+    heading, field = heading[rows], field[rows]
+    columns = np.column_stack([np.ones(len(heading)), np.cos(heading), np.sin(heading)])
+    weight: Array = np.ones(len(heading))
+    solution: Array = np.zeros((3, 2))
+    for _ in range(30):
+        root = np.sqrt(weight)[:, None]
+        solution = np.asarray(np.linalg.lstsq(root * columns, root * field, rcond=None)[0], np.float64)
+        size = np.hypot(*(field - columns @ solution).T)
+        weight = 1 / (1 + (size / max(2 * float(np.median(size)), 1e-12)) ** 2)
+    if np.linalg.cond(solution[1:]) > 100:
+        raise InputError(_UNLIKE)
+    return Calibration(solution[0], solution[1:].T)
+
+
+def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Samples (n,) within a second of one whose field has another size, or turns without the vehicle, by rad."""
+    odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
+    wrong = time[odd]
+    return np.searchsorted(wrong, time - AROUND) < np.searchsorted(wrong, time + AROUND, side="right")
+
+
+def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Values (n,) far from the others, by the robust deviation of those while the vehicle moves."""
+    apart = np.abs(values - float(np.median(values[moving])))
+    deviations, least = STEEL
+    return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)
+
+
+def _at(
+    fixes: Array, time: Array, vector: Array, near_steel: NDArray[np.bool_]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Heading (m,), rad, at the times of fixes (m,), s, and where it is known."""
+    x, y = (np.interp(fixes, time, column) for column in vector.T)
+    after = np.clip(np.searchsorted(time, fixes), 1, len(time) - 1)
+    close = (time[after] - time[after - 1] <= LONGEST_GAP) & (fixes >= time[0]) & (fixes <= time[-1])
+    return np.arctan2(y, x), close & ~near_steel[after] & ~near_steel[after - 1]
+
+
+def _turn(calibration: Calibration, stated: float | None) -> float:
+    """The turn, rad, from the heading that fits the course to that of a stated declination, deg."""
+    if stated is None:
+        return 0.0
+    if not abs(stated) <= 180:
+        raise InputError(f"--declination {stated:g} is not an angle; give degrees, east positive, as 3.5")
+    if calibration.mirrored:
+        raise InputError(
+            "mag: mx and my turn the wrong way round, so that the declination can't be applied; change the sign of "
+            "one, exchange them, or omit --declination"
+        )
+    return calibration.declination - float(np.radians(stated))
+
+
+def _said(calibration: Calibration, stated: float | None) -> str:
+    """The sentence on the calibration."""
+    x, y = calibration.center
+    fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
+    if calibration.mirrored:
+        return f"{fitted}; mx and my turn the wrong way round (x forward, y left): corrected by the course"
+    found = f"{np.degrees(calibration.declination):+.1f} deg by the course of the fixes"
+    if stated is None:
+        return f"{fitted}; declination, with the sensor's turn about z, {found}"
+    return f"{fitted}; declination {stated:+.1f} deg as stated, with the sensor's turn about z {found}"
