@@ -124,7 +124,7 @@ def test_a_full_disk_leaves_the_good_file_and_is_told_with_its_name(tmp_path: Pa
     (tmp_path / "x.csv").write_text("good")
     done = limited(script, tmp_path)
     assert done.stderr.splitlines()[-1] == (
-        "sigmaswarm.errors.InputError: x.csv: can't be written (File too large); make room, or name another place"
+        "sigmaswarm.errors.InputError: x.csv: can't be written (File too large); free some space, or name another place"
     )
     assert (tmp_path / "x.csv").read_text() == "good"
     assert names(tmp_path) == ["x.csv"]

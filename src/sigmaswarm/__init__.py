@@ -1,7 +1,7 @@
 """sigmaswarm tunes the Kalman filter that fuses a vehicle's IMU and GPS.
 
-The road of the data
---------------------
+Data flow
+---------
 A `Drive` is read, recorded or simulated; filters run over it; scores measure their errors; an objective
 turns scores into a cost; a swarm searches the parameters with the lowest cost; the result is a `Tuning`.
 

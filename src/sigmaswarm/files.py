@@ -190,7 +190,11 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     if number in (EEXIST, ENOTEMPTY):
         return InputError(f"{path}: exists already; delete it, or choose another name")
     reason = os.strerror(number) if number else str(error)
-    remedy = "make room, or name another place" if number in (ENOSPC, EDQUOT, EFBIG) else "name another place"
+    remedy = (
+        "free some space, or name another place"
+        if number in (ENOSPC, EDQUOT, EFBIG)
+        else "name another place"
+    )
     return InputError(f"{path}: can't be written ({reason}); {remedy}")
 
 

@@ -173,7 +173,7 @@ def _short(digits: int, value: float) -> str:
 
 
 def _printed(cell: Cell, column: Column) -> str:
-    """Format a cell as `shown` does, but with the printed format of numbers and a range in brackets."""
+    """Format a cell as `shown` does, but use the column's printed number format and put ranges in brackets."""
     column = replace(column, number=column.printed or column.number)
     if isinstance(cell, tuple):
         return f"[{', '.join(shown(end, column) for end in cell)}]"

@@ -129,7 +129,7 @@ def test_files_take_their_places_together_or_not_at_all(
         return rename(path, target)
 
     monkeypatch.setattr(Path, "rename", failing)
-    with pytest.raises(InputError, match="make room"), staged_files(folder) as new:
+    with pytest.raises(InputError, match="free some space"), staged_files(folder) as new:
         (new / "sub").mkdir()
         for name in ("a", "b", "sub/c"):
             write_whole(new / name, "new")

@@ -421,7 +421,7 @@ def test_the_demo_is_the_quick_study(
         "| EKF, manual: data sheet | 7.45 [7.22, 7.68] |",
         "| default filter of tune (honest) |",
         "| UKF | 1.20 |",
-        "**What the PSO found, best trial**",
+        "**Parameters found by the PSO, best trial**",
         "page:    show/page.html\n",
     ):
         assert words in ended.out

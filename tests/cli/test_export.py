@@ -32,7 +32,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     search = ("--particles", 4, "--generations", 2)
     ended = sigmaswarm("tune", drive, "--start", "ekf.yaml", "--out", "t", *search)
     assert ended.code == 0, ended.err
-    assert "model:    robot-localization" in ended.out and "of the start" in ended.out
+    assert "model:    robot-localization" in ended.out and "at the start" in ended.out
     ended = sigmaswarm("evaluate", "t", drive, "--against", "ekf.yaml", "--trust-log")
     assert ended.code == 0 and "other EKF" in ended.out
     out = ("--to", "robot-localization", "--out", "ekf")
@@ -42,7 +42,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization |" in page
     assert "The tuning has seen urban-clear-00" in page
     for wrong, said in (
-        (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against goes with --check"),
+        (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against needs --check"),
         (("--to", "filterpy", "--out", "ekf"), "filterpy does not support robot-localization"),
     ):
         ended = sigmaswarm("export", "t", *wrong)

@@ -275,7 +275,7 @@ def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
     (here / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
     assert sigmaswarm("import", "log.csv", "--out", "a", option, "300").code == 0
     ended = sigmaswarm("import", "log.csv", "--out", "b", option, "0")
-    assert ended.code == 2 and f"{option} 0 can't be" in ended.err
+    assert ended.code == 2 and f"{option} 0: must be above 0" in ended.err
     if option != "--max-unpacked-mb":
         ended = sigmaswarm("import", "log.csv", "--out", "b", option, "5")
         assert ended.code == 2 and f"raise {option}" in ended.err

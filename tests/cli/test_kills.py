@@ -148,7 +148,7 @@ def test_a_full_disk_leaves_what_was_there(
     assert done.returncode == 2, done.stderr
     told = [line for line in done.stderr.splitlines() if line.startswith("sigmaswarm: ")]
     assert len(told) == 1
-    assert "can't be written (File too large); make room, or name another place" in told[0]
+    assert "can't be written (File too large); free some space, or name another place" in told[0]
     assert "out" in told[0]
     left = tree(Path("out"))
     assert set(old) <= set(left)
@@ -204,7 +204,8 @@ def test_a_disk_that_is_really_full(sigmaswarm, arguments, monkeypatch: pytest.M
         ended = sigmaswarm(*words)
         assert ended.code == 2
         assert ended.err == (
-            "sigmaswarm: out/e.csv: can't be written (No space left on device); make room, or name another place\n"
+            "sigmaswarm: out/e.csv: can't be written (No space left on device); free some space, or name another "
+            "place\n"
         )
         assert tree(Path("out")) == {"e.csv": b"good"}
     finally:

@@ -31,7 +31,9 @@ def test_run_writes_the_mixture_and_what_the_swarm_said(sigmaswarm, drives: Path
     assert sigmaswarm("run", told["settled"], drive, "--out", "again.csv").code == 0
 
 
-def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def test_evaluate_has_a_row_for_it_and_so_has_the_page(
+    sigmaswarm, painted, drives: Path, tuned: Path, here: Path
+):
     drive = next(drives.iterdir())
     ended = sigmaswarm("evaluate", tuned, drive, "--swarm", "--out", "evaluation")
     assert ended.code == 0

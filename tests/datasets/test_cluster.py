@@ -248,7 +248,7 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
     [
         ("tcp://127.0.0.1:1", "no scheduler answers there"),
         ("tcp://127.0.0.1", "write it as tcp://host:8786"),
-        ("tls://127.0.0.1:8786", "make a Client in Python"),
+        ("tls://127.0.0.1:8786", "create a Client in Python"),
         ("nowhere.json", "is neither an address like tcp://host:8786 nor an existing scheduler file"),
         ("local:none", "give the number of processes, for example local:4"),
     ],

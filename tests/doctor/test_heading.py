@@ -12,6 +12,7 @@ from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.scenarios import simulate
 
@@ -75,3 +76,19 @@ def test_noise_follows_no_convention():
     rng = np.random.default_rng(0)
     (found,) = check_heading(gather(with_column(rng.uniform(-3.0, 3.0, len(good().gps)))))
     assert found.what == "heading does not follow the positions in any known convention"
+
+
+def test_a_fix_without_a_heading_has_none_after_a_repair():
+    heading, std = good().gps.heading, good().gps.std_heading
+    assert heading is not None and std is not None
+    lost = np.arange(len(heading)) % 5 == 0
+    drive = with_column(np.where(lost, 0.0, np.degrees(heading)), np.where(lost, NO_HEADING, np.degrees(std)))
+    (found,) = check_heading(gather(drive))
+    mended = repair(drive, replace(diagnose(drive), findings=(found,))).gps
+    assert mended.std_heading is not None
+    np.testing.assert_allclose(mended.std_heading, np.where(lost, NO_HEADING, std))
+
+
+def test_fixes_that_are_late_as_a_whole_are_no_delay_of_the_heading():
+    drive = replace(good(), gps=replace(good().gps, time=good().gps.time + 18.0))
+    assert not [found for found in check_heading(gather(drive)) if found.code == "heading-delay"]

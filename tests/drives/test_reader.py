@@ -182,7 +182,7 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     ),
     "longitude": (
         as_wgs84("50", "347"),
-        ["gps.csv", "row 5", "column lon", "'347'", "-180 to 180", "take 360"],
+        ["gps.csv", "row 5", "column lon", "'347'", "-180 to 180", "subtract 360"],
     ),
     "no-overlap": (shift_gps(500.0), ["imu.csv", "gps.csv", "0 to 20 s", "500.", "do not overlap", "clock"]),
     "few-fixes": (keep_rows("gps.csv", 9), ["gps.csv", "9 fixes", "too few", "at least 10"]),

@@ -118,6 +118,19 @@ def test_a_start_takes_the_first_fix_that_has_a_heading() -> None:
     start = initial_state(replace(drive, gps=replace(drive.gps, heading=heading, std_heading=std)))
     assert start.mean[4] == pytest.approx(0.4)
     assert start.time == drive.gps.time[7]
-    none = replace(drive.gps, heading=heading, std_heading=np.full_like(std, NO_HEADING))
-    by_travel = initial_state(replace(drive, gps=none))
-    np.testing.assert_array_equal(by_travel.mean, initial_state(drive).mean)
+    for rough in (NO_HEADING, 1.0):
+        vague = replace(drive.gps, heading=heading, std_heading=np.full_like(std, rough))
+        by_travel = initial_state(replace(drive, gps=vague))
+        np.testing.assert_array_equal(by_travel.mean, initial_state(drive).mean)
+    least = np.radians(10.0)
+    stated = initial_state(
+        replace(drive, gps=replace(drive.gps, heading=heading, std_heading=np.maximum(std, least)))
+    )
+    assert stated.covariance[4, 4] == pytest.approx(least**2)
+
+
+def test_a_heading_that_comes_late_does_not_delay_the_start() -> None:
+    drive = robot(8.0, noise=0.1)
+    std = np.where(drive.gps.time > 200.0, 0.01, NO_HEADING)
+    headed = replace(drive, gps=replace(drive.gps, heading=np.zeros_like(std), std_heading=std))
+    assert initial_state(headed).time == initial_state(drive).time < 60.0

@@ -119,7 +119,7 @@ def test_a_failure_while_writing_leaves_the_old_drive_and_no_litter(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(InputError, match=r"No space left on device.*make room"):
+    with pytest.raises(InputError, match=r"No space left on device.*free some space"):
         write_drive(make_drive(duration=10.0), tmp_path / "d", overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["d"]
     assert_same(read_drive(tmp_path / "d"), old)

@@ -178,7 +178,7 @@ def test_scores_are_of_held_out_drives_alone(whole: Study):
         assert {row["drive"] for row in rows if row["trial"] == str(trial)} == held_out
     found = {(row["protocol"], row["method"]) for row in rows}
     assert {"untuned", "paper", "honest"} == {protocol for protocol, _ in found}
-    assert len(found) == 15
+    assert len(found) == 16
 
 
 def test_results_can_be_found_again_in_the_scores(whole: Study):

@@ -116,11 +116,11 @@ def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
     [
         ("c99", {"alpha": 1e160}, "spread of the sigma points, of alpha = 1e.160, .* beyond the range"),
         ("c99", {"alpha": 1e-200}, "spread of the sigma points, of alpha = 1e-200"),
-        ("c99", {"nominal_interval": 1e-300}, "nominal_interval = 1e-300 s: the C library keeps a second"),
+        ("c99", {"nominal_interval": 1e-300}, "nominal_interval = 1e-300 s: the C library keeps one second"),
         (
             "c99",
             {"nominal_interval": 5e-324},
-            "nominal_interval = .* of an IMU of 10000 Hz at most; correct it",
+            "nominal_interval = .* at 10000 Hz at most; correct it",
         ),
         ("robot_localization", {"nominal_interval": 1e-320}, "nominal_interval is beyond the range"),
         ("robot_localization", {"process_noise": (1e307,) * 5}, "process_noise / nominal_interval is beyond"),

@@ -179,7 +179,7 @@ def test_wheels_that_turn_are_no_standstill():
 
 
 def test_a_drive_without_an_odometer_is_refused():
-    with pytest.raises(InputError, match=r"has no odometer\.csv; take a filter"):
+    with pytest.raises(InputError, match=r"has no odometer\.csv; use a filter"):
         run_filter(equipped(), parameters("planar5", **WHEELS))
-    with pytest.raises(InputError, match=r"has no odometer\.csv; take a filter"):
+    with pytest.raises(InputError, match=r"has no odometer\.csv; use a filter"):
         run_textbook(equipped(), parameters("planar5", **WHEELS))

@@ -324,7 +324,7 @@ def test_an_imu_of_three_axes_is_refused():
         lambda: run_textbook(drive, parameters()),
         lambda: tune([drive], model="tilted12", objective="innovation-nll"),
     ):
-        with pytest.raises(InputError, match=r"has no az, gx, gy, which tilted12 needs; take planar8"):
+        with pytest.raises(InputError, match=r"has no az, gx, gy, which tilted12 needs; use planar8"):
             call()
 
 

@@ -97,9 +97,9 @@ def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
         columns = {"t" if c == "time" else c: v for c, v in vars(table).items() if v is not None}
         for day in ("monday", "tuesday"):
             pl.DataFrame(columns).write_csv(tmp_path / f"{role}_{day}.csv")
-    said = [note for note in imported(tmp_path).notes if "is taken for the" in note]
+    said = [note for note in imported(tmp_path).notes if "is used for the" in note]
     assert said == [
-        f"{role}_tuesday.csv has the columns of {role}_monday.csv, and only {role}_monday.csv is taken for the {name}; "
+        f"{role}_tuesday.csv has the same columns as {role}_monday.csv; only {role}_monday.csv is used for the {name}; "
         f"choose with --{name}-table, and import each log as a separate drive"
         for role, name in (("imu", "imu"), ("gnss", "gps"))
     ]

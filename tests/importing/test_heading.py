@@ -71,7 +71,12 @@ def test_nmea(tmp_path: Path, kind: str):
 
 def test_ubx(tmp_path: Path):
     def relative(i: int) -> bytes:
-        fixed = {"relPosHeadingValid": int(i != 3), "carrSoln": 1 if i == 4 else 2, "gnssFixOK": 1}
+        fixed = {
+            "relPosHeadingValid": int(i != 3),
+            "carrSoln": 1 if i == 4 else 2,
+            "gnssFixOK": 1,
+            "isMoving": 1,
+        }
         heading = {"relPosHeading": NORTH[i], "accHeading": 0.4}
         itow = 1000 if i != 20 else 1
         message = pyubx2.UBXMessage(

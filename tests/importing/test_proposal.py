@@ -56,7 +56,7 @@ def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, togeth
         "std_x=hacc_m/sqrt(2)",
     ]
     assert seen.evidence == (
-        "read from the columns' names, checked with how the fixes move: signs, axes and units agree"
+        "read from the columns' names, checked with the motion of the fixes: signs, axes and units agree"
     )
     choice = Choice({"imu": "imu.csv"}) if together else Choice()
     drive = import_drive(replace(asked, maps=maps, choice=choice), "again").drive
@@ -94,7 +94,7 @@ def test_names_that_lie_about_signs_are_corrected_by_how_the_fixes_move(tmp_path
     seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
     maps = shlex.split(seen.proposal.removeprefix("--map "))
     assert maps[2:4] == ["ay=acc_right_g*9.80665", "gz=radians(yaw_rate_dps_cw)"]
-    assert "corrected by how the fixes move: signs, axes and units agree" in seen.evidence
+    assert "corrected by the motion of the fixes: signs, axes and units agree" in seen.evidence
 
 
 FULL = simulate("urban", duration=90.0, run=1, gps="white-1m", terrain="hilly", vibration=1.0)
@@ -128,7 +128,7 @@ def test_what_is_wrong_with_the_third_axes_is_corrected_too(tmp_path: Path, faul
     log.with_columns(**columns).write_csv(folder / "imu.csv")
     asked = Request(folder / "imu.csv", gps=folder / "fixes.csv")
     seen = look(asked)
-    assert "corrected by how the fixes move: signs, axes and units agree" in seen.evidence
+    assert "corrected by the motion of the fixes: signs, axes and units agree" in seen.evidence
     got = import_drive(replace(asked, maps=shlex.split(seen.proposal.removeprefix("--map "))), "again").drive
     for name in ("ax", "ay", "az", "gx", "gy", "gz"):
         np.testing.assert_allclose(

@@ -96,7 +96,9 @@ def test_comments_name_remarks_and_unknown_axes():
     assert "# gx is not known: the value of the other axes\n" in text
     assert "# az is not" not in text
     assert "ICM-20602" not in text
-    assert "# an axis without a measured bias has the walk of an ICM-20602\n" in text_of("kalibr", walk=0.0)
+    assert "# an axis without a measured bias has the random walk of an ICM-20602\n" in text_of(
+        "kalibr", walk=0.0
+    )
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_a_drive_uses_its_standstills_and_says_what_they_show():
     assert gz.walk.low == 0
     said = " ".join(noise.remarks)
     assert "2 standstills" in said
-    assert "take the upper ends" in said
+    assert "use the upper ends" in said
 
 
 def stop_and_go(turning: float = 0.3) -> Drive:

@@ -113,7 +113,12 @@ def test_what_can_not_be_run_is_refused():
         ),
         (None, [DEFAULTS, {"alpha": 1.0}], None, "got a dict; run_batch takes FilterParameters"),
         (None, 3, None, "got a int; run_batch takes FilterParameters"),
-        (None, [DEFAULTS], 2, r"executor = 2: is none; take concurrent.futures.ThreadPoolExecutor\(2\)"),
+        (
+            None,
+            [DEFAULTS],
+            2,
+            r"executor = 2: is not an executor; use concurrent.futures.ThreadPoolExecutor\(2\)",
+        ),
     ],
 )
 def test_what_is_no_drive_no_parameters_no_executor_is_said(drives: Any, sets: Any, executor: Any, said: str):

@@ -236,7 +236,7 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
     assert abs(before.mean_nis[0, 0] - 2.0) > 0.4  # or the test says nothing
     assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)
-    assert said.startswith("TO DO: tune with 'truth-pose + 0.2 nees', or take FilterParameters.scaled(")
+    assert said.startswith("TO DO: tune with 'truth-pose + 0.2 nees', or use FilterParameters.scaled(")
 
 
 def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():

@@ -115,7 +115,7 @@ def test_what_the_turns_do_not_show_stays_as_it_is(urban: Drive):
     found = estimate_lever_arm(drive, quiet(drive, "planar8"))
     assert not found.observable
     assert max(found.std) > 0.3
-    assert "do not show the lever arm within 0.15 m" in str(found)
+    assert "do not determine the lever arm to 0.15 m" in str(found)
     assert found.applied(drive) is drive
 
 

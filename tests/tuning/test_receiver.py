@@ -32,7 +32,11 @@ def with_r(std: float):
     [
         (0.05, FixNoise(1.8, 0.1), "corresponds to 0.05 m per axis, and the receiver states 1.8 m"),
         (0.05, FixNoise(NONE, 1.0), "scatter by 1 m about a path that the IMU can follow"),
-        (0.9, FixNoise(1.8, 0.1), "states 1.8 m per axis and its fixes scatter by 0.1 m: their errors last"),
+        (
+            0.9,
+            FixNoise(1.8, 0.1),
+            "states 1.8 m per axis and its fixes scatter by 0.1 m: their errors are correlated",
+        ),
         (0.1, FixNoise(NONE, 0.1), "scatter by 0.1 m per axis and their receiver states no deviation"),
         (0.9, FixNoise(1.0, 1.0), ""),
         (0.9, FixNoise(NONE, 1.0), ""),

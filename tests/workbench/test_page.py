@@ -61,10 +61,10 @@ def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_role("button", name="Keep only this part").click()
     page.get_by_text("kept only 0 to 40 s").wait_for()
     assert sigmaswarm.read_drive(checked).duration == pytest.approx(40.0, abs=0.1)
-    other.get_by_role("button", name="Take back: repaired: gyro-sign").click()
+    other.get_by_role("button", name="Undo: repaired: gyro-sign").click()
     page.get_by_role("button", name="Mend: gyro-sign").wait_for()
     assert (sigmaswarm.read_drive(checked).imu.gz == sigmaswarm.read_drive(original).imu.gz[:4000]).all()
-    page.get_by_role("button", name="Take back: kept").click()
+    page.get_by_role("button", name="Undo: kept").click()
     page.get_by_text("kept only").wait_for(state="hidden")
     assert not checked.exists()
     page.get_by_label("from, s").fill("20")
@@ -132,7 +132,7 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     page.keyboard.press("Enter")
     page.get_by_role("cell", name="log", exact=True).wait_for()
     for step, name, do, done in (
-        ("judge", "Judge", "Evaluate", "Next: take it away"),
+        ("judge", "Judge", "Evaluate", "Next: export it"),
         ("take", "Take away", "Write C99", "wrote 1"),
     ):
         tab_to(page, name)

@@ -95,7 +95,7 @@ def bag(folder: Path) -> list[Path]:
 def drop(page: Any, files: list[Path]) -> None:
     """Choose files as with the + of the drop zone, and wait until they have been read."""
     page.locator("input[type=file]").first.set_input_files(files)
-    page.get_by_text("What is in it").wait_for()
+    page.get_by_text("Contents of the log").wait_for()
     settle(page)
 
 
@@ -148,7 +148,7 @@ def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
     page.get_by_role("button", name="Evaluate").click()
     report = page.frame_locator("iframe")
     report.get_by_role("heading", name="Evaluation of planar5").wait_for()
-    page.get_by_role("link", name="Next: take it away").click()
+    page.get_by_role("link", name="Next: export it").click()
     page.get_by_role("button", name="Write C99").click()
     page.get_by_text("wrote 1").wait_for()
     (exported,) = (served.folder / "exports").iterdir()

@@ -46,7 +46,7 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
     sigmaswarm report evaluation
     sigmaswarm run tuned drives/friday --out estimate.csv
 
-Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out DRIVE` makes a drive of it.
+Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out DRIVE` makes a drive from it.
 
 In the browser: `sigmaswarm workbench LOG` does all of this.
 

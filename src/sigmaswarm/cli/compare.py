@@ -53,7 +53,8 @@ def compare(
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        Names, with settings after a colon, as pso:polish=300; all need the same budget. The first is the reference.
+        Names, with settings after a colon, such as pso:polish=300; all need the same budget. The first is the
+        reference.
     scales
         log10, linear or both; log10 by default.
     seeds

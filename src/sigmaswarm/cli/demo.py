@@ -8,7 +8,7 @@ from sigmaswarm.errors import InputError
 
 
 def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> None:
-    """Run the paper's experiment in small in a minute, as does `study --quick`.
+    """Run a small version of the paper's experiment in a minute, like `study --quick`.
 
     Example:
 
@@ -17,7 +17,8 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
     Parameters
     ----------
     out
-        Folder for results, tables, figures and the page; an earlier demo in it continues or is shown again.
+        Folder for results, tables, figures and the page; an unfinished demo in it is continued, a
+        finished one shown again.
     seed
         Seed of the drives, the splits and the swarms.
     """

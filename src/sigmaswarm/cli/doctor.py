@@ -10,7 +10,7 @@ import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_drives, say
 from sigmaswarm.cli.findings import print_diagnosis
 from sigmaswarm.cli.options import Json
-from sigmaswarm.errors import DriveWarning, InputError
+from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive
@@ -91,13 +91,17 @@ def _read(paths: list[Path]) -> "list[Drive]":
         return read_drives(paths)
 
 
-def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "LeverArmEstimate":
-    """Estimate the lever arm of the drives, or of their repaired copies."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the repairs warn again when the copies are made
-        if repaired:
-            drives = [sigmaswarm.repair(drive, sigmaswarm.diagnose(drive)) for drive in drives]
-        return sigmaswarm.estimate_lever_arm(drives, within=within)
+def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "LeverArmEstimate | None":
+    """Estimate the lever arm of the drives, or of their repaired copies; None, with a warning, where no filter runs."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the repairs warn again when the copies are made
+            if repaired:
+                drives = [sigmaswarm.repair(drive, sigmaswarm.diagnose(drive)) for drive in drives]
+            return sigmaswarm.estimate_lever_arm(drives, within=within)
+    except AlignmentError as error:
+        warnings.warn(f"no lever arm is estimated: {error}", SigmaswarmWarning, stacklevel=3)
+        return None
 
 
 def _check_names(drives: "list[Drive]", out: Path) -> None:
@@ -106,6 +110,6 @@ def _check_names(drives: "list[Drive]", out: Path) -> None:
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{names.count(name)} drives are named {name!r}; mend them one at a time")
+            raise InputError(f"{names.count(name)} drives are named {name!r}; repair them one at a time")
         if (out / name).exists():
             raise InputError(f"{out / name} exists already; delete it, or name another folder")

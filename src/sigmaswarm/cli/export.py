@@ -85,11 +85,11 @@ def export(
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:
         raise sigmaswarm.InputError(
-            f"--check is for --to c99, and for tunings of robot-localization: {to} is not C that could be built here"
+            f"--check is for --to c99, and for tunings of robot-localization: {to} is not C code that can be compiled"
         )
     if options.against and not (options.check and ros):
         raise sigmaswarm.InputError(
-            "--against goes with --check and a tuning of robot-localization; leave it out"
+            "--against needs --check and a tuning of robot-localization; leave it out"
         )
     drive = read_known(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
@@ -124,7 +124,10 @@ def _accuracy(
 def _found(checked: "Checked", lanes: int) -> str:
     """One line on a drive."""
     library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
-    line = f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in any state (relative, above 1)"
+    line = (
+        f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in every state "
+        "(relative for values above 1)"
+    )
     single = checked.single
     if single is None:
         return f"{line}; float can't hold this filter"

@@ -46,9 +46,9 @@ class ImportOptions:
     odometer
         Separate log of the wheel speed.
     map
-        column=expression for a drive's columns, as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
+        column=expression for a drive's columns, such as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
     time
-        Expression of the time in SOURCE's tables, s, as "stamp*1e-9" or "utc(date)".
+        Expression of the time in SOURCE's tables, s, such as "stamp*1e-9" or "utc(date)".
     recipe
         A saved recipe.
     save_recipe
@@ -88,7 +88,7 @@ class ImportOptions:
     heading_from_north
         Heading at the first IMU sample, degrees clockwise from north; written as heading_deg. For slow vehicles.
     gps_from_truth
-        rate,noise: make fixes from the truth, Hz and m of white noise, as 5,1.
+        Make fixes from the truth: rate in Hz and white noise in m, for example 5,1.
     max_rows
         Largest number of rows of a table; 10 million by default, 28 hours at 100 Hz.
     max_columns

@@ -23,15 +23,15 @@ class NoiseOptions:
     tuned
         A tuning, whose Q is shown instead of a log's noise.
     to
-        Packages in whose form and units the noise is printed, or written with --out.
+        Packages in whose format and units the noise is printed or, with --out, written.
     out
-        Folder to write to: the packages' files and, of a log, noise.png, noise.svg and noise.json.
+        Folder to write to: the packages' files and, for a log, noise.png, noise.svg and noise.json.
     recipe
         A recipe of the import, saved by import --save-recipe.
     map
-        column=expression for the IMU's columns, as of import: "ax=acc_x*9.80665".
+        column=expression for the IMU's columns, as for import: "ax=acc_x*9.80665".
     time
-        Expression of the time, s, as of import.
+        Expression of the time, s, as for import.
     imu_topic
         Topic or table of the IMU.
     """

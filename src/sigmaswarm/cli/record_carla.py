@@ -30,7 +30,7 @@ class RecordCarlaOptions:
     runs
         Drives of each maneuver in each environment.
     seed
-        Decides routes, driver and noise.
+        Seed of routes, driver and noise.
     map
         Town to load, such as Town06; by default the loaded one.
     accel_noise
@@ -38,7 +38,7 @@ class RecordCarlaOptions:
     gyro_noise
         rad/s, standard deviation of each sample.
     gyro_bias
-        rad/s; the constant bias of a run is drawn evenly from +- this.
+        rad/s; the constant bias of a run is drawn uniformly from +- this value.
     gps_noise
         m per axis, of each fix.
     timeout
@@ -46,7 +46,7 @@ class RecordCarlaOptions:
     patience
         Seconds to wait for a server that was lost.
     brake_sweep
-        Measure first which tire_friction gives which friction, and use it.
+        First measure the friction that each tire_friction gives, and use the result.
     resume
         Keep existing drives and record the missing ones.
     """
@@ -113,6 +113,7 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
             continue  # the recorder has heard it too, and puts the server in order first
     if code < 0:
         raise SigmaswarmError(
-            f"the CARLA client died of signal {-code}; complete drives are in {options.out}: continue with --resume"
+            f"the CARLA client was killed by signal {-code}; complete drives are in {options.out}: continue with "
+            "--resume"
         )
     sys.exit(code)

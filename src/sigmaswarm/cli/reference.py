@@ -28,9 +28,9 @@ class ReferenceOptions:
     offset
         Added to the good receiver's times, s.
     accuracy
-        Largest standard deviation per axis of a row of truth, m; others are left out.
+        Largest standard deviation per axis of a row of truth, m; rows above it are left out.
     fix_std
-        Smallest standard deviation per axis of a fix, m; also that of fixes without one.
+        Lower bound of a fix's standard deviation per axis, m; also used for fixes that state none.
     seed
         Seed of the tuning for the good receiver and of the hidden fixes.
     overwrite

@@ -31,7 +31,7 @@ class RunOptions:
     origin
         LAT,LON of x = y = 0, degrees, for maps of a drive without an origin.
     truth
-        Also write the drive's truth, in the format that this file's ending names.
+        Also write the drive's truth, in the format given by the file extension.
     merge
         With --out NAME.ros2: also copy the messages of the ROS 2 bag of the drive. --beside is the deprecated name.
     before
@@ -66,7 +66,7 @@ def run(
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
 
-    The file's ending names the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
+    The file extension selects the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
     .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder). The bag
     has innovations, NIS and a layout for Foxglove. A filter that was tuned without preprocessing runs without it.
     Smoothing ends and restarts at a reset. The bank adapts to changes of sensors or surroundings; with NAME.csv it also
@@ -126,7 +126,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
     if place and read.origin:
-        raise InputError(f"{drive}: has the origin of its own x and y; leave --origin out")
+        raise InputError(f"{drive}: has its own origin of x and y; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
     check_target(out, target["origin"], options.merge)
@@ -195,9 +195,9 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
 
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
-            what = "is a folder" if file.is_dir() else "is also asked for by another option"
+            what = "is a folder" if file.is_dir() else "is also the file of another option"
             raise InputError(
-                f"{file}: the filter bank writes it next to {out}, and it {what}; take another --out"
+                f"{file}: the filter bank writes it next to {out}, and it {what}; choose another --out"
             )
 
 

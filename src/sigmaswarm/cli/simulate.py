@@ -48,7 +48,7 @@ class SimulateOptions:
     vibration
         Add road and engine vibration to the IMU, as in two recordings of real cars.
     gnss_degradation
-        Degrade the fixes by the weather; an assumption without measurements behind it.
+        Degrade the fixes according to the weather: an assumption, not based on measurements.
     terrain
         flat, rolling or hilly; hills and banked roads tilt the car.
     odometer

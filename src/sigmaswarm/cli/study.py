@@ -26,7 +26,7 @@ class StudyOptions:
     config
         A study.toml to start from; the paper's study by default.
     quick
-        Run the study in small: 50 drives and 3 trials, in about half a minute.
+        Run a small study: 50 drives and 3 trials, in about half a minute.
     drives
         Folders or URLs of your own drives with truth, instead of simulated ones.
     trials
@@ -50,7 +50,7 @@ class StudyOptions:
     elsewhere
         With --rivals: drives with truth from other sensors or another car. Simulated without --drives.
     workers
-        Processes on Linux, else threads; all cores by default. With --cluster, tunings at a time.
+        Processes on Linux, else threads; all cores by default. With --cluster, simultaneous tunings.
     cluster
         Dask cluster: tcp://host:8786, a scheduler file, or local:4 for four processes of this machine.
     resume
@@ -96,7 +96,7 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     drift over 15, 30 and 60 s, drives of another sensor grade and another car, and learning curves.
     It needs pip install 'sigmaswarm[learned,bo]'.
 
-    The tables show the paper's figures, too. A killed study continues with --resume and ends in the same bytes, on any
+    The tables show the paper's figures, too. A killed study continues with --resume and gives the same bytes, on any
     number of workers.
 
     Examples:

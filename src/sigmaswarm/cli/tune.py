@@ -146,11 +146,11 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
     on = counted(len(tuning.data), "drive")
     if tuning.start_cost is not None:
-        yield f"cost {tuning.start_cost:.4f} of the start"
+        yield f"cost {tuning.start_cost:.4f} at the start"
     yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
-        yield f"racing: {tuning.steps} filter steps, {share:.0%} of those without it"
+        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the steps without racing"
     if tuning.validation:
         gap = tuning.validation.gap
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"

@@ -33,7 +33,7 @@ def workbench(
     logs
         Logs to open; others are dropped into the page.
     out
-        Folder for drives, tunings, evaluations and exports; made if missing.
+        Folder for drives, tunings, evaluations and exports; created if missing.
     port
         Port of the server; by default a free one.
     no_browser

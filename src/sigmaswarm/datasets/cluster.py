@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ANSWER_TIMEOUT = 30.0
 """s: timeout of a request to the scheduler."""
 CONNECT_TIMEOUT = 10.0
-"""s: timeout of the connection to it."""
+"""s: timeout of the connection to the scheduler."""
 
 
 class ClusterError(SigmaswarmError):
@@ -153,8 +153,8 @@ def _scheduler(address: str) -> str:
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(
-                f"--cluster {address}: write it as tcp://host:8786; for a cluster with certificates make a Client in "
-                "Python, and give it as cluster="
+                f"--cluster {address}: write it as tcp://host:8786; for a cluster with certificates create a Client in "
+                "Python, and pass it as cluster="
             )
         return address
     if not Path(address).is_file():

@@ -37,7 +37,7 @@ DRIVES_SHOWN = 10
 
 
 class Assignment:
-    """Which worker of a cluster has which drive; shared by all subsets of a dataset."""
+    """Assignment of drives to the workers of a cluster; shared by all subsets of a dataset."""
 
     def __init__(self, cluster: Cluster, sources: Sequence[Source]) -> None:
         self.cluster, self.sources = cluster, sources
@@ -184,8 +184,8 @@ class RemoteDataset:
             if lost > MOST_RETRIES:
                 need = in_gb(sum(assignment.sizes[i] for i in self.indices))
                 raise ClusterError(
-                    f"{lost} times all workers with these drives died, which need about {need} of memory; give the "
-                    "workers more memory, or start more of them"
+                    f"all workers with these drives died, {lost} times; the drives need about {need} of memory; give "
+                    "the workers more memory, or start more of them"
                 )
         return answers
 

@@ -9,16 +9,16 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Drive
 
 WIDEST = 40.0
-"""s: more than GPS time differs from UTC (18 s) and most receivers' start-up."""
+"""s: largest offset searched; GPS time minus UTC (18 s) and most receivers' start-up are shorter."""
 STEP = 0.1
 NEAR = 4.0
 """s: lags within this distance of a peak belong to it."""
 SPAN = 5.0
-"""s: over which turns are compared."""
+"""s: interval over which turns are compared."""
 LEAST, CLEARLY = 0.8, 0.15
 """Share of the turns that an offset must explain, and by how much it must exceed that of any other."""
 FEWER = 4.0
-"""An offset that leaves so many times less unexplained than any other exceeds them, too: turns that repeat."""
+"""An offset is also significant if it leaves this many times less unexplained than any other: turns may repeat."""
 FEWEST = 20
 LEAST_TURN = 0.15
 """rad RMS in `SPAN`: least change of a course that shows an offset."""

@@ -57,7 +57,10 @@ def diagnose(drive: Drive) -> Diagnosis:
     """
     if shortage := shortage_of(drive.imu, drive.gps):
         raise DriveError(f"{drive.name}/{shortage}")
-    key = drive.name, fingerprint(drive)
+    key = (
+        drive.name,
+        fingerprint(drive) + repr(sorted(drive.metadata.items())),
+    )  # drive.toml may state a noise
     found = _kept.get(key) or _diagnosed(drive)
     for old in list(_kept)[: len(_kept) + 1 - KEPT]:
         _kept.pop(old, None)

@@ -20,9 +20,9 @@ from sigmaswarm.drives.sensors import white_noise
 SEARCHED = 2.3
 """s: an offset this close to the bounds of the fit is not used."""
 USUAL = 1.0
-"""s: receivers are no later. A larger offset is believed only where the search finds no other."""
+"""s: largest usual delay of a receiver. A larger offset is accepted only where the search finds no other."""
 AS_RECORDED = Yaw(known=True)
-"""A yaw rate that needs no other column, sign or unit: others are believed only where no offset explains them."""
+"""A yaw rate that needs no other column, sign or unit; these are accepted only where no offset explains the data."""
 FEWEST = 20
 """Fixes; with fewer, only checks without motion run."""
 KEPT = 256

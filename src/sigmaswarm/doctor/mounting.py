@@ -37,7 +37,7 @@ ALIKE = 0.025
 """Tolerance of an entry of M, for slip and for tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
-"""s: over which the axis of turning is fitted."""
+"""s: window over which the axis of turning is fitted."""
 WANDERS = math.radians(8.0)
 """rad: change of gravity between windows above which the mounting is not constant."""
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5

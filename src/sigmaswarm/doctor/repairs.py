@@ -14,6 +14,7 @@ from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.geodesy import wrap_angle
 
 
@@ -62,12 +63,12 @@ def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
 
 
 def _rotate(drive: Drive, *rotation: float) -> Drive:
-    """The rotation (3, 3), row by row, of all six axes."""
+    """Rotate all six axes by a matrix (3, 3), given row by row."""
     return replace(drive, imu=turned(drive.imu, np.reshape(rotation, (3, 3))))
 
 
 def _gyro(drive: Drive, column: float, factor: float) -> Drive:
-    """Column (0, 1, 2 for gx, gy, gz) that is the yaw rate, and its factor; that of a unit applies to all columns."""
+    """Take a column (0, 1, 2 for gx, gy, gz) times a factor as gz; multiply the others by the factor's size."""
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
@@ -76,7 +77,7 @@ def _gyro(drive: Drive, column: float, factor: float) -> Drive:
 
 
 def _tilt_rates(drive: Drive, a: float, b: float, c: float, d: float) -> Drive:
-    """The matrix (2, 2), row by row, for gx and gy."""
+    """Multiply gx and gy by a matrix (2, 2), given row by row."""
     gx, gy = drive.imu.gx, drive.imu.gy
     if gx is None or gy is None:
         return drive
@@ -84,24 +85,24 @@ def _tilt_rates(drive: Drive, a: float, b: float, c: float, d: float) -> Drive:
 
 
 def _accelerometer(drive: Drive, a: float, b: float, c: float, d: float, up: float) -> Drive:
-    """The matrix (2, 2), row by row, for ax and ay, and a factor for az."""
+    """Multiply ax and ay by a matrix (2, 2), given row by row, and az by a factor."""
     ax, ay, az = drive.imu.ax, drive.imu.ay, drive.imu.az
     return _with("imu", drive, ax=a * ax + b * ay, ay=c * ax + d * ay, az=None if az is None else up * az)
 
 
 def _turn(drive: Drive, angle: float) -> Drive:
-    """rad, by which the sensor's horizontal axes, those of the gyro too, are rotated back about z."""
+    """Rotate the horizontal axes of accelerometer and gyro back about z by an angle, rad."""
     c, s = math.cos(angle), math.sin(angle)
     return _tilt_rates(_accelerometer(drive, c, -s, s, c, 1.0), c, -s, s, c)
 
 
 def _level(drive: Drive, x: float, y: float) -> Drive:
-    """Constants to be subtracted from ax and ay, m/s2."""
+    """Subtract constants, m/s2, from ax and ay."""
     return _with("imu", drive, ax=drive.imu.ax - x, ay=drive.imu.ay - y)
 
 
 def _state_noise(drive: Drive, std: float) -> Drive:
-    """m per axis, target of the median of the stated deviations."""
+    """Scale the stated deviations so that their median is ``std``, m per axis."""
     x, y = drive.gps.std_x, drive.gps.std_y
     if x is not None and y is not None:
         factor = std / float(np.median(np.concatenate([x, y])))
@@ -112,7 +113,7 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 
 
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
-    """A factor for speed, and which of `CONVENTIONS` (from 1) the course is in; 0 for the right one."""
+    """Multiply the speed by a factor; convert the course from one of `CONVENTIONS`, counted from 1; 0 leaves it."""
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:
         return drive
@@ -122,31 +123,29 @@ def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
 
 
 def _heading(drive: Drive, convention: float, offset: float) -> Drive:
-    """Which of `HEADINGS` the heading is in, and a constant, rad, to be taken off."""
-    heading, std, (name, read) = (
-        drive.gps.heading,
-        drive.gps.std_heading,
-        [*HEADINGS.items()][int(convention)],
-    )
+    """Convert the heading from one of `HEADINGS`, and subtract a constant, rad."""
+    heading, std = drive.gps.heading, drive.gps.std_heading
+    name, read = [*HEADINGS.items()][int(convention)]
     if heading is None:
         return drive
-    std = np.radians(std) if std is not None and name.startswith("deg") else std
+    if std is not None and name.startswith("deg"):
+        std = np.where(std < NO_HEADING, np.radians(std), std)
     return _with("gps", drive, heading=wrap_angle(read(heading) - offset), std_heading=std)
 
 
 def _odometer(drive: Drive, factor: float) -> Drive:
-    """A factor for the odometer's speed."""
+    """Multiply the odometer's speed by a factor."""
     return _with("odometer", drive, speed=drive.odometer and factor * drive.odometer.speed)
 
 
 def _drop_readings(drive: Drive, *ends: float) -> Drive:
-    """Start and end, s, of each span of the odometer to leave out."""
+    """Leave out spans of the odometer, given by start and end of each, s."""
     spans = zip(ends[::2], ends[1::2], strict=True)
     return replace(drive, odometer=(drive.odometer and without(drive.odometer, spans)) or None)
 
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
-    """A time, s, and the offset, s, of all later times."""
+    """Subtract the jump, s, from all times after a moment, s."""
     for sensor in ("imu", "gps", "truth", "odometer"):
         if table := getattr(drive, sensor):
             drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))

@@ -26,7 +26,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Means around times ``at`` over ``span`` s, weighted by the parabola of the slope of a fitted line."""
+    """Average around times ``at`` over ``span`` s with parabolic weights: of a rate, the slope of a line fit."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 
@@ -66,7 +66,7 @@ class Regression:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the solution (k, k); it allows for windows that overlap and for correlated residuals."""
+        """Covariance of the solution, shape (k, k); allows for overlapping windows and correlated residuals."""
         return _covariance(self.columns, self.left, self.own)
 
 

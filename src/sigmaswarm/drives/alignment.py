@@ -53,7 +53,9 @@ SLOW_BIAS_STD = np.radians(1.0)
 """rad/s: prior of the gyro's bias in such a window."""
 
 STATED_HEADING_STD = np.radians(5.0)
-"""rad: standard deviation of a heading that the user states."""
+"""rad: standard deviation of a stated heading; more where the fix states more."""
+MOST_STATED_STD = np.radians(12.0)
+"""rad: stated standard deviation of a fix's heading up to which a filter starts with it."""
 STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
 """m per axis; m/s forward and to the left: of the first fix, while the speed is unknown."""
 
@@ -100,12 +102,14 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoS
     usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
     if drive.heading is not None:
         return _stated_start(drive, usable)
-    if (headed := usable & np.isfinite(headings_of(drive.gps)[1])).any():
-        return _stated_start(drive, headed)
+    headed = usable & (headings_of(drive.gps)[1] <= MOST_STATED_STD**2)
+    first = drive.gps.time[headed][0] if headed.any() else np.inf
     alignments = Alignments(drive, usable)
-    for k in range(len(alignments.time)):
+    for k in range(np.searchsorted(alignments.time, first)):
         if found := alignments.at(k):
             return found
+    if headed.any():
+        return _stated_start(drive, headed)
     slow = _slow_start(drive, usable) if alignments.slow else None
     return slow or alignments.why_none()
 
@@ -130,14 +134,15 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoS
     if not len(fixes):
         return NoStart("no filter can start: no fix lies within the IMU's time", "use a longer drive")
     first, time = fixes[0], float(gps.time[fixes[0]])
+    std = STATED_HEADING_STD
     if drive.heading is not None:
         theta = wrap_angle(drive.heading + float(np.interp(time, imu.time, _integrated(drive)[0])))
     else:
-        assert gps.heading is not None
-        theta = wrap_angle(float(gps.heading[first]))
+        heading, variance = headings_of(gps)
+        theta, std = wrap_angle(float(heading[first])), max(std, float(np.sqrt(variance[first])))
     turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
     x, y = np.array([gps.x[first], gps.y[first]]) - turn @ drive.lever_arm
-    covariance = np.diag([STATED_POSITION_STD**2] * 2 + [0.0] * 2 + [STATED_HEADING_STD**2])
+    covariance = np.diag([STATED_POSITION_STD**2] * 2 + [0.0] * 2 + [std**2])
     covariance[2:4, 2:4] = turn @ np.diag([STATED_SPEED_STD**2, STATED_LATERAL_STD**2]) @ turn.T
     unknown = GyroSeen(np.zeros(3), np.full(3, np.inf), 0.0, np.zeros(5))
     return InitialState(np.array([x, y, 0.0, 0.0, theta]), covariance, time, unknown)
@@ -205,13 +210,15 @@ class Alignments:
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (FEWEST_FIXES - 1):
-            what = f"its fixes come every {every:.3g} s, and the heading takes {FEWEST_FIXES} of them within {time}"
+            what = f"its fixes come every {every:.3g} s, and the heading needs {FEWEST_FIXES} of them within {time}"
             return NoStart(f"no filter can start: {what}", "log the receiver at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
-        usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s"
-        takes = f"the heading takes {FEWEST_FIXES} within {time}, {MIN_DURATION:g} s or more"
+        usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
+        needs = (
+            f"the heading needs {FEWEST_FIXES} within {time}, at least {MIN_DURATION:g} s from first to last"
+        )
         return NoStart(
-            f"no filter can start: only {usable} from first to last, and {takes} from first to last",
+            f"no filter can start: only {usable}, and {needs}",
             "use a longer drive, whose fixes come at 1 Hz or faster, without gaps, and don't repeat each other",
         )
 

@@ -34,7 +34,7 @@ MIN_POSITION_STD = 0.05
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """Where a filter starts.
+    """Initial state of a filter.
 
     Attributes
     ----------

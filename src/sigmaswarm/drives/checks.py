@@ -114,7 +114,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
     """Faults of the times that make all other figures of the log meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
-    remedy = "delete the rows whose times are wrong; of a log with a true pause, make a drive of each part"
+    remedy = "delete the rows whose times are wrong; if the logger did pause, make a drive of each part"
     sensors = ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP))
     return [
         Remark(

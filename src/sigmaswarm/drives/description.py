@@ -43,7 +43,9 @@ def read_description(path: Path) -> dict[str, Any]:
         raise DriveError(f"{path} can't be read ({error.strerror}); name another file") from None
     except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
         remedy = (
-            "write it as UTF-8" if isinstance(error, UnicodeError) else "mend that line (text needs quotes)"
+            "write it as UTF-8"
+            if isinstance(error, UnicodeError)
+            else "correct that line (text needs quotes)"
         )
         raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; {remedy}") from None
     require_name(about.get("name", "unnamed"), path)

@@ -10,7 +10,7 @@ from sigmaswarm.drives.drive import Drive
 
 START_RULE = (
     "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster); of a slower drive, "
-    "10 m or more in up to 90 s; with a stated heading, the first fix"
+    "10 m or more in up to 90 s; with a stated heading, the first fix that has one, if it is earlier"
 )
 """The rule of `alignment` that gives `DriveRecord.scored_from_s`, for messages and pages."""
 

@@ -26,7 +26,7 @@ from sigmaswarm.geodesy import enu_to_geodetic
 Whole = NDArray[np.int64]
 
 SEEN_FILE = "seen.npz"
-"""In a tuning's folder: the landmarks of the drives that it was tuned on."""
+"""File in a tuning's folder with the landmarks of its training drives."""
 MICRO = 1_000_000
 SAME_TIME = 1000
 """us: largest difference between the times of one landmark, after the clocks' offset."""

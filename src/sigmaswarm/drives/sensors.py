@@ -186,7 +186,7 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     """Estimate the white noise of fixes at even times, east + i north (n,) m; m per axis, 0 for fewer than four.
 
-    The estimate is robust. It uses third differences, which remove the motion, and lasting errors with it.
+    The estimate is robust. It uses third differences, which remove the motion, and correlated errors with it.
     """
     third = np.diff(position, n=3)
     spread = np.concatenate([third.real, third.imag])
@@ -196,7 +196,7 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 def has_white_errors(drive: Drive) -> bool:
     """Return whether most of the error of the fixes is white, as far as the log shows.
 
-    If a receiver smooths, or its errors last, neighboring fixes differ by far less than their error.
+    If a receiver smooths, or its errors are correlated, neighboring fixes differ by far less than their error.
     """
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)

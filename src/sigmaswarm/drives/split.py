@@ -68,10 +68,13 @@ def split_time(
     _require_fraction(train_fraction)
     if at is None:
         at = float(drive.imu.time[0] + train_fraction * drive.duration)
-    end, start = at if isinstance(at, tuple) else (at, at)
+    times = np.ravel(np.asarray(at, np.float64))
+    if len(times) not in (1, 2):
+        raise InputError(f"at has {len(times)} times; give one, or two to leave out the part between them")
+    end, start = float(times[0]), float(times[-1])
     if start < end:
-        raise InputError(f"at = {end:g}, {start:g} s: the first time is later; give them in order")
-    names = ("before", "after") if isinstance(at, tuple) else ("train", "test")
+        raise InputError(f"at = {end:g}, {start:g} s: the first time is after the second; exchange them")
+    names = ("before", "after") if len(times) == 2 else ("train", "test")
     parts = (
         clip(drive, end=end, name=f"{drive.name}-{names[0]}"),
         clip(drive, start=start, name=f"{drive.name}-{names[1]}"),

@@ -27,7 +27,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
     "x": (-LARGEST, LARGEST, "give meters from an origin near by"),
     "y": (-LARGEST, LARGEST, "give meters from an origin near by"),
-    "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
+    "lon": (-180.0, 180.0, "give degrees east; subtract 360 where they run from 0 to 360"),
     "std_x": (1e-6, LARGEST, _NO_STD),
     "std_y": (1e-6, LARGEST, _NO_STD),
     "std_theta": (1e-9, LARGEST, _NO_STD),

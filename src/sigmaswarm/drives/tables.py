@@ -110,7 +110,7 @@ def headings_of(gps: Gps) -> tuple[Array, Array]:
     if gps.heading is None:
         return np.zeros(len(gps)), np.full(len(gps), np.inf)
     std = np.zeros(len(gps)) if gps.std_heading is None else gps.std_heading
-    return gps.heading, np.where(std < NO_HEADING, std**2, np.inf)
+    return gps.heading, np.where(np.isfinite(gps.heading) & (std < NO_HEADING), std**2, np.inf)
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,7 @@ class Timeline:
 
     @cached_property
     def alignments(self) -> Alignments:
-        """Of the fixes that a filter uses; for the divergence monitor."""
+        """Alignments of the fixes that a filter uses, for the divergence monitor."""
         return Alignments(self.drive, usable=self.kinds < FROZEN)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
@@ -253,7 +253,7 @@ def _fixes_of(gps: Gps) -> dict[str, Any]:
 
 
 def _is_last(ends: Array) -> NDArray[np.bool_]:
-    """Of the steps that end at one moment."""
+    """A mask of the steps that are the last to end at their moment."""
     return np.append(ends[1:] != ends[:-1], True)
 
 

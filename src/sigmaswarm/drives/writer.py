@@ -85,7 +85,7 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
     wgs84 = drive.frame == "wgs84"
     if wgs84 and (drive.gps.lat is None or drive.gps.lon is None or drive.origin is None):
         raise DriveError(
-            f'{folder}: a drive in frame "wgs84" needs gps.lat, gps.lon and origin; set them or "enu"'
+            f'{folder}: a drive in frame "wgs84" needs gps.lat, gps.lon and origin; set them, or frame = "enu"'
         )
     about: dict[str, Any] = {"name": drive.name, "frame": drive.frame, "origin": drive.origin}
     about |= {key: value for key, value in drive.metadata.items() if key not in about}

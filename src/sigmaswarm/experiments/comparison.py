@@ -140,7 +140,7 @@ class Comparison:
 
     @property
     def seeds(self) -> int:
-        """How many runs each contender had."""
+        """Number of runs of each contender."""
         return len(self.runs[self.contenders[0].label])
 
     def values(self, label: str, measure: str) -> Array:

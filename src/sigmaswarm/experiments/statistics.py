@@ -71,9 +71,10 @@ def bootstrap(
     rng: np.random.Generator,
     known: Known | None = None,
 ) -> Interval:
-    """Return the percentile interval of a statistic of paired columns' means, drives resampled within conditions.
+    """Return the percentile interval of a statistic of the means of paired columns.
 
-    ``statistic`` takes the mean of each column, shape (RESAMPLES,). ``known`` is a cache: see `_once`.
+    Drives are resampled within their conditions. ``statistic`` takes the mean of each column, shape
+    (RESAMPLES,). ``known`` is a cache: see `_once`.
     """
     n = len(columns[0])
     if n < 2 or not all(np.isfinite(column).all() for column in columns):

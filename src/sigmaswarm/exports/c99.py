@@ -50,7 +50,7 @@ ALONE = Lanes()
 def c99(
     parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
 ) -> dict[str, str]:
-    """Headers, sources and the replaying program, by file name; ``interval`` (s) is that of Q.
+    """Return headers, sources and the replay program, by file name; Q refers to steps of ``interval`` s.
 
     ``as_recorded``: see `PreparedDrive`.
 
@@ -61,13 +61,13 @@ def c99(
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(
-            f"nominal_interval = {interval:g} s: the C library keeps a second of samples, of an IMU of "
+            f"nominal_interval = {interval:g} s: the C library keeps one second of samples, at "
             f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
         )
     model = MODELS[parameters.model]
     kinds = ("ekf",) if model.tilts else model.kinds
     if parameters.kind not in kinds:
-        raise InputError(f"{parameters.model} has no {parameters.kind} in C; take kind {' or '.join(kinds)}")
+        raise InputError(f"{parameters.model} has no {parameters.kind} in C; use kind {' or '.join(kinds)}")
     features = features_of(parameters)
     fits = all(fits_float(p) for p in lanes.filters(parameters))
     features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
@@ -188,14 +188,14 @@ def fits_float(p: FilterParameters) -> bool:
 
 
 def _texts_of_heading(used: bool) -> dict[str, str]:
-    """What a filter that uses headings has in addition in the templates."""
+    """Additions to the templates for a filter that uses headings."""
     texts = {
         "ALSO_HEADING": ", const ins_gps_real *heading",
         "NO_HEADING": ", 0",
         "REPLAYED_HEADING": ", n < 9 || isnan(z[7]) ? NULL : heading",
         "OR_NINE": " || n == 9",
         "TAKES_HEADING": ", heading: Sequence[float] | None = None",
-        "GIVES_HEADING": ", heading and self._reals(heading)",
+        "GIVES_HEADING": ", None if heading is None else self._reals(heading)",
     }
     return {name: text if used else "" for name, text in texts.items()}
 
@@ -233,7 +233,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
-        "BELIEF_NOTE": " /* and the error of fixes that lasts, m east and north */" if lasting else "",
+        "BELIEF_NOTE": " /* and the correlated fix error, m east and north */" if lasting else "",
         "GYRO_NOTE": gyro_note,
         "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
         "LEVER_AXES": ", left and up" if tilted else " and left",

@@ -25,7 +25,7 @@ STATES = (
 )
 """Names of the elements of a state in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
-"""Of these, the states that are appended to any model."""
+"""Those of the states that are appended to any model."""
 PARAMETERS = {
     "w": ("InsGpsBelief *b", "Work *work"),
     "u": ("real dt", "real steps", "const InsGpsSample *sample"),

@@ -14,7 +14,7 @@ from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
-    """Which parts of the templates a filter needs."""
+    """Flags of the template parts that a filter needs."""
     velocity, lateral, stands, wheels, _, heading = schedule.switches(p)
     has_tilts = MODELS[p.model].tilts is not None
     biases, gate, robust = bool(MODELS[p.model].sensors), p.gate is not None, p.robust_dof is not None
@@ -121,7 +121,7 @@ def in_range(value: float, of: str) -> float:
     """
     if not math.isfinite(value):
         raise InputError(
-            f"the filter can't be handed over: {of} is beyond the range of numbers; tune it again or correct it"
+            f"the filter can't be exported: {of} is beyond the range of numbers; tune it again or correct it"
         )
     return value
 

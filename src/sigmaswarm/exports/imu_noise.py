@@ -57,7 +57,7 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
         if axis not in known
     ]
     if not all(axis.bias(noise.longest)[0] for axis in noise.axes):
-        lines.append("an axis without a measured bias has the walk of an ICM-20602")
+        lines.append("an axis without a measured bias has the random walk of an ICM-20602")
     comments = [f"{sign} {' '.join(line.split())}" for line in lines]
     return {file: "\n".join([*comments, *written(noise), ""])}
 

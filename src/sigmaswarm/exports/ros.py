@@ -58,7 +58,7 @@ def ros2(
     ----------
     pieces : iterable of Estimate
     span : (float, float)
-        s, from the first of them to the last.
+        Times of the first and the last estimate, s.
     path : Path
         Not there yet.
     time_origin : float
@@ -117,7 +117,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     Raises
     ------
     InputError
-        If it is none, is damaged, was recorded at another time, or has the topic of the estimate already.
+        If it is not a bag, is damaged, was recorded at another time, or has the topic of the estimate already.
     """
     highlevel, typesys = library("rosbags.highlevel", "ros"), library("rosbags.typesys", "ros")
     if not path.exists():

@@ -43,7 +43,7 @@ SPEED_STD = 10.0
 
 @dataclass(frozen=True, eq=False)
 class CheckTimes:
-    """When a filter is checked.
+    """Times at which a filter is checked.
 
     Attributes
     ----------

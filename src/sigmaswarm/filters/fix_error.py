@@ -1,4 +1,4 @@
-"""Fix errors that last, as two Gauss-Markov states: an option of every model that the IMU drives.
+"""Correlated fix errors, as two Gauss-Markov states: an option of every model that the IMU drives.
 
 Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
 those of a model. They do not enter its process. A fix measures p + b + v; between two fixes dt apart

@@ -115,7 +115,7 @@ class KernelArray:
         kinds = FILTERS[self.kernel].kinds
         if self.like.kind not in kinds:
             raise InputError(
-                f"{self.like.model} is not compiled as {self.like.kind}; take kind {' or '.join(kinds)}, "
+                f"{self.like.model} is not compiled as {self.like.kind}; use kind {' or '.join(kinds)}, "
                 "or run_textbook"
             )
         # A full block may begin at any set.

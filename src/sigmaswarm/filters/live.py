@@ -427,7 +427,7 @@ def _squared(std: Sequence[float] | None) -> tuple[float, float]:
     if std is None or not (len(std) == 2 and 0 <= std[0] <= LARGEST and 0 <= std[1] <= LARGEST):
         raise InputError(
             f"std = {std}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale); "
-            f"give two standard deviations in m, at most {LARGEST:g}, or take a filter that was tuned without accuracy"
+            f"give two standard deviations in m, at most {LARGEST:g}, or use a filter that was tuned without accuracy"
         )
     return float(std[0]) ** 2, float(std[1]) ** 2
 

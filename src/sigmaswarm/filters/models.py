@@ -238,7 +238,7 @@ class CarModel:
     options : tuple of str or None
         Measurements and features that it can use; None: all.
     fix_error : bool
-        Its last two states are the error of fixes that lasts: see `filters.fix_error`.
+        Its last two states are the correlated fix error: see `filters.fix_error`.
     """
 
     states: tuple[State, ...]

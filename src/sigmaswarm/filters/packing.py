@@ -55,7 +55,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
     """As `unpack_states`, with the covariance of the mean: of a tilted model's angles, not of its error.
 
     For a model that measures the IMU these are the five states of planar5, with the velocity in m/s east and north. The
-    lasting error of fixes is left out.
+    correlated fix error is left out.
     """
     mean, covariance = unpack_states(state, model)
     if FILTERS[model].fix_error:

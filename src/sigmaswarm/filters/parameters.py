@@ -66,14 +66,14 @@ class FilterParameters:
     forgetting : float
         In (0, 1): memory of an adaptive, strong tracking or fuzzy filter from fix to fix.
     fuzzy_widths : tuple of float, length 2
-        Distances of ratio and trend, both in (-1, 1), from 0 at which "large" and "rises" are wholly true.
+        Magnitudes of ratio and trend, both in (-1, 1), at which "large" and "rises" have membership 1.
     fuzzy_gains : tuple of float, length 2
-        At least 1: largest factors and divisors of R and Q by a fuzzy filter's rules.
+        Largest factors (and divisors) that a fuzzy filter's rules apply to R and Q; at least 1.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     imu_noise : tuple of float, length 2 or 3
-        robot-localization: variances that the IMU's messages state: of gz, (rad/s)2, ax, (m/s2)2, and, where ay is
-        fused, of ay.
+        robot-localization: variances in the IMU's messages: of gz, (rad/s)2; of ax, (m/s2)2; where ay is fused, also
+        of ay.
     imu_gate : tuple of float, length 2
         robot-localization: the largest NIS of gz and of ax that is used; infinite without a limit.
     velocity_noise : float or None
@@ -104,7 +104,7 @@ class FilterParameters:
         s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the receiver
         reports. None: ``measurement_noise`` alone.
     fix_error : float or None
-        g: variance of the error of fixes that lasts, over the variance that the receiver states of a fix, or
+        g: variance of the correlated fix error, over the variance that the receiver states of a fix, or
         ``fix_std`` squared: see `filters.fix_error`. None: errors of fixes are independent.
     fix_error_time : float
         s: time constant of that error.
@@ -170,7 +170,7 @@ class FilterParameters:
                 raise ValueError(f"{self.model} has no {field}; leave it out")
         if self.kernel not in FILTERS:
             raise ValueError(
-                f"fix_error does not go with {self.model} as {self.kind}; take ekf, or leave it out"
+                f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave it out"
             )
         if known is not None and self.latency:
             raise ValueError(f"{self.model} has no latency; set smooth_lagged_data where fixes are late")
@@ -304,13 +304,13 @@ def clash(kind: str, use: Collection[str]) -> str | None:
         return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
-            f"robust can't be combined with {kind}, which adapts to what robust rejects; take ukf or ekf, or "
+            f"robust can't be combined with {kind}, which adapts to what robust rejects; use ukf or ekf, or "
             "leave it out"
         )
     if "accuracy" in use and kind == "adaptive-ukf":
-        return "accuracy can't be combined with adaptive-ukf, which estimates R; take another kind, or leave it out"
+        return "accuracy can't be combined with adaptive-ukf, which estimates R; use another kind, or leave it out"
     if "fix-error" in use and kind not in ("ukf", "ekf"):
-        return f"fix-error can't be combined with {kind}, which adapts its noise; take ukf or ekf, or leave it out"
+        return f"fix-error can't be combined with {kind}, which adapts its noise; use ukf or ekf, or leave it out"
     return None
 
 

@@ -25,6 +25,7 @@ import numpy as np
 from sigmaswarm.datasets.dataset import Dataset
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
+from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -146,10 +147,10 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
     if drive.gps.std_x is not None and drive.gps.std_y is not None:
         variances = {"measurement_noise": (SMALLEST,) * 2, "accuracy_scale": 1.0}
     wheels = p.odometer_noise if drive.odometer is not None else None
-    heading = p.heading_noise
-    if drive.gps.heading is None:
+    heading, (_, of_fixes) = p.heading_noise, headings_of(drive.gps)
+    if not np.isfinite(of_fixes).any():
         heading = None
-    elif heading is not None and drive.gps.std_heading is not None:
+    elif heading is not None and np.nanmedian(np.where(np.isfinite(of_fixes), of_fixes, np.nan)) > SMALLEST:
         heading = SMALLEST
     return replace(p, imu_noise=imu, odometer_noise=wheels, heading_noise=heading, **variances)
 

@@ -202,7 +202,7 @@ class Recording:
         run_steps(self._replay, self._array, self._rows[0], self._place, stop, record, self._innovations)
 
     def _check(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
-        """Check the filter after some steps, from their record, up to the first at which it has diverged.
+        """Check the filter at the recorded steps, up to the first at which it has diverged.
 
         Returns the row of that step, or the last row, and the state of the reset there, if there is one.
         """

@@ -24,7 +24,7 @@ PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 IMU_NOISE = (1e-4, 1e-2)
 """Usual variances of gz ((rad/s)2) and ax ((m/s2)2)."""
 HEADING_NOISE = math.radians(0.5) ** 2
-"""rad2: usual variance of the heading of two antennas."""
+"""rad2: usual variance of a dual-antenna heading."""
 SPEED_NOISE = 0.1**2
 """Usual variance of a measured speed, (m/s)2."""
 SMALLEST = 1e-9

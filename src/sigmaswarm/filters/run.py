@@ -181,7 +181,7 @@ class Run(Protocol):
 
     @property
     def initial(self) -> InitialState:
-        """Where the filter started."""
+        """The initial state of the filter."""
         ...
 
     @property

@@ -77,7 +77,7 @@ def require_odometer(drive: Drive) -> None:
     if drive.odometer is None:
         raise InputError(
             f"{drive.name}: the filter uses the wheels' speed (odometer_noise), and the drive has no odometer.csv; "
-            "take a filter that was tuned without odometer"
+            "use a filter that was tuned without odometer"
         )
 
 
@@ -92,7 +92,7 @@ def require_accuracy(line: Timeline) -> None:
     if not line.states_accuracy:
         raise InputError(
             f"{line.drive.name}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale), "
-            "and gps.csv has no std_x and std_y for all fixes; take a filter that was tuned without accuracy"
+            "and gps.csv has no std_x and std_y for all fixes; use a filter that was tuned without accuracy"
         )
 
 
@@ -115,7 +115,7 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
     if lacking:
         raise InputError(
             f"{name}: its imu.csv has no {', '.join(lacking)}, which {model} needs; "
-            "take planar8, which needs ax, ay and gz only"
+            "use planar8, which needs ax, ay and gz only"
         )
 
 
@@ -199,7 +199,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
     """Means (m, r, n) and covariances (m, r, n, n) at m starts of one length for std of shape (r, 3).
 
     States that a start lacks begin at 0: a bias with its ``std``, roll and pitch with the ``start_std`` of their
-    state, the lasting error of fixes as `fix_error.add_start`. Gyro biases observed at the start are included: see
+    state, the correlated fix error as `fix_error.add_start`. Gyro biases observed at the start are included: see
     `GyroSeen.tell`.
     """
     n = len(model.states)

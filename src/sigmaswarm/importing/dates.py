@@ -26,7 +26,7 @@ _LEAP_DAYS = (
 """Days before which a leap second was inserted (IERS Bulletin C); none has been announced since."""
 LEAP_SECONDS = np.array(_LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
-"""When, in GPS time as s since 1970, each of them has passed."""
+"""GPS time at which each leap second has passed, s since 1970."""
 
 
 def gps_to_unix(seconds: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -92,7 +92,7 @@ class Gathered:
                 i = int(wrong.fill_null(False).arg_max() or 0)
                 raise InputError(
                     f"{log.path}, {shown(self.part.table)}, row {self.seen + i + 1} of the data, column {shown(name)}: "
-                    f"{quoted(said[i])} is not a number; mend or delete the row, or use utc(...) where the column "
+                    f"{quoted(said[i])} is not a number; correct or delete the row, or use utc(...) where the column "
                     "holds dates"
                 )
 
@@ -117,7 +117,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Where values are far from those that are not marked, by the spread of these."""
+    """A mask of values far from the unmarked ones, relative to the spread of these."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)

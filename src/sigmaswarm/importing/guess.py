@@ -62,8 +62,8 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         others = [t for t in tables if t not in (best, *chosen.values())]
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
-                f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the columns of {best}, and only {best} "
-                f"is taken for the {role}; choose with --{role}-table, and import each log as a separate drive"
+                f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}; only {best} "
+                f"is used for the {role}; choose with --{role}-table, and import each log as a separate drive"
             )
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:

@@ -127,7 +127,7 @@ def _rows(values: Values, rows: Any) -> Values:
 
 
 def _finite(values: Values, count: int) -> NDArray[np.bool_]:
-    """Whether each value is finite (columns, rows); a row of True where there are no columns."""
+    """A mask of finite values (columns, rows); a row of True where there are no columns."""
     return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 

@@ -73,10 +73,10 @@ class Look:
     works: bool = False
     unread: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     faults: tuple[Fault, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     rows: Mapping[str, pl.DataFrame] = field(
         default_factory=dict[str, pl.DataFrame], repr=False, compare=False
     )
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
@@ -115,7 +115,7 @@ def look(request: Request) -> Look:
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
     rows = {name: frame for tables_of in first.values() for name, frame in tables_of.items()}
     whole = tuple(tables), recipe, tuple(dict.fromkeys(notes))
-    return Look(*whole, said, evidence, works, unread, faults, settings, rows)
+    return Look(*whole, said, evidence, works, unread, faults, rows, settings)
 
 
 def _unread(
@@ -165,7 +165,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """What an IMU lacks in one table, from another: only where no column has the same name in both."""
+    """Columns that an IMU lacks in one table, from another; only where no column has the same name in both."""
     others = {other: columns for other, columns in names.items() if other != table}
     if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
         return {}

@@ -26,7 +26,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     """
     mounting = gather(drive).mounting
     if mounting is None or mounting.confidence == "no":
-        reason = mounting.reason if mounting else "it takes ax, ay, az, gx, gy, gz and a moving vehicle"
+        reason = mounting.reason if mounting else "it needs ax, ay, az, gx, gy, gz and a moving vehicle"
         raise InputError(
             f"mount auto: the log does not show the mounting ({reason}); state it, as in mount 0,10,90"
         )
@@ -115,7 +115,7 @@ def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
     Raises
     ------
     InputError
-        A column is wanted that the log does not have.
+        If the mounting needs a column that the log does not have.
     """
     turned = dict(imu)
     for sensor, names in (("accelerometer", ("ax", "ay", "az")), ("gyro", ("gx", "gy", "gz"))):

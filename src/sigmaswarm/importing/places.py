@@ -33,7 +33,7 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     good = ~zero if not zero.all() else np.ones(len(time), bool)
     outside = good & ((np.abs(lat) > 90) | (np.abs(lon) > 360))
     if outside.any() and outside.sum() < 0.5 * good.sum():
-        say(f"{role}: {int(outside.sum())} rows whose latitude or longitude can't be left out")
+        say(f"{role}: {int(outside.sum())} rows with an impossible latitude or longitude left out")
         good &= ~outside
     if not good.any() or np.abs(lat[good]).max() > 90:
         return good
@@ -44,7 +44,7 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
     span = float(time[good][-1] - time[good][0]) * 1e-9
     far = good & (away > FARTHEST + FASTEST * span)
     if far.any() and far.sum() < 0.1 * good.sum():
-        first = ", the first among them" if far[np.argmax(good)] else ""
+        first = ", including the first" if far[np.argmax(good)] else ""
         say(f"{role}: {int(far.sum())} rows {away[far].max() / 1e3:.0f} km from the others left out{first}")
         good &= ~far
     return good
@@ -74,7 +74,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     if len(rows) < 5:
         if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
             return angle
-        say(f"{what} taken as degrees clockwise from north; no course shows it")
+        say(f"{what} taken as degrees clockwise from north; no course confirms it")
         return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (
         ("", angle),
@@ -87,10 +87,10 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     if errors[0] <= FIT or errors[best] > FIT:
         if errors[0] > FIT and "heading" in what:
             say(
-                f"{what} differs from its course by {np.degrees(errors[0]):.0f} deg (median); check it, or map it"
+                f"{what} differs from the course by {np.degrees(errors[0]):.0f} deg (median); check it, or map it"
             )
         return angle
-    say(f"{what} runs {conventions[best][0] or 'otherwise'}, as its course shows: converted")
+    say(f"{what} runs {conventions[best][0] or 'otherwise'}, as the course shows: converted")
     return np.asarray(wrap_angle(conventions[best][1]))
 
 

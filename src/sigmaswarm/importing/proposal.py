@@ -63,7 +63,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Quantities whose accuracy a receiver states, too; it is not the accuracy of the position."""
+"""Words that show that an accuracy is not that of the position but of another quantity."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 """Repairs that are applied to a proposal's expressions; the others change the drive."""
 EXCHANGED = 0.2
@@ -190,7 +190,7 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
     changed = "corrected by" if corrected != proposal else "checked with"
-    said = f"read from the columns' names, {changed} how the fixes move"
+    said = f"read from the columns' names, {changed} the motion of the fixes"
     serious = [f.code for f in last.findings if f.severity == "serious"]
     warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
     if serious or DOUBTS & {*warned}:

@@ -115,16 +115,19 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
         per = next((k for k in (16384, 8192, 4096, 2048, 1000) if abs(gravity / k - 1) < 0.12), 16384)
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS
         seen = (
-            f"gravity is about {gravity:.5g} in them"
+            f"gravity appears as about {gravity:.5g}"
             if gravity
-            else "they exceed what an accelerometer shows"
+            else "they exceed the range of an accelerometer"
         )
     else:
         form, about = "radians({}/131)", _GYROS
         seen = f"they reach {max(columns.largest(a) for a in axes):.5g}"
     named = ", ".join(quoted(columns.names[a].column) for a in axes)
     maps = _maps(columns, role, axes, form)
-    return f"columns {named} contain raw counts, or have an unknown unit: {seen}; give their scale, as {maps} ({about})"
+    return (
+        f"columns {named} contain raw counts, or have an unknown unit: {seen}; give their scale, for example {maps} "
+        f"({about})"
+    )
 
 
 def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
@@ -168,7 +171,7 @@ def _place_form(columns: Columns, role: Role) -> Found:
     low, high = (float(v.quantile(0.99) or 0.0) for v in (lat, lon))
     if low < 1.571 and high < 3.1416:
         radians, degrees = (_maps(columns, role, both, form) for form in ("degrees({})", "{}"))
-        said = f"{radians} where they are, {degrees} where not"
+        said = f"{radians} for radians, {degrees} for degrees"
         return Found(
             "", fault=f"latitude and longitude are within 1.6 and 3.2 and may be radians; write {said}"
         )

@@ -71,7 +71,7 @@ class Placement:
     frames: tuple[str, str, str]
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe the parts that are used by an import with a mounting and a lever arm."""
+        """Describe what an import with this mounting and lever arm takes from tf_static."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"

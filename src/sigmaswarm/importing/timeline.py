@@ -69,7 +69,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
-    """The rows of the chosen recording; several without a choice are refused."""
+    """Return the rows of the chosen recording; if there are several, one must be chosen."""
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
@@ -131,7 +131,7 @@ def in_order(
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
         moved = int(np.count_nonzero(order != np.arange(len(order))))
-        say(f"{where}: {moved} rows were out of order ({backwards} falls of the time); sorted by time")
+        say(f"{where}: {moved} rows were out of order (the time decreases {backwards} times); sorted by time")
         time, rows = time[order], rows[order]
     time, note = spread(time, role, where)
     if note:

@@ -230,7 +230,7 @@ class _State:
             saved = arrays[name]
             losses = name == "losses" and len(saved) > 1
             if saved.dtype != now.dtype or saved.shape[losses:] != now.shape[losses:]:
-                raise ValueError(f"{name} has another type or shape")
+                raise ValueError(f"{name} has the wrong type or shape")
         leaves, structure = jax.tree.flatten(self.moments)
         moments = structure.unflatten([arrays[f"moments/{k}"] for k in range(len(leaves))])
         return _State(part_of(arrays, "weights"), moments, part_of(arrays, "best"), arrays["losses"])

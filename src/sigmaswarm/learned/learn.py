@@ -86,8 +86,8 @@ class LearnConfig:
     drives : sequence of Drive
         Training drives.
     validation : sequence of Drive
-        Held-out drives for early stopping and, for outage-lstm, calibration; by default the last quarter of each
-        drive, or for outage-lstm, of three drives or more, the last third of them.
+        Held-out drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each
+        drive; for outage-lstm with three or more drives it is the last third of the drives.
     search : int
         Number of further settings (units, window, learning rate) to try; the best on the held-out data is kept.
     seed : int

@@ -28,14 +28,14 @@ class Windows:
     Attributes
     ----------
     begin, end : ndarray of int, shape (k,)
-        IMU samples after the start at the ends of the displacement.
+        Indices of the IMU samples, counted from the filter's start, at which the displacement begins and ends.
     features : ndarray, shape (k, STEPS, f)
         At the end: see `features_at`.
     first : ndarray of int, shape (k,)
         The sample after the last fix.
     features_at_first : ndarray, shape (k, STEPS, f)
     age : ndarray, shape (k,)
-        s from there to the end.
+        s from ``first`` to ``end``.
     over : ndarray of int
         The samples after the fixes that end the outages.
     """

@@ -49,7 +49,7 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
     if longest < LONG:
         remarks.append(
             f"the longest stretch has {longest:.0f} s: it shows the white noise, but bias instability and rate random "
-            "walk only as far as they grow in that time: take the upper ends of their intervals, or log an hour at rest"
+            "walk only as far as they grow in that time: use the upper ends of their intervals, or log an hour at rest"
         )
     return remarks
 
@@ -68,7 +68,7 @@ def on_gravity(imu: Imu, part: slice) -> list[str]:
 
 
 def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
-    """Return a remark where the gyro's noise is that of other units."""
+    """Return a remark if the size of the gyro's noise suggests another unit."""
     rough = [a.axis for a in axes if a.axis[0] == "g" and a.white.value > ROUGH_GYRO]
     if not rough:
         return []
@@ -95,8 +95,8 @@ def on_trend(axis: str, trend: float) -> list[str]:
     if not trend:
         return []
     return [
-        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its random processes explain, as a "
-        "sensor does that warms up: log it after half an hour of running"
+        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its random processes explain, as "
+        "when a sensor warms up: log it after half an hour of running"
     ]
 
 
@@ -112,8 +112,8 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
     if not found:
         return []
     return [
-        f"the Allan deviation is not that of the model ({', '.join(found)}), as with vibration or a sensor's filter: "
-        "the model describes the slow noise, which a navigation filter integrates"
+        f"the Allan deviation is not that of the model ({', '.join(found)}), as with vibration or a filter in the "
+        "sensor: the model describes the slow noise, which a navigation filter integrates"
     ]
 
 

@@ -2,8 +2,8 @@
 
 The filter is tuned on these fixes alone, and smoothed (`filters.smoothing`). The smoother's standard deviations are
 checked: fixes are hidden from it for some seconds, several times, and the deviations are multiplied until they cover
-these fixes. The receiver's own deviation is added, since its errors last, and the mean of many fixes is not better than
-one.
+these fixes. The receiver's own deviation is added, since its errors are correlated, and the mean of many fixes is not
+better than one.
 """
 
 import math
@@ -41,7 +41,7 @@ HIDDEN = (2.0, 20.0)
 HIDDEN_FIRST = 10.0
 """s from the start before fixes are hidden, and between two windows."""
 PLACEMENTS = 3
-"""Of the hidden windows."""
+"""Number of placements of the hidden windows."""
 COVERED = 0.95, 1.96
 """Required share of the hidden fixes within this many sigma, per axis."""
 OBJECTIVE = "innovation-t"
@@ -86,8 +86,8 @@ def reference(
     """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
 
     A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes with a
-    stated deviation above ``accuracy``, are left out: their errors last, so a mean of them is not better. The IMU
-    bridges them.
+    stated deviation above ``accuracy``, are left out: their errors are correlated, so a mean of them is not better. The
+    IMU bridges them.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
         raise InputError(
             f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions and "
             f"{np.count_nonzero(known)} of those stated to {accuracy:g} m per axis or better, too few; raise "
-            "--accuracy, or take another receiver"
+            "--accuracy, or use another receiver"
         )
     return replace(gps, lat=None, lon=None, alt=None).select(known)
 

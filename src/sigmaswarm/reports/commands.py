@@ -50,8 +50,8 @@ def evaluate_command(
     options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], SWARM: ["--swarm"]}
     words += [word for method in also for word in options.get(method, ())]  # a network is in the folder
     note = (
-        "tuning.toml is the one in this page's folder. Drives are called by their names: put the ways to your "
-        "folders instead."
+        "tuning.toml is the one in this page's folder. Drives are given by name: replace the names by the "
+        "paths of your folders."
     )
     return shlex.join(words), note
 

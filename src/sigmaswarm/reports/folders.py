@@ -15,7 +15,7 @@ REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuni
 
 
 def read_report(folder: Path) -> Report:
-    """Read a folder of results; raise `InputError` if it is none, or a file is missing or damaged."""
+    """Read a folder of results; raise `InputError` if it is not one, or a file is missing or damaged."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {wrong}; give a folder that tune, evaluate or study wrote")

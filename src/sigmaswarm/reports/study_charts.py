@@ -140,7 +140,7 @@ def spread_chart(
         name_rows(ax, names)
 
     failed = sum(s.failed for s in rows)
-    note = f" ({failed} drives on which a filter failed left out)" if failed else ""
+    note = f" (without {failed} drives on which a filter failed)" if failed else ""
     return Chart(f"{results.measures[measure]}{note}", draw, rows=len(names), broad=True)
 
 

@@ -56,7 +56,7 @@ def study_report(folder: Path) -> Report:
             *_rivals(record),
             *_conditions(results),
             _convergence(results),
-            Section("What the search found", (), searched),
+            Section("Search results", (), searched),
             *_run_times(record),
         ),
         config=results.config.model_dump(mode="json"),

@@ -45,10 +45,10 @@ PAIRED = (
     "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
-    "The interval over trials (as in the paper) is the uncertainty by optimizer and split; it covers the mean of new "
-    "drives only about half of the time. The other two are intervals for new drives: in a study of full size the "
-    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%), the corrected t as often or more; it is too "
-    "wide where the optimizer varies much."
+    "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it covers the mean of "
+    "new drives only about half of the time. The other two are intervals for new drives. In a study of full size the "
+    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%). The interval from the corrected t covers it "
+    "as often or more, and is too wide where the optimizer's results vary much."
 )
 EFFORT = (
     "Labelled: driving with truth that the tuning used. Learned: driving that a network learned from, without truth. "
@@ -146,7 +146,7 @@ def table_1(results: Results) -> Table:
     columns += [_figures("improvement (eq. 5), %: paper"), *_with_intervals(["ours"])]
     note = (
         "Mean over trials on held-out drives, with the 95% interval for new drives. The paper's RMSE is against the "
-        f"GPS after the update. Ours of equation 5 is against truth, over {results.label(MANUAL)}."
+        f"GPS after the update. Our improvement (equation 5) is against truth, relative to {results.label(MANUAL)}."
     )
     return _table("Table I. RMSE, m", columns, rows, results, note)
 
@@ -340,7 +340,7 @@ def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
             rows.append((results.label(method, protocol), group, *scaling, q, r, best.cost))
     columns = [Column("method"), Column("drives"), *(_digits(name, 2) for name in sigma)]
     columns += [Column("Q per step: x, y, vx, vy, theta, then biases"), Column("R"), _digits("cost, m", 3)]
-    return _by_group("What the PSO found, best trial", columns, rows, results)
+    return _by_group("Parameters found by the PSO, best trial", columns, rows, results)
 
 
 def rivals_tables(

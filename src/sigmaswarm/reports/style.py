@@ -56,7 +56,7 @@ STUDY_LOOKS: dict[str, Look] = {
     "imu_only": Look("#51585F", 1.2, ":"),
     "raw_gps": LOOKS["raw_gps"],
 }
-"""Of the series in a study's tracks, the first one on top."""
+"""Looks of the series in a study's tracks, the first one on top."""
 LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
 
 

@@ -212,7 +212,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
     history = History.load(path)
     if not np.array_equal([trial.best[-1] for trial in history.trials], costs):
         raise InputError(
-            f"{path}: does not belong to {FILE} next to it; repeat the command, or take the file from where it came"
+            f"{path}: does not belong to {FILE} next to it; repeat the command, or restore the original file"
         )
     chart = _convergence_chart(history, best, file.result.objective)
     charts = (replace(chart, title="Cost over generations"),)

@@ -155,7 +155,7 @@ class Replayer:
 
     @cached_property
     def _steps(self) -> dict[str, list[int]]:
-        """Of each replay."""
+        """Number of steps of each replay."""
         return {name: [len(r.timeline.dt) for r in replays] for name, replays in self._passes.items()}
 
     @cached_property

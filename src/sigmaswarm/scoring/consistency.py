@@ -152,20 +152,20 @@ VERDICTS: dict[Kind, str] = {
     "pessimistic": "is too cautious: the sigmas of its predictions are {nis_size}",
     "alike": (
         "has innovations that are correlated and smaller than its covariances (sigmas {nis_size}): the receiver "
-        "smooths its fixes, or their errors last. The error they share cannot be estimated without truth"
+        "smooths its fixes, or their errors are correlated. The error they share cannot be estimated without truth"
     ),
     "lasting": (
         "has a low NIS with the right NEES: neighboring fixes share their errors. The position covariances are right "
         "and should not be made smaller"
     ),
     "correlated": (
-        "has innovations of the right size but correlated: the receiver's errors last, or the model misses a part of "
-        "the motion. The position error may be larger than its sigma"
+        "has innovations of the right size but correlated: the receiver's errors are correlated too, or the model "
+        "misses a part of the motion. The position error may be larger than its sigma"
     ),
     "consistent": "is consistent: its innovations agree with their covariances",
     "optimistic_position": (
-        "is overconfident of its position: the sigmas are {nees_size}. Fixes share these errors, which NIS therefore "
-        "does not show"
+        "is overconfident about its position: the sigmas are {nees_size}. Fixes share these errors, which NIS "
+        "therefore does not show"
     ),
     "unknown": "failed or had too few fixes to judge its consistency",
 }

@@ -1,15 +1,15 @@
 """Radius within which a position error lies with a stated probability, and its coverage.
 
-A filter averages the fixes. Where their errors last, they do not average out, and a log does not show them: the
-position keeps the variance of these errors, whatever the filter's covariance is. Per axis it is taken as
+A filter averages the fixes. Where their errors are correlated, they do not average out, and a log does not show them:
+the position keeps the variance of these errors, whatever the filter's covariance is. Per axis it is taken as
 
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
 
 with P the mean of the filter's variances of x and y, s the standard deviation of the fixes (`receiver_std`), and w the
-white noise that they show (`white_noise`). A filter that has states for errors that last has their variance g s^2 in P;
-otherwise g = 0. Nothing is added for a receiver with white errors. A short training drive determines a covariance from
-few independent errors. So the error over sigma has Student's t distribution with `DOF` degrees of freedom, and for a
-probability q
+white noise that they show (`white_noise`). A filter that has states for correlated errors has their variance g s^2 in
+P; otherwise g = 0. Nothing is added for a receiver with white errors. A short training drive determines a covariance
+from few independent errors. So the error over sigma has Student's t distribution with `DOF` degrees of freedom, and for
+a probability q
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 
@@ -43,7 +43,7 @@ class RadiusRecord(BaseModel):
 
     ``n`` counts the errors, or without truth the estimates. ``radius_95_m`` and ``radius_999_m`` are medians.
     ``inside_95``, ``inside_999``: shares of the errors inside. ``sigma_ratio``: RMS sigma of the filter alone over
-    the RMS error, per axis. Unknown without truth: None. ``lasting_m``: m per axis, RMS of the errors that last.
+    the RMS error, per axis. Unknown without truth: None. ``lasting_m``: m per axis, RMS of the correlated errors.
     """
 
     n: int
@@ -83,7 +83,7 @@ def position_radius(
     if not 0.0 < level < 1.0:
         raise InputError(f"level = {level:g}: must lie above 0 and below 1")
     if not estimate.covariance.size:
-        raise InputError("the estimate has no covariance; take one of run_filter or smooth")
+        raise InputError("the estimate has no covariance; use one of run_filter or smooth")
     variance = np.mean(np.diagonal(estimate.covariance[:, :2, :2], axis1=1, axis2=2), axis=1)
     return factor_of(level) * np.sqrt(variance + lasting_variance(drive, parameters, estimate.time))
 
@@ -94,7 +94,7 @@ def factor_of(level: float) -> float:
 
 
 def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) -> Array:
-    """Variance per axis of the lasting errors of the last fix before each time, (n,) m2, that a filter leaves out."""
+    """Variance per axis of the correlated error of the last fix before each time, (n,) m2, that a filter leaves out."""
     gps, typical = drive.gps, float(np.mean(np.square(receiver_std(drive))))
     white = white_noise(gps.x + 1j * gps.y) ** 2 / typical
     share = max(1.0 - white - (parameters.fix_error or 0.0), 0.0)
@@ -105,7 +105,7 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) ->
 
 
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
-    """Summarize radii from a filter's variances and those of lasting errors, (n,) m2, and the errors, (n,) m.
+    """Summarize radii from a filter's variances and those of correlated errors, (n,) m2, and the errors, (n,) m.
 
     None where there are no values, or the filter failed.
     """
@@ -122,5 +122,6 @@ def radius_record(variance: Array, lasting: Array, error: Array | None) -> Radiu
     if error is None:
         return found
     inside = [float(np.mean(error <= radius)) for radius in radii]
-    ratio = math.sqrt(2 * float(np.mean(variance)) / float(np.mean(error**2)))
+    squared = float(np.mean(error**2))
+    ratio = math.sqrt(2 * float(np.mean(variance)) / squared) if squared else None
     return found.model_copy(update={"inside_95": inside[0], "inside_999": inside[1], "sigma_ratio": ratio})

@@ -132,8 +132,8 @@ def require_sealed(folder: Path, record: EvaluationRecord) -> None:
     for name, expected in record.files.items():
         if name not in _SEALED or not (folder / name).is_file() or _sha256(folder / name) != expected:
             raise InputError(
-                f"{folder / name}: does not belong to {ASKED_FILE} next to it; repeat `sigmaswarm evaluate`, or take "
-                "the file from where it came"
+                f"{folder / name}: does not belong to {ASKED_FILE} next to it; repeat `sigmaswarm evaluate`, or "
+                "restore the original file"
             )
 
 

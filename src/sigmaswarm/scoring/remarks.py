@@ -120,8 +120,8 @@ def said_of_position(found: Consistency) -> str:
     """Estimate the position error of a filter on a drive without truth, in a sentence.
 
     It is the RMS of its sigmas, checked against its predictions of the fixes. Where these deviate far less than
-    expected, the receiver smooths its fixes or their errors last: then the error of the filter may be as large as that
-    of the fixes.
+    expected, the receiver smooths its fixes or their errors are correlated: then the error of the filter may
+    be as large as that of the fixes.
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
     (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} (2 is consistent)"
@@ -133,7 +133,8 @@ def said_of_position(found: Consistency) -> str:
             guess = f", perhaps {fixes:.2g} m, the error that the filter assumes of the fixes"
         return (
             f"not known{guess}. The filter estimates {own:.2g} m (RMS) for itself, but the fixes deviate "
-            f"from its predictions by less than expected ({nis}): the receiver smooths its fixes, or their errors last"
+            f"from its predictions by less than expected ({nis}): the receiver smooths its fixes, or their errors "
+            "are correlated"
         )
     said = f"{own:.2g} m (RMS), the filter's own estimate"
     included = f"the fixes deviate from its predictions by {missed:.2g} m, their own errors included"
@@ -143,4 +144,4 @@ def said_of_position(found: Consistency) -> str:
         return f"{said}, or somewhat less: {included}, less than expected ({nis})"
     if alike:
         return f"{said}, or more: {included}, as expected, but neighboring fixes share a part of it"
-    return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not in it"
+    return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not included"

@@ -7,7 +7,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.scoring.truth_noise import is_known
 
 BLOCKS = 8
-"""Number of stretches of a drive, whose means show the spread of lasting errors."""
+"""Number of stretches of a drive, whose means show the spread of correlated errors."""
 CLEAR = 5.0
 """Standard deviations of the mean from which an offset is reported."""
 SIMILAR = 0.5
@@ -52,7 +52,7 @@ def truth_offset(drive: Drive) -> str:
     return (
         f"the fixes of {drive.name} lie {abs(offset):.2f} m from the truth on average ({world.real:+.2f} m east, "
         f"{world.imag:+.2f} m north; {body.real:+.2f} m forward, {body.imag:+.2f} m left), and all position errors "
-        f"contain that: {'; or '.join(causes)}"
+        f"contain this offset: {'; or '.join(causes)}"
     )
 
 

@@ -25,7 +25,7 @@ WORSE = 1.05
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise of planar8's states, unit/sqrt(s): such a filter follows the fixes within seconds, and the IMU in between."""
 LEAST_STD = 0.5
-"""m: no smaller standard deviation is assumed of the fixes."""
+"""m: lower bound on the standard deviation assumed for the fixes."""
 
 
 def checking_filter(drive: Drive) -> FilterParameters:

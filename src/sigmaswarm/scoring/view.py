@@ -228,7 +228,9 @@ class EvaluationView:
             held = "" if inside is None else f", and {100 * inside:.0f}% do"
             sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
             lasts = (
-                f", with {found.lasting_m:.2g} m per axis of fix errors that last" if found.lasting_m else ""
+                f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
+                if found.lasting_m
+                else ""
             )
             said.append(
                 f"{drive}: 95% of the position errors should be within {found.radius_95_m:.2g} m (median){lasts}{held}"
@@ -321,7 +323,7 @@ def explained_radius() -> str:
     factors = [factor_of(level) for level in LEVELS]
     return (
         "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
-        "Its variance per axis is the filter's plus that of fix errors that last, which the log does not show: the "
+        "Its variance per axis is the filter's plus that of correlated fix errors, which the log does not show: the "
         "square of what the receiver states, else of 2.1 m, minus the white noise of the fixes. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} sigma, as of Student's t with {DOF:g} degrees of freedom, since a "
         "training drive determines a covariance from few independent errors. The estimates and the filter's own "

@@ -199,7 +199,7 @@ def with_outliers(
     offset: float = 20.0,
     length: tuple[float, float] = (0.2, 1.0),
 ) -> Drive:
-    """Add bursts of outliers to a drive's fixes: all fixes of a burst have one error, as reflections cause them.
+    """Add bursts of outliers to a drive's fixes; all fixes of a burst share one error, as in multipath.
 
     Parameters
     ----------

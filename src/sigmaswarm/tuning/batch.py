@@ -91,7 +91,8 @@ def run_batch(
     given: Any = executor
     if given is not None and not isinstance(given, Executor):
         raise InputError(
-            f"executor = {shown(given)}: is none; take concurrent.futures.ThreadPoolExecutor(2), or leave it out"
+            f"executor = {shown(given)}: is not an executor; use concurrent.futures.ThreadPoolExecutor(2), "
+            "or leave it out"
         )
     goal = objective_named(objective)
     check_drives(dataset.map(sensors_of), goal)
@@ -153,4 +154,4 @@ def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
             what = f"no fix falls into the windows of 3 to 5 s whose fixes {objective} hides and forecasts"
             drives = "other"
         span = f"from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s"
-        raise InputError(f"{drive.name}: {span} {what}; take {drives} drives or innovation-nll")
+        raise InputError(f"{drive.name}: {span} {what}; use {drives} drives or innovation-nll")

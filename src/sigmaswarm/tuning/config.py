@@ -65,7 +65,7 @@ class SearchConfig(BaseModel):
     seed: int = Field(default=0, ge=0)
     """Seed of all random numbers; the same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
-    """Share of the drives that counts, the worst ones; 1 is the mean over all drives."""
+    """The cost is the mean over this share of the drives, the worst ones; 1 means all drives."""
     # at least as good as de, and better than the paper's pso, at the same budget (docs/optimizers.md)
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
     """Search algorithm; bo needs scikit-learn. In Python also a class of your own. See docs/optimizers.md."""

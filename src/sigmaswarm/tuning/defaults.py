@@ -20,11 +20,11 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 """With truth and without: docs/objectives.md, "Outliers"."""
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 """Without truth, for a model with roll and pitch and receivers with white errors: forecasts over seconds then separate
-good filters from bad ones. Where errors last, the forecasts follow them: with a u-blox M8 the filter ended at 11 m
-instead of 4. A planar filter gains on its own roads too, but trusts them more: on another car's roads its error was 3.6
-times that of the fixes."""
+good filters from bad ones. Where errors are correlated, the forecasts follow them: with a u-blox M8 the filter ended at
+11 m instead of 4. A planar filter gains on its own roads too, but trusts them more: on another car's roads its error
+was 3.6 times that of the fixes."""
 WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
-"""With truth and states for errors of fixes that last: the likelihood separates these errors from white noise."""
+"""With truth and states for correlated fix errors: the likelihood separates these errors from white noise."""
 MIN_DRIVEN = 30.0
 """Seconds of driving that a drive needs before fixes can be hidden in it."""
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")

@@ -153,7 +153,7 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
 def correlation_warnings(
     parameters: FilterParameters, found: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn where the innovations of most drives are correlated, and states for lasting errors would explain it.
+    """Warn where the innovations of most drives are correlated, and states for correlated errors would explain it.
 
     ``use``: the measurements of the filter, to which the remedy adds.
     """
@@ -163,7 +163,7 @@ def correlation_warnings(
     if parameters.fix_error is not None or not supported or not known or np.median(known) < CORRELATED:
         return []
     why = (
-        f"the innovations are correlated from fix to fix (lag 1: {np.median(known):.2f}), so errors of the fixes last, "
+        f"the innovations are correlated from fix to fix (lag 1: {np.median(known):.2f}), as are the fix errors, "
         "and the stated covariance is too small"
     )
     return [to_do(f"tune with --use {' '.join([*use, 'fix-error'])}", why)]
@@ -217,12 +217,12 @@ def scale_warnings(objective: str, parameters: FilterParameters, replays: Replay
         return []
     before = replays.scores([parameters])
     nis = float(before.mean_nis.mean())
-    said = f"{objective} leaves the scale of the covariances free: mean NIS is {nis:.2g} where 2 is right"
+    said = f"{objective} leaves the scale of the covariances free: mean NIS is {nis:.2g} where 2 is expected"
     remedy = SCALE_REMEDY.format(objective=objective)
     if parameters.model != "planar5" and nis > 0:
         after = replays.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= SCALE_MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= SCALE_NEAR:
             right = f"all noises times {nis / 2:.3g} make the mean NIS 2 and change the position RMSE by {moved:+.1%}"
-            return [to_do(f"{remedy}, or take FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
+            return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
     return [to_do(remedy, said)]

@@ -54,7 +54,7 @@ SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, 
 """Tuning of the noises by likelihood: with noises by hand the standard deviation is two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
-"""Of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
+"""Arrays of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ class LeverArmEstimate:
         if not self.observable:
             times = (1.96 * max(self.std) / self.within) ** 2
             return (
-                f"the turns of this log do not show the lever arm within {self.within:g} m, that takes {times:.1f} "
-                f"times as many ({found}); drive.toml stays as it is"
+                f"the turns of this log do not determine the lever arm to {self.within:g} m, which needs "
+                f"{times:.1f} times as many ({found}); drive.toml stays as it is"
             )
         return f"{found}; drive.toml states {_placed(*self.stated)}" if any(self.stated) else found
 
@@ -277,6 +277,11 @@ def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values
     """Run the filter at the unknowns and next to them."""
     run = partial(_run, ready, parameters, values)
     found = run(values)
+    if not np.isfinite(found.nis).all():
+        name = ready.drive.name
+        raise InputError(
+            f"the filter fails on {name}; repair what `sigmaswarm doctor` finds, or leave the drive out"
+        )
     moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
     slopes = [(nu - found.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]
     columns = -np.linalg.solve(np.linalg.cholesky(found.covariance), np.stack(slopes, axis=-1))

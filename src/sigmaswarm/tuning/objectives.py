@@ -55,7 +55,7 @@ class Objective:
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
         """Cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
 
-        ``worst`` is the share of the drives that is used, the worst ones of each set: 1 is the mean over all.
+        The mean is over the share ``worst`` of the drives, the worst ones of each set; 1 means all drives.
         """
         return mean_cost(self.each(scores), worst)
 
@@ -65,7 +65,7 @@ class Objective:
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
-        """Return the relative increase of costs over another; 0.01 is errors that are 1% larger.
+        """Return the relative increase of costs over another; 0.01 means errors that are 1% larger.
 
         ``elements`` is the number of elements of a measurement.
         """

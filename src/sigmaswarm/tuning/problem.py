@@ -58,7 +58,7 @@ class Problem(ABC, Generic[P]):
     ----------
     config : SearchConfig
     space : Box
-        The bounds; may be those of other drives, with the IMU interval of Q.
+        The bounds. They may come from other drives; Q then refers to the IMU interval of those.
     data : list of dict
         Name, length and fingerprint of each drive or log.
     """
@@ -245,7 +245,7 @@ def car_problem(
 ) -> CarProblem:
     """Make the problem of tuning a filter for cars on drives, local or remote.
 
-    ``space``, where given, is that of other drives, with the IMU interval of Q.
+    A given ``space`` comes from other drives; its Q refers to their IMU interval.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def car_problem(
     objective = objective_named(config.objective)
     if config.prior and not objective.nats:
         raise InputError(
-            f"prior = {config.prior:g}: is counted in nats, and {objective.name} is not; leave prior out, or take "
+            f"prior = {config.prior:g}: is in nats, but {objective.name} is not; leave prior out, or use "
             "innovation-nll or innovation-t"
         )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives

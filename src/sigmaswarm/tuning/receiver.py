@@ -80,14 +80,14 @@ def noise_warnings(
         why = f"they scatter by {scatter:.2g} m about a path that the IMU can follow"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
-        return [to_do(remedy, f"{why}: their errors last, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
         why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
-        return [to_do(remedy, f"{why}; errors that last would scatter as little, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}; correlated errors would scatter as little, and {UNKNOWN}")]
     else:
         return []
     said = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"
-    return [to_do(remedy, f"{said}; forecasts do not show errors that last, and {UNKNOWN}")]
+    return [to_do(remedy, f"{said}; forecasts do not show correlated errors, and {UNKNOWN}")]
 
 
 def prior_warnings(
@@ -107,7 +107,7 @@ def prior_warnings(
         if cost <= PRIOR_DECIDED or near * FAR_BELOW < std:
             continue
         if np.isfinite(one.stated):
-            lasting = f"; its fixes scatter less, so their errors last, and {UNKNOWN}"
+            lasting = f"; its fixes scatter less, so their errors are correlated, and {UNKNOWN}"
             more = lasting if std > LASTS * one.scatter else ""
             return [f"{name}: R was kept near the {std:.2g} m per axis that the receiver states{more}"]
         if std == UNSTATED_GPS_STD:

@@ -349,7 +349,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if car and "truth" in objective:
         yield OF_THESE_SENSORS
     if t.start_cost is not None:
-        yield f"the filter that the search started from costs {notebook.number(t.start_cost)} with the same inputs"
+        yield f"the filter that the search started from has cost {notebook.number(t.start_cost)} with the same inputs"
     if t.validation is None:
         yield NOT_VALIDATED
     elif not np.isfinite(t.validation.cost):

@@ -60,9 +60,9 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
 TIME = "fix_error_time"
 """Parameters that are searched only with truth: the likelihood is flat in them, or largest at the bound."""
 LEAST_WHITE = 0.04
-"""Least R of a fix over the receiver's variance, with states for errors that last and without truth.
+"""Least R of a fix over the receiver's variance, with states for correlated errors and without truth.
 
-With less, Student's t takes lasting errors for outliers.
+With less, Student's t takes correlated errors for outliers.
 """
 ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R in addition to the stated variance of each fix."""
@@ -187,9 +187,9 @@ def search_space(
     if lacking:
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
     if kind not in kinds:
-        raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
+        raise InputError(f"{model} is not compiled as {kind}; use {' or '.join(kinds)}")
     if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
-        raise InputError(f"fix-error does not go with {model} as {kind}; take ekf, or leave it out")
+        raise InputError(f"fix-error can't be combined with {model} as {kind}; use ekf, or leave it out")
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if "fix-error" in use:
         fixed["fix_std"] = fix_std

@@ -94,7 +94,9 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     record = load_record(ConfigRecord, path / "config.json", "not written by a tuning", infinite=True)
     config = _with_current_names(record.model_extra)
     if "start" in config:
-        raise InputError(f"{path}: was begun with a start; resume it with the command that began it")
+        raise InputError(
+            f"{path}: was started from another filter; resume it with the command that started it"
+        )
     return config, config.pop("data", [])
 
 

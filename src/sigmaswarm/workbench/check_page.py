@@ -44,7 +44,7 @@ class CheckPage(Page):
         names = self.originals
         if not names:
             text("p", "No drive yet.")
-            link("Make one of a log", "log")
+            link("Make one from a log", "log")
             return
         chosen = self.bench.choices.get("drive")
         name = chosen if chosen in names else names[-1]
@@ -139,8 +139,8 @@ class CheckPage(Page):
             rest = [*self.steps[:number], *self.steps[number + 1 :]]
             with card("done"), line("between"):
                 text("h3", said)
-                back = button("Take it back", lambda rest=rest: self._do("taking it back", rest), "undo")
-                back.props(f'aria-label="Take back: {said}"').set_enabled(not self.waiting)
+                back = button("Undo", lambda rest=rest: self._do("undoing it", rest), "undo")
+                back.props(f'aria-label="Undo: {said}"').set_enabled(not self.waiting)
 
     @ui.refreshable_method
     def _findings(self) -> None:

@@ -22,6 +22,7 @@ UNITS: dict[str, dict[str, str]] = {
               "mph": "{}*0.44704"},
     "angle": {"rad from east": "{}", "deg from north": "radians(90-{})", "deg from east": "radians({})",
               "rad from north": "pi/2-{}"},
+    "deviation": {"rad": "{}", "deg": "radians({})"},
     "condition": {"as it is": "{}"},
     "field": {"as it is": "{}", "reversed": "-{}"},
 }  # fmt: skip
@@ -32,9 +33,9 @@ KINDS = {
     **dict.fromkeys(("alt", "x", "y", "std_x", "std_y"), "length"),
     **dict.fromkeys(("speed", "vx", "vy", "forward", "left"), "speed"),
     **dict.fromkeys(("lat", "lon"), "degrees"),
-    **dict.fromkeys(("course", "theta"), "angle"),
+    **dict.fromkeys(("course", "theta", "heading"), "angle"),
     **dict.fromkeys(("mx", "my", "mz"), "field"),
-    **{"t": "time", "keep": "condition"},
+    **{"t": "time", "keep": "condition", "std_heading": "deviation"},
 }
 """The kind of quantity of each column of a drive."""
 SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",

@@ -96,8 +96,8 @@ class JudgePage(Page):
         with ui.element("div").classes("section"):
             with line():
                 select("Evaluation", names, shown, self._show)
-                link("Open the page alone", f"report/evaluations/{shown}")
-                link("Next: take it away", "take")
+                link("Open the report by itself", f"report/evaluations/{shown}")
+                link("Next: export it", "take")
             frame = ui.element("iframe").classes("report")
             frame.props["src"] = f"report/evaluations/{shown}"
             frame.props["title"] = f"Report of {shown}"

@@ -162,7 +162,7 @@ class LogPage(Page):
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
-            text("h2", "What is in it")
+            text("h2", "Contents of the log")
             for note in look.notes:
                 text("p", note, "soft")
             if look.proposal:
@@ -208,7 +208,7 @@ class LogPage(Page):
         name = choices.get("name") or self.bench.free("drives", log.stem)
         again = choices.get("made") == name
         with card():
-            text("h2", "Make a drive of it")
+            text("h2", "Make a drive from it")
             with line("end"):
                 field = ui.input("Name of the drive", value=name).classes("grow")
                 field.on("change", lambda: self.choose(name=field.value))

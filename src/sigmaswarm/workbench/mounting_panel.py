@@ -31,7 +31,7 @@ class MountingPanel:
 
     @property
     def state(self) -> tuple[bool, str]:
-        """What the panel depends on: a log is open, and its mounting."""
+        """The state that the panel depends on: whether a log is open, and its mounting."""
         return self.page.look is not None, self.page.bench.log_choices.get("mount", "")
 
     @ui.refreshable_method

@@ -16,7 +16,7 @@ KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
 """The files by which the folder of a drive and of a tuning are known."""
 LEFT_OUT = "leave it out"
-"""Of a drive, in the plan of a tuning."""
+"""Choice for a drive in the plan of a tuning."""
 CHECKED = "-checked"
 """Ending of the name of a drive's repaired and cut copy; its drive.toml lists the ``steps``."""
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
@@ -60,7 +60,7 @@ class Workbench:
         """Return the folder of a drive, tuning, ... by its name; refuse names that lead elsewhere."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
-            raise InputError(f"{name!r} is not a name within {kind}; use letters, digits, - and _")
+            raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, holds: str = "") -> list[str]:

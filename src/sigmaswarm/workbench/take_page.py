@@ -119,7 +119,7 @@ class TakePage(Page):
         drive = self.bench.read(name) if name else None
         if target == "track":
             if drive is None:
-                raise sigmaswarm.InputError("there is no drive to run over; make one of a log")
+                raise sigmaswarm.InputError("there is no drive to run over; make one from a log")
             file = folder / f"{name}{self.chosen.get('ending', '.csv')}"
             if file.suffix == ".ros2" and file.exists():
                 file = folder / f"{name}-{len(list(folder.iterdir()))}.ros2"

@@ -31,7 +31,7 @@ SIZES = {"particles": 30, "generations": 50, "trials": 1, "seed": 0}
 REFRESH = 0.7
 """s between two updates of running tunings."""
 STARTING = "reading the drives, to tune on them"
-"""What no change of a choice may replace."""
+"""Status that a changed choice must not replace."""
 COMPARED = 6
 """Tunings, the newest, whose convergence is shown."""
 Update = Callable[[], None]
@@ -88,10 +88,10 @@ class TunePage(Page):
     @ui.refreshable_method
     def _setup(self) -> None:
         with card():
-            text("h2", "What to tune on")
+            text("h2", "Drives to tune on")
             if not self.plan:
                 text("p", "No drive yet.")
-                link("Make one of a log", "log")
+                link("Make one from a log", "log")
                 return
             planned = self.bench.choices.setdefault("plan", {})
             options = self.bench.choices.setdefault("options", {})

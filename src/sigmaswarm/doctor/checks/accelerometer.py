@@ -50,7 +50,7 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     if not np.array_equal(axes, np.eye(2)):
         forward, left = (f"{'-' if row.sum() < 0 else ''}{'ax' if row[0] else 'ay'}" for row in axes)
         opposite = np.array_equal(axes, -np.eye(2)) and az is not None and float(np.median(az)) < 0
-        what = f"forward acceleration stands in {forward}, that to the left in {left}"
+        what = f"forward acceleration is in {forward}, leftward acceleration in {left}"
         if opposite:
             what = (
                 "the accelerometers report the opposite of specific force: ax, ay and az have the wrong sign"
@@ -112,14 +112,14 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     if size < TILT[0] + margin:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
-    what = f"in ax, ay: {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 that no motion explains"
+    what = f"in ax, ay: {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 that the motion does not explain"
     severity, confidence = "warning", 0.95
     if size > TILT[1] + margin:
         severity, confidence = "serious", 0.99
         what = f"gravity {what}; the IMU is tilted by about {tilt:.0f} deg"
     else:
         what = f"bias, or tilt of {tilt:.0f} deg, {what}"
-    remedy = "level the IMU, or take the constant off; --model planar8 estimates the rest"
+    remedy = "level the IMU, or subtract the constant; --model planar8 estimates the rest"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
 
@@ -178,7 +178,7 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     # The factor of az that makes the sum right: along the others gravity hardly stands.
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
-    what = f"the specific force has the size {size:.2f} m/s2 where gravity is {GRAVITY:.2f}: az is off by {off:+.2f}"
+    what = f"the specific force is {size:.2f} m/s2 but gravity is {GRAVITY:.2f} m/s2: az is off by {off:+.2f}"
     yield Finding(
         "gravity-size", "warning" if large else "note", what, "imu.csv, az", evidence.span, 0.99,
         f"multiply az by {factor:.3f}, or look up the sensor's scale",

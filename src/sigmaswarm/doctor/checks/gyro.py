@@ -26,7 +26,7 @@ BIAS = (np.radians(0.1), np.radians(1.0))
 """rad/s: a bias of at least the first is a note, of at least the second a warning."""
 
 SMOOTHED, LAG = 0.3, 0.5
-"""s: over which the force is averaged, and over which its direction changes.
+"""s: windows for the mean of the force and for the change of its direction.
 
 Longer ones contain more of the car's own acceleration, shorter ones more vibration. On seven recordings every correct
 sign is significant by 9.5 standard deviations or more.
@@ -48,7 +48,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     imu, course = evidence.drive.imu, evidence.course
     if fit is None or course is None or not yaw.known:
         if impossible_rate(imu.gz - np.median(imu.gz)):
-            what = f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the course does not show it"
+            what = (
+                f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; no course confirms it"
+            )
             remedy = "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s"
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return
@@ -133,15 +135,15 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         signs = [axis[1] if axis else 1.0 for axis in follows]
         yield Finding(
             "gyro-tilt", "warning",
-            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign against how gravity turns: the roll rate "
-            "gx must be positive where the left side comes up, the pitch rate gy where the nose goes down",
+            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign relative to gravity's rotation: the roll "
+            "rate gx must be positive where the left side comes up, the pitch rate gy where the nose goes down",
             f"imu.csv, {', '.join(columns)}", span, confidence_of(min(axis[2] for axis in wrong) / 2),
             f"change the sign of {names}", Repair("tilt-rates", (signs[0], 0.0, 0.0, signs[1])),
         )  # fmt: skip
     if unseen := [k for k, axis in enumerate(follows) if axis is None]:
         columns, motion = ([names[k] for k in unseen] for names in (("gx", "gy"), ("rolls", "pitches")))
         what = (
-            f"the body hardly {' or '.join(motion)} as far as the forces show: "
+            f"the body hardly {' or '.join(motion)} according to the specific force: "
             f"the sign of {' and '.join(columns)} can't be checked"
         )
         remedy = "use a drive with turns, starts and stops to check it"

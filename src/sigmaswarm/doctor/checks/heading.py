@@ -49,7 +49,7 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
         way = "later" if late > 0 else "earlier"
         what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
         remedy = (
-            "a filter takes both as of one moment: give headings a time of their own, or leave the column out"
+            "a filter assumes one time for both: give headings a time of their own, or leave the column out"
         )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 
@@ -107,6 +107,9 @@ def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
 
     tried = np.arange(-1.5, 1.51, 0.05)
     each = [misfit(float(late)) for late in tried]
-    found, own = float(tried[int(np.argmin(each))]), evidence.clock.late if evidence.clock.visible else 0.0
+    found, own = (
+        float(tried[int(np.argmin(each))]),
+        evidence.clock.late - evidence.moved if evidence.clock.visible else 0.0,
+    )
     late = found - own
     return late if abs(late) >= LATE and min(each) < WORSE * misfit(own) else 0.0

@@ -48,7 +48,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     moving = course.moving
     interval = float(np.median(np.diff(course.time)))
     shown = (
-        f"the course shows for {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s, "
+        f"the course is known for {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s, "
         f"where the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
@@ -61,7 +61,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
             f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows it",
             f"check the gyro's unit and the clocks; offsets beyond {WIDEST:.0f} s are not searched",
         )
-    return f"{shown}, and there it changes by {change:.1f} deg within 20 s; slower turns don't show", MORE
+    return f"{shown}, and then it changes by {change:.1f} deg within 20 s; slower turns don't show", MORE
 
 
 def check_use(evidence: Evidence) -> Iterator[Finding]:
@@ -78,7 +78,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
     if chosen.model == "tilted12":
-        reasons["model"] = "az, gx and gy are there, which distinguish hills from motion"
+        reasons["model"] = "the IMU has az, gx and gy, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))
     may = ["velocity to --use: the receiver gives speed and course"] if agrees(evidence) else []
     if drive.gps.heading is not None and not any(check_heading(evidence)):

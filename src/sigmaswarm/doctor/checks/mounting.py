@@ -20,7 +20,7 @@ WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 STANDS = 1.0
 """m/s: at lower speeds a car may change between forward and reverse."""
 STEP = 2.0
-"""s: over which changes of speed are compared with ax."""
+"""s: interval over which changes of speed are compared with ax."""
 CLEAR, LEAST = 3.0, 0.4
 """Deviations and size by which the slope of the changes of speed on ax differs from 0."""
 
@@ -30,7 +30,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     mounting = evidence.mounting
     if change := moved(evidence.drive):
         time, angle = change
-        what = f"the IMU was moved at t = {time:.0f} s: gravity stands {math.degrees(angle):.0f} deg off after it"
+        what = f"the IMU was moved at t = {time:.0f} s: gravity's direction changes by {math.degrees(angle):.0f} deg"
         remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has its own mounting"
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
@@ -39,8 +39,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
-            f"the IMU is turned against the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg "
-            f"(standard deviation {math.degrees(total):.1f} deg in all, {mounting.confidence})",
+            f"the IMU is turned relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg "
+            f"(standard deviation {math.degrees(total):.1f} deg in total, {mounting.confidence})",
             WHERE, evidence.span, confidence_of(angle / total),
             f"turn all six axes: import with --mount {roll:g},{pitch:g},{yaw:g}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),

@@ -1,4 +1,4 @@
-"""The receiver's stated deviation against the fixes' scatter, errors that last, and outliers."""
+"""The receiver's stated deviation against the fixes' scatter, correlated errors, and outliers."""
 
 from collections.abc import Iterator
 
@@ -47,7 +47,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     stated = float(np.mean(known))
     where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
-    # A smoothing receiver's errors last: its stated accuracy may be right although the fixes scatter little.
+    # A smoothing receiver's errors are correlated: its stated accuracy may be right although the fixes scatter little.
     white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:
         how, confidence = "smaller", confidence_of(3 + noise / stated / TOO_SMALL)
@@ -57,10 +57,11 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         if stated > LASTS * max(scatter, LEAST_NOISE) or (noise < WHITE * scatter and scatter > LEAST_NOISE):
             what = (
                 f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
-                f"of ten seconds, and the receiver states {stated:.2g} m: their errors last, so that many fixes are "
-                "hardly better than one; without truth neither the stated deviation nor a filter's error can be checked"
+                f"of ten seconds, and the receiver states {stated:.2g} m: their errors are correlated, so many fixes "
+                "are hardly better than one; without truth neither the stated deviation nor a filter's error can be "
+                "checked"
             )
-            remedy = "read a filter's own position deviation as the scatter alone"
+            remedy = "a filter's own position deviation covers the scatter alone"
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )

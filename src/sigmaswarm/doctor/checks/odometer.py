@@ -173,7 +173,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
             return
     if size > 0.1 and abs(size - 1) > max(WRONG, 3 * unsure):
         way = "more" if size > 1 else "less"
-        what = f"the odometer measures {abs(size - 1):.1%} {way} than the fixes (to {unsure:.1%})"
+        what = f"the odometer measures {abs(size - 1):.1%} {way} than the fixes (+- {unsure:.1%})"
         remedy = f"divide speed by {size:.4f}, or let `tune --use odometer` find its scale"
         yield Finding(
             "odometer-scale", "warning", what, SPEED, span, 0.95, remedy, Repair("odometer", (1 / size,))

@@ -50,7 +50,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         grave = abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std)
         yield Finding(
             "clock-offset", ("serious" if grave else "warning") if clear else "note",
-            f"the fixes {'are' if clear else 'may be'} {size} {way} against the IMU (deviation {std:.2f} s)",
+            f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU (deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
             f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
             "(--use latency): its figure makes the filter forecast best, this one fits turns and accelerations best; "
@@ -60,13 +60,14 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     elif evidence.drives:
         visible = evidence.clock.visible
         how = (
-            "of any size could be invisible here"
+            "of any size can't be detected in this drive"
             if visible is None
-            else f"below {visible:.2f} s would not have been seen"
+            else f"below {visible:.2f} s can't be detected in this drive"
         )
         what = f"an offset between the clocks of IMU and GPS {how}"
         remedy = (
-            "use a drive with turns, starts and stops to see less, or let the tuning find it (--use latency)"
+            "use a drive with turns, starts and stops to see smaller offsets, or let the tuning find the offset "
+            "(--use latency)"
         )
         yield Finding("unseen-clock", "note", what, where, span, 0.95, remedy)
 
@@ -76,7 +77,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     imu, gps = evidence.drive.imu, evidence.drive.gps
     yield _rate("imu", "samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
-    remedy = "a filter uses the mean of the samples around it, and its covariance grows"
+    remedy = "a filter uses the mean of the samples around a gap, and increases its covariance"
     yield from _gaps("imu", imu.time, IMU_GAP, remedy)
     remedy = "a filter uses the IMU alone there; nothing to do if this is intended"
     yield from _gaps("gps", gps.time, GPS_GAP, remedy)
@@ -144,7 +145,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         if 0.5 * fix_missed < SIGMAS * std:
             what = "the logger paused, or its clock jumped: the car's speed does not distinguish the two"
         elif passed < fix_usual + 0.5 * fix_missed:
-            what = f"the logger's clock jumped: the car went as far between these fixes as in {passed:.1f} s"
+            what = f"the logger's clock jumped: the car needs only {passed:.1f} s for the distance between these fixes"
             code, severity, remedy = (
                 "clock-jump",
                 "warning",
@@ -155,7 +156,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
             what = "the logger paused: the car drove on"
-        what = f"IMU and fixes both miss {missed:.2g} s after t = {imu[i]:.2f} s: {what}"
+        what = f"IMU and fixes are both missing for {missed:.2g} s after t = {imu[i]:.2f} s: {what}"
         span = float(imu[i]), float(imu[i + 1])
         yield Finding(code, severity, what, "imu.csv, gps.csv, t", span, 0.9, remedy, repair)
 

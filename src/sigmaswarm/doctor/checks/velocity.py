@@ -72,7 +72,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def agrees(evidence: Evidence) -> bool:
-    """Return whether the receiver gives a speed and course that fit the positions of the same rows best."""
+    """Return whether the receiver's speed and course fit the positions in their own rows best."""
     gps = evidence.drive.gps
     if gps.speed is None or gps.course is None or evidence.course is None or any(check_velocity(evidence)):
         return False

@@ -109,7 +109,7 @@ LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0
 """Additional measures of a study with rivals: s without fixes, by name."""
 MEASURES = {
     "position_rmse_m": "position RMSE against truth, m",
-    "gps_rmse_m": "RMSE against the absorbed GPS (equation 4), m",
+    "gps_rmse_m": "RMSE against the GPS fix after the update (equation 4), m",
     "heading_rmse_deg": "heading error, deg",
     "outage_drift_m": "drift over a 5 s outage, m",
     "nis": "mean NIS, 2 where the filter is consistent",

@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 ELSEWHERE_RUNS = 2
-"""Simulated drives of each condition elsewhere, at most."""
+"""Largest number of runs of each condition with another IMU or car."""
 OTHER_IMU = ("mpu-6050", "icm-20602")
-"""The IMU elsewhere: the first, or the second where the study has the first."""
+"""Other IMUs; the first that differs from the study's is used."""
 HOME_CAR, OTHER_CAR = "model3", "model3-carla"
 
 

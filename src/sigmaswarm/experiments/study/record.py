@@ -65,7 +65,7 @@ class ScoreStatistics(_Part):
     Attributes
     ----------
     mean, sd : over trials, of the mean over each trial's test drives
-    trial_interval : mean +- 1.96 SD / sqrt(n): the uncertainty by optimizer and split, not for new drives
+    trial_interval : mean +- 1.96 SD / sqrt(n): the uncertainty from optimizer and split, not for new drives
     corrected_t_interval : for new drives, corrected resampled t
     bootstrap_interval : for new drives; drives, within conditions, and trials are resampled
     n_trials, n_drives : number of each behind the figures

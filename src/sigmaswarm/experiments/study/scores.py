@@ -185,7 +185,7 @@ def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     """Score the raw fixes, the fixes alone or the IMU alone on all drives, shape (1, drives) each.
 
-    The noises of the filter of the fixes alone are the median of those fitted to each drive.
+    The filter of the fixes alone uses the median of the noises fitted to each drive.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     if method == "fixes-alone":

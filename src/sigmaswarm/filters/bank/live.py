@@ -539,7 +539,7 @@ class LiveFilterBank(LiveFilter):
         InputError
         """
         raise InputError(
-            "a filter bank has no smoothed state; take a LiveFilter with a lag, for example lag=2.0"
+            "a filter bank has no smoothed state; use a LiveFilter with a lag, for example lag=2.0"
         )
 
 

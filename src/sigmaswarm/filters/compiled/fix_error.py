@@ -1,4 +1,4 @@
-"""Fix errors that last, as two states after those of a model: `filters.fix_error` in closed form.
+"""Correlated fix errors, as two states after those of a model: `filters.fix_error` in closed form.
 
 The states do not enter the process. So a prediction multiplies their columns of P by F and changes nothing else: F is
 made from the scratch rows of a model's prediction, in an unscented filter too (its statistical linearization, see

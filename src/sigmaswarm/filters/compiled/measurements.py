@@ -195,7 +195,7 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
     """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
     P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position and at the
-    lasting error of fixes, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
+    correlated fix error, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0

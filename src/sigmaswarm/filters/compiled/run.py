@@ -103,7 +103,7 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_doubtful(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """As `_score` if truth states its deviation, which gives the weight of a moment and is added to P in the NEES.
+    """As `_score`, for truth with a stated deviation: it weights each moment, and its square is added to P in the NEES.
 
     Separate from `_score`, which would round differently with a factor of 1.
     """

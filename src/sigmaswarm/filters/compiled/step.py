@@ -100,7 +100,7 @@ _PREDICTIONS = {
 def step_of(name, *, noted=False):
     """A step of LANES filters of a kernel's name, to be inlined.
 
-    ``noted``: it writes the inputs of a smoother to the rows of the first lane: see `tape`.
+    ``noted``: the step also writes the inputs of a smoother to the rows of the first lane; see `tape`.
     """
     model = FILTERS[name]
     if model.measures_imu:

@@ -181,6 +181,6 @@ def build_steps(log: Log) -> Steps:
 
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
-    """The row of ``times`` that each of ``ends`` is, or -1."""
+    """Index in ``times`` of each of ``ends``; -1 where it is not among them."""
     found = np.isin(ends, times)
     return np.where(found, np.cumsum(found) - 1, -1).astype(np.int64)

@@ -177,7 +177,7 @@ class TextbookCar:
         self.filter.absorb(replace(innovation, variance=np.maximum(innovation.variance, least)))
 
     def _age_fix_error(self, stated: Array) -> None:
-        """Propagate the lasting error from the last fix to the next, whose ``stated`` variances are (2,) m2 or 0."""
+        """Propagate the correlated error from the last fix to the next, whose ``stated`` variances are (2,) m2 or 0."""
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
         f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)

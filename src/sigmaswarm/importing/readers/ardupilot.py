@@ -40,7 +40,7 @@ _COLUMNS = {
 
 
 class _Skipped(StringIO):
-    """Where pymavlink prints each byte that it skips: nothing is kept, and a long file of other bytes is refused."""
+    """Sink for pymavlink's report of each skipped byte; keeps nothing and refuses a long file of other bytes."""
 
     count = 0
 

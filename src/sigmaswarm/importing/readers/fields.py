@@ -61,7 +61,7 @@ def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tupl
     Raises
     ------
     InputError
-        There are too many: a definition of 2 kB can nest to hundreds of millions.
+        If there are too many fields: a definition of 2 kB can nest hundreds of millions.
     """
     if msgtype not in typestore.fielddefs:
         return ()

@@ -60,7 +60,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     stamps = _stamps(folder / "timestamps.txt")
     files = sorted((folder / "data").glob("*.txt"))
     if not files:
-        raise InputError(f"{folder / 'data'}: contains no texts; unpack the drive again")
+        raise InputError(f"{folder / 'data'}: contains no text files; unpack the drive again")
     rows = np.array([_numbers(file, len(stamps)) for file in files])
     times = stamps[rows[:, 0].astype(np.int64)]
     frame = pl.DataFrame({"stamp": times, **dict(zip(COLUMNS, rows.T[1:], strict=True))})
@@ -82,7 +82,9 @@ def _stamps(path: Path) -> np.ndarray:
     if not len(times):
         raise InputError(f"{path} is empty; unpack the drive again")
     if np.any(times.astype("datetime64[D]") != days, where=~np.isnat(days)):  # ns reach from 1678 to 2262
-        raise InputError(f"{path}: contains a date beyond what ns can count; unpack the drive again")
+        raise InputError(
+            f"{path}: contains a date outside the range of ns timestamps; unpack the drive again"
+        )
     return times.astype(np.int64)
 
 

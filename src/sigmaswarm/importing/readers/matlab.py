@@ -69,7 +69,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
                 "writetimetable(NAME, 'NAME.csv')  (or writetable), and import the folder of these files"
             )
         raise InputError(
-            f"{path}: contains no struct of vectors and no vectors; --show lists tables, and there are none"
+            f"{path}: contains neither vectors nor a struct of vectors; save the log's columns as vectors of one struct"
         )
     for name, frame in frames.items():
         limits.check_rows(len(frame), path, name)
@@ -110,7 +110,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
         elif kind != _COMPRESSED:
             following += -size % 8
         if following - (-size % 8) > end:
-            raise ValueError(f"an element of {size} bytes, of which the file lacks a part")
+            raise ValueError(f"an element of {size} bytes is cut off")
         yield kind, size
         file.seek(following)
 
@@ -118,7 +118,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
 def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> None:
     """Refuse elements that are not arrays, and an array whose class, shape and content do not agree."""
     if kind != _ARRAY or depth > _DEEPEST_ARRAY:
-        raise ValueError(f"an element of type {kind}, {depth} deep, in the place of an array")
+        raise ValueError(f"an element of type {kind}, at depth {depth}, instead of an array")
     elements = _elements(file, file.tell() + size, order)
     if next(elements, (_FLAGS, 8)) != (_FLAGS, 8):
         raise ValueError("an array without a class")
@@ -134,7 +134,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
         if inner == _ARRAY and array in _OF_ARRAYS:
             _require_array(file, inner, length, order, depth + 1)
         elif inner not in _NUMBERS:
-            raise ValueError(f"an element of type {inner} in the place of numbers")
+            raise ValueError(f"an element of type {inner} instead of numbers")
     if array in _OF_ARRAYS:
         lacks = depth > 0 and count > MOST_STRUCTS  # a variable of too many is named by `open_log`
     elif array == _SPARSE:

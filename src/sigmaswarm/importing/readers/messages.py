@@ -131,8 +131,8 @@ class _Messages:
             return Guess({})
         if role not in choice.mapped:
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) has nothing that gives "
-                f"{' and '.join(sorted(wanted))} by its name; choose another topic, or map it"
+                f"{self.path}: {topic} ({self.tables[topic].kind}) has no field whose name shows "
+                f"{' and '.join(sorted(wanted))}; choose another topic, or map it"
             )
         time = time_of(self._sample(topic), role)
         return Guess({role: (Part(topic, {"t": time} if time else {}),)})

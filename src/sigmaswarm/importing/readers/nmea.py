@@ -109,7 +109,7 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
     if not complete:
         raise InputError(f"{path}: contains no whole NMEA sentence; name the format with --format")
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged lines passed over")
+        remarks.append(f"{path.name}: {broken} damaged lines skipped")
 
 
 def _day(message: Any) -> date | None:

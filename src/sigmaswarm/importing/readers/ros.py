@@ -64,7 +64,7 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
                 except (OSError, UnicodeDecodeError, typesys.TypesysError, RecursionError) as error:
                     said = " ".join(str(error).split())[:160]
                     raise InputError(
-                        f"--msg {file}: can't be read as a definition ({said}); mend it"
+                        f"--msg {file}: can't be read as a definition ({said}); correct it"
                     ) from None
                 new = {k: v for k, v in types.items() if k not in reader.typestore.fielddefs or k == kind}
                 for name in new:
@@ -108,7 +108,7 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
             tables[topic] = Table(columns, kind, info.msgcount)
             limits = limits.less(len(columns))
         else:
-            unread.append(f"{topic} ({kind}, whose definition --msg {kind.rpartition('/')[2]}.msg gives)")
+            unread.append(f"{topic} ({kind}; give its definition with --msg {kind.rpartition('/')[2]}.msg)")
 
     def stream(topics: Collection[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]

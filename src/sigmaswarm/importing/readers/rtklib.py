@@ -58,9 +58,7 @@ def _header(path: Path) -> tuple[str, list[str]]:
                 said = line
     words = re.sub(r"[%,;]", " ", said).split()
     if len(words) < 3 or words[0] not in ("GPST", "UTC"):
-        raise InputError(
-            f"{path}: has no header of RTKLIB's with GPST or UTC; write the solution with its header"
-        )
+        raise InputError(f"{path}: has no RTKLIB header with GPST or UTC; write the solution with its header")
     columns = [re.sub(_UNIT, r"\1", word) for word in words[1:]]
     if not {"latitude", "longitude"} <= set(columns):
         raise InputError(
@@ -86,7 +84,7 @@ def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...]
                 time, values = 0.0, []
             if len(values) != width:
                 raise InputError(
-                    f"{path}, row {number}: {line.strip()[:40]!r}... has not the header's {width} numbers; "
+                    f"{path}, row {number}: {line.strip()[:40]!r}... does not have the header's {width} numbers; "
                     "the file may be cut short; delete the row"
                 )
             yield (time, *values), min(read / size, 1.0)

@@ -103,7 +103,7 @@ class Topics:
             t for t, table in self.tables.items() if "Odometry" in table.kind and t != fixes
         ):
             self.notes.append(
-                f"{names_shown(poses)} not taken as truth, since no name shows it; choose one with --truth-topic"
+                f"{names_shown(poses)} not taken as truth, since no name indicates it; choose one with --truth-topic"
             )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
@@ -217,13 +217,13 @@ class Topics:
         """The part with its time: the header's stamp, unless it is unset or excluded."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
-            self.notes.append(f"{topic}: messages have no header; receive times taken")
+            self.notes.append(f"{topic}: messages have no header; receive times used")
         elif not self.choice.receive_times:
             message = self.first(topic)
             if message and stamp_of(message[2]):
                 time = "stamp*1e-9"
             else:
-                self.notes.append(f"{topic}: header stamps are not set; receive times taken")
+                self.notes.append(f"{topic}: header stamps are not set; receive times used")
         return Part(topic, {"t": time, **columns})
 
     def _note_frame(self, topic: str) -> None:

@@ -111,9 +111,9 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
             continue
         yield row, done
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged messages passed over")
+        remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if undated:
-        remarks.append(f"{path.name}: {undated} messages without a valid date passed over")
+        remarks.append(f"{path.name}: {undated} messages without a valid date skipped")
 
 
 def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
@@ -124,7 +124,9 @@ def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)
-            if message.relPosHeadingValid and message.carrSoln == 2:
+            if (
+                message.relPosHeadingValid and message.carrSoln == 2 and message.isMoving
+            ):  # not a base station
                 found[message.iTOW] = message.relPosHeading, message.accHeading
         except Exception:  # of a length that is none, or of version 0, which has no heading
             continue
@@ -165,7 +167,7 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
     if "lat" in fix:
         yield _row_6(fix, week), 1.0
     if broken:
-        remarks.append(f"{path.name}: {broken} damaged messages passed over")
+        remarks.append(f"{path.name}: {broken} damaged messages skipped")
     if not week:
         remarks.append(
             f"{path.name}: no NAV-SOL states the GPS week: times are those of the week; --gps-offset moves them"

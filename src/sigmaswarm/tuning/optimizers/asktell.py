@@ -136,7 +136,7 @@ class AskTell:
             if isinstance(now, np.ndarray):
                 value = np.array(value)
                 if value.dtype != now.dtype or value.ndim != now.ndim or value.shape[1:] != now.shape[1:]:
-                    raise ValueError(f"{name} has another type or shape")
+                    raise ValueError(f"{name} has the wrong type or shape")
             else:
                 value = type(now)(value)
             setattr(self, name, value)
