@@ -124,7 +124,7 @@ def test_a_folder_that_others_can_write_is_not_used(tmp_path: Path, sound: Path)
     for cache, told in zip(caches, _process(sound, caches=caches), strict=True):
         assert told["hits"] == 0
         (said,) = told["said"]  # type: ignore[misc]
-        assert f"{cache}/sigmaswarm is open to others" in said
+        assert f"{cache}/sigmaswarm can be written by other users" in said
         assert "set NUMBA_CACHE_DIR" in said
     assert [(file, file.read_bytes()) for file in files(tmp_path)] == before
 

@@ -140,7 +140,7 @@ def test_a_text_is_bounded_before_polars_reads_it(form: str, how: str, tmp_path:
     file = log / name
     file.write_bytes(file.read_bytes() + TEXTS[how])
     log = zipped(log) if form == "zip" else file if form == "csv" else log
-    said = rf"{name}.*(is longer than|holds more than 100000 rows)"
+    said = rf"{name}.*(is longer than|contains more than 100000 rows)"
     with pytest.raises(InputError, match=said), open_log(log, limits=Limits(rows=100_000)):
         pass
 

@@ -98,7 +98,7 @@ def test_texts_in_parquet_are_not_read(drive: Path):
     with pytest.warns(UserWarning, match="note"):
         assert len(read_drive(drive).imu) == len(imu)
     imu.with_columns(pl.lit("x").alias("ax")).write_parquet(drive / "imu.parquet")
-    with pytest.raises(InputError, match="column ax: holds String"):
+    with pytest.raises(InputError, match="column ax: contains String"):
         read_drive(drive)
 
 
@@ -162,7 +162,7 @@ def test_members_of_npz_are_counted_before_they_are_read(tmp_path: Path):
         path = tmp_path / "history.npz"
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
             fill(file)
-        with limited(10), pytest.raises(InputError, match=r"history\.npz: holds"):
+        with limited(10), pytest.raises(InputError, match=r"history\.npz: contains"):
             read_arrays(path)
 
 

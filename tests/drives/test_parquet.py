@@ -63,11 +63,11 @@ BROKEN = {
     "few fixes": (edited("gps.parquet", lambda f: f.head(2)), "gps.parquet: 2 fixes within"),
     "words": (
         edited("imu.parquet", lambda f: f.with_columns(ax=pl.lit("0.1"))),
-        "imu.parquet, column ax: holds String, not numbers",
+        "imu.parquet, column ax: contains String, not numbers",
     ),
     "dates": (
         edited("imu.parquet", lambda f: f.with_columns(t=pl.lit(datetime.datetime(2026, 1, 1)))),
-        "imu.parquet, column t: holds Datetime",
+        "imu.parquet, column t: contains Datetime",
     ),
     "no parquet": (lambda folder: (folder / "gps.parquet").write_text("t,x,y\n"), "gps.parquet is no Parquet file"),
     "both": (lambda folder: (folder / "imu.csv").write_text("t\n"), "contains both imu.csv and imu.parquet"),
@@ -120,7 +120,7 @@ def test_what_may_be_a_secret_is_not_said():
 
 def test_convert_does_not_write_into_a_drive(tmp_path: Path, folder: Path):
     other = write_drive(make_drive(duration=20.0), tmp_path / "other")
-    with pytest.raises(InputError, match="other: is a drive; name, last, the folder"):
+    with pytest.raises(InputError, match="other: is a drive; give, as last argument, a folder"):
         convert(str(folder), str(other))
     convert(str(folder), str(tmp_path / "out"), to="csv")
     assert [f.name for f in (tmp_path / "out").iterdir()] == [read_drive(folder).name]

@@ -93,7 +93,7 @@ def test_never_replaces_what_is_not_a_drive(tmp_path: Path):
     drive = make_drive(duration=10.0)
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(
-        DriveError, match=r"holds 'thesis.tex', which is not part of a drive; name another folder"
+        DriveError, match=r"contains 'thesis.tex', which is not part of a drive; name another folder"
     ):
         write_drive(drive, tmp_path, overwrite=True)
     with pytest.raises(DriveError, match="is a file; name another folder"):

@@ -151,7 +151,7 @@ def test_a_parquet_of_more_rows_than_the_limit(tmp_path: Path):
     frame.write_csv(tmp_path / "log.csv")
     for name in ("log.parquet", "log.csv"):
         with pytest.raises(
-            InputError, match=r"holds more than 10000 rows; split the log, or raise --max-rows"
+            InputError, match=r"contains more than 10000 rows; split the log, or raise --max-rows"
         ):
             imported(tmp_path / name, limits=Limits(rows=10_000))
         assert len(imported(tmp_path / name).drive.imu) == rows

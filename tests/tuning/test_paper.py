@@ -8,7 +8,7 @@ from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 
-@pytest.mark.filterwarnings("ignore:gps-rmse scores the filter")
+@pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
 def test_the_paper_s_setting_is_that_of_the_paper():
     config = tune(make_drive(duration=12.0), paper=True, seed=4, inertia=0.6).config
     asked = ("optimizer", "scale", "objective", "model", "kind", "particles", "generations", "polish", "seed")

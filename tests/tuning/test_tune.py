@@ -64,7 +64,7 @@ def test_trials_differ_and_the_best_is_kept():
     assert tune(DRIVES, trials=1, seed=2, **SMALL).trials[0].best.tolist() == tuning.trials[0].best.tolist()
 
 
-@pytest.mark.filterwarnings("ignore:gps-rmse scores the filter")
+@pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
 def test_the_cost_is_that_of_the_parameters():
     for objective in ("truth-rmse", "truth-pose", "gps-rmse"):
         tuning = tune(DRIVES, objective=objective, **SMALL)
@@ -118,7 +118,7 @@ def test_parameters_stay_in_the_box_and_touched_bounds_are_told():
     assert tuning.touched_bounds  # an exact IMU wants less Q than the box allows
 
 
-@pytest.mark.filterwarnings("ignore:gps-rmse scores the filter")
+@pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
 def test_gps_rmse_copies_the_gps_and_is_worse_against_truth():
     drives = [simulate("urban", run=run, duration=60.0, gps="white-1m") for run in range(2)]
     options = {"particles": 20, "generations": 20}

@@ -108,8 +108,8 @@ class Gps(Table):
 def headings_of(gps: Gps) -> tuple[Array, Array]:
     """Heading, rad, and its stated variance, rad2, of each fix; infinite where it has none."""
     if gps.heading is None:
-        return np.zeros(len(gps)), np.full(len(gps), np.inf)
-    std = np.zeros(len(gps)) if gps.std_heading is None else gps.std_heading
+        return np.zeros(len(gps.time)), np.full(len(gps.time), np.inf)
+    std = np.zeros(len(gps.time)) if gps.std_heading is None else gps.std_heading
     return gps.heading, np.where(np.isfinite(gps.heading) & (std < NO_HEADING), std**2, np.inf)
 
 

@@ -9,7 +9,7 @@ import inspect
 from types import ModuleType
 
 from sigmaswarm import geodesy
-from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill
+from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill, tables
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import features_of, listed, values_of
 from sigmaswarm.exports.template import fill
@@ -50,7 +50,12 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
         "FROZEN_SOURCE": source_of(frozen),
         "GAPS_SOURCE": source_of(gaps),
         "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),
-        "ALIGNMENT_SOURCE": "\n\n\n".join(map(source_of, (gyro_seen, alignment_fit, alignment))),
+        "ALIGNMENT_SOURCE": "\n\n\n".join(
+            [
+                source_of(tables, ["NO_HEADING", "headings_of"]),
+                *map(source_of, (gyro_seen, alignment_fit, alignment)),
+            ]
+        ),
         "STANDSTILL_SOURCE": source_of(standstill),
     }
     return {FILE: fill("filterpy.py.in", features, values)}

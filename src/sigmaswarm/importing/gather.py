@@ -66,7 +66,7 @@ class Gathered:
         except pl.exceptions.PolarsError as error:  # a list where a number is wanted, a text that is no date
             said = shown(" ".join(str(error).split("\n")[0].split()), 160)
             raise InputError(
-                f"{log.path}, {self.part.table}: its columns can't be made numbers ({said}); map others"
+                f"{log.path}, {self.part.table}: its columns can't be converted to numbers ({said}); map others"
             ) from None
         usable = rows.filter(pl.col("t").is_not_null())
         self.timeless += len(rows) - len(usable)
