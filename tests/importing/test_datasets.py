@@ -282,7 +282,10 @@ def test_broken_data_set(tmp_path: Path, write, damage: str):
             lambda text: text.replace("latitude(deg) longitude(deg)", "x-ecef(m) y-ecef(m)"),
             "latitude, longitude",
         ),
-        (lambda text: "\n".join(line for line in text.splitlines() if line[0] != "%"), "no header"),
+        (
+            lambda text: "\n".join(line for line in text.splitlines() if line[0] != "%"),
+            "has no RTKLIB header",
+        ),
         (
             lambda text: "\n".join(line for line in text.splitlines() if line[0] == "%") + "\n",
             "no usable row",

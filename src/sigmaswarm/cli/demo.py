@@ -8,7 +8,7 @@ from sigmaswarm.errors import InputError
 
 
 def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> None:
-    """Run a small version of the paper's experiment in a minute, like `study --quick`.
+    """Run a small version of the paper's experiment, in about a minute.
 
     Example:
 
