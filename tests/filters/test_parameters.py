@@ -82,7 +82,7 @@ def test_a_filter_that_goes_by_accuracy_refuses_a_drive_that_states_none():
     drive, p = make_drive(duration=20.0), replace(GOOD, accuracy_scale=1.0)
     for run in (run_filter, run_textbook):
         with pytest.raises(
-            InputError, match=r"synthetic: the filter weighs .* no std_x and std_y for all fixes; take"
+            InputError, match=r"synthetic: the filter weighs .* no std_x and std_y for all fixes; use"
         ):
             run(drive, p)
     n = len(drive.gps)

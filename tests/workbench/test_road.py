@@ -171,7 +171,7 @@ def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
 
 def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     """Both tabs see one tuning; after a kill it is resumed with the bits of one that was never interrupted."""
-    options = {"model": "planar5", "particles": 8, "generations": 400}
+    options = {"model": "planar5", "particles": 8, "generations": 2500}
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     sigmaswarm.write_drive(drive, tmp_path / "bench" / "drives" / "monday")
     first = serve(tmp_path / "bench", options=options, plan={"monday": "tune on it"})
@@ -182,7 +182,7 @@ def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     for page in (one, two):
         page.get_by_text("monday: not finished").wait_for()
     one.get_by_role("button", name="Resume").click()
-    two.get_by_text("of 400").wait_for()
+    two.get_by_text("of 2500").wait_for()
     saved = tmp_path / "bench" / "tunings" / "monday"
     first.end(signal.SIGKILL)
     assert not (saved / "tuning.toml").exists()

@@ -1,7 +1,7 @@
 """The workbench in a browser: opening a log, drawing each step's plots, zooming into them; memory of the server.
 
-    python benchmarks/workbench.py --minutes 10
-    python benchmarks/workbench.py --minutes 60
+    python benchmarks/workbench_pages.py --minutes 10
+    python benchmarks/workbench_pages.py --minutes 60
 
 The log is a simulated drive with all axes at 100 Hz. Times are by the clock, followed by the processor time of the
 server and that of the browser's process for the page; their sum is about the time on an idle machine. Needs Chromium.
