@@ -239,7 +239,7 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
         array.start([replay.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
     )
     filter = TextbookRobotLocalization(p, mean[0], covariance[0])
-    flags = flags_of(line, *switches(p))
+    flags = flags_of(line, switches(p))
     fixes, wheels, means, used = (
         iter(line.fixes),
         iter(line.wheels.rows if line.wheels else ()),

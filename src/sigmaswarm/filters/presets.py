@@ -13,7 +13,7 @@ Three presets, planar5 UKFs, represent settings by hand:
 A tuning is compared with a filter of the same model and options with usual noises: ``baseline(drive, like=tuned)``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.robot_yaml import HEADING_NOISE, NOT_FUSED, PROCESS_NOISE, SMALLEST, SPEED_NOISE, YAML
 
@@ -100,6 +101,13 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         rear_axle=HALF_A_WHEELBASE if like.lateral_noise is not None else 0.0,
         **{name: value for name, value in BY_HAND.items() if getattr(like, name) is not None},
     )
+
+
+def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterParameters:
+    """Return the baseline of a model's EKF with options of ``tune --use``."""
+    used: dict[str, Any] = {name: value for name, value in BY_HAND.items() if name.split("_")[0] in use}
+    noises = (1.0,) * len(MODELS[model].states), (1.0, 1.0)
+    return baseline(drive, FilterParameters(0.1, 2.0, 0.0, *noises, model=model, kind="ekf", **used))
 
 
 def _bias_walk(drive: Drive, sensor: str) -> float:

@@ -104,25 +104,16 @@ class Replay:
         """Number of fixes that are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
-    def arrays(
-        self,
-        velocity: bool,
-        lateral: bool,
-        standstill: bool,
-        odometer: bool = False,
-        ay: bool = False,
-        heading: bool = False,
-    ) -> "DriveArrays":
+    def arrays(self, used: Switches) -> "DriveArrays":
         """The drive as the kernel reads it; the flags depend on the measurements that a filter uses."""
-        taken = velocity, lateral, standstill, odometer, ay, heading
-        if taken not in self._arrays:
+        if used not in self._arrays:
             line, targets = self.timeline, self.targets
-            flags = flags_of(line, *taken)
+            flags = flags_of(line, used)
             flags[targets.compared(line)] |= COMPARED
-            speeds = line.wheels.rows if odometer and line.wheels else NO_SPEEDS
+            speeds = line.wheels.rows if used.odometer and line.wheels else NO_SPEEDS
             read = line.steps, line.sample, line.driving, flags, line.fixes, speeds, line.lever
-            self._arrays[taken] = *read, targets.columns, targets.end
-        return self._arrays[taken]
+            self._arrays[used] = *read, targets.columns, targets.end
+        return self._arrays[used]
 
 
 DriveArrays = tuple[
@@ -164,7 +155,7 @@ def run_steps(
 ) -> None:
     """Run a block of filters over the steps of a replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
     require_readable(replay, array)
-    arrays = replay.arrays(*array.reads[-1])
+    arrays = replay.arrays(array.reads[-1])
     run.run_lanes(array.kernel, *arrays, rows, place, stop, record, innovations)
 
 

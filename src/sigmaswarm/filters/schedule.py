@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,14 +57,27 @@ GAP_TILT_STD = 0.01
 """rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 is as good on a real drive."""
 
 
-Switches = tuple[bool, bool, bool, bool, bool, bool]
+class Switches(NamedTuple):
+    """Measurements other than fixes that a filter uses."""
+
+    velocity: bool
+    lateral: bool
+    standstill: bool
+    odometer: bool = False
+    ay: bool = False
+    heading: bool = False
 
 
 def switches(p: FilterParameters) -> Switches:
-    """Measurements other than fixes that a parameter set uses: velocity, lateral, standstill, odometer, ay, heading."""
-    velocity, lateral = p.velocity_noise is not None, p.lateral_noise is not None
-    stands, wheels, ay = p.standstill_noise is not None, p.odometer_noise is not None, len(p.imu_noise) > 2
-    return velocity, lateral, stands, wheels, ay, p.heading_noise is not None
+    """Measurements other than fixes that a parameter set uses."""
+    return Switches(
+        velocity=p.velocity_noise is not None,
+        lateral=p.lateral_noise is not None,
+        standstill=p.standstill_noise is not None,
+        odometer=p.odometer_noise is not None,
+        ay=len(p.imu_noise) > 2,
+        heading=p.heading_noise is not None,
+    )
 
 
 def require_odometer(drive: Drive) -> None:
@@ -137,37 +151,29 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
     return added
 
 
-def flags_of(
-    line: Timeline,
-    velocity: bool,
-    lateral: bool,
-    standstill: bool,
-    odometer: bool = False,
-    ay: bool = False,
-    heading: bool = False,
-) -> NDArray[np.uint16]:
+def flags_of(line: Timeline, used: Switches) -> NDArray[np.uint16]:
     """Events at the end of each step, as bits FIX ... HEADING, shape (k,).
 
     With an odometer, the car does not stand while the wheels turn. ``ay``: robot-localization fuses it; it has no
     standstills, and their bit marks these samples.
     """
-    wheels = line.wheels if odometer else None
+    wheels = line.wheels if used.odometer else None
     flags = np.zeros(len(line.absorbs), dtype=np.uint16)
     flags[line.absorbs] |= FIX
     flags[line.hides] |= HIDDEN
     flags[line.sampled] |= IMU
-    if velocity and line.has_velocity:
+    if used.velocity and line.has_velocity:
         flags[line.absorbs] |= VELOCITY
-    if heading:
+    if used.heading:
         found = np.zeros(len(flags), dtype=np.bool_)
         found[line.absorbs | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
         flags[found & line.absorbs] |= HEADING
-    if lateral:
+    if used.lateral:
         flags[_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)] |= LATERAL
-    if standstill:
+    if used.standstill:
         stands = line.stands if wheels is None else line.stands & ~wheels.turn
         flags[_every(line, stands & line.sampled, STANDSTILL_INTERVAL)] |= STANDSTILL
-    if ay:
+    if used.ay:
         flags[line.sampled] |= STANDSTILL
     if wheels is not None:
         flags[wheels.absorbs] |= ODOMETER

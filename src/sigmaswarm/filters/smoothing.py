@@ -134,7 +134,7 @@ class _Forward(Recording):
     def _steps_to(self, stop: int, record: Array) -> None:
         first = int(self._place[NEXT_STEP])
         logged = self._logged[first - self._first : stop - self._first]
-        steps, sample, driving, flags, *rest = self._replay.arrays(*self._switches)
+        steps, sample, driving, flags, *rest = self._replay.arrays(self._switches)
         # With IMU in all flags it records all steps.
         self._kernel(
             *(steps, sample, driving, flags | IMU, *rest),

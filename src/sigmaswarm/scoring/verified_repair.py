@@ -11,9 +11,8 @@ from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import has_attitude, stated_std, white_noise
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
-from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import baseline
+from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.filters.run import run_innovations
 from sigmaswarm.scoring.batch import Replayer
 
@@ -49,15 +48,7 @@ def checking_filter(drive: Drive) -> FilterParameters:
 def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
     """Return the baseline of the mended drive's default filter, which verifies repairs of clocks too."""
     model = "tilted12" if has_attitude(mended) else "planar8"
-    like = FilterParameters(
-        *(0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0, 1.0)),
-        model=model,
-        kind="ekf",
-        lateral_noise=1.0,
-        standstill_noise=1.0,
-        robust_dof=4.0,
-    )
-    return baseline(drive, like)
+    return baseline_of(drive, model, ("lateral", "standstill", "robust"))
 
 
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:

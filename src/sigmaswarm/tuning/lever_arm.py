@@ -20,7 +20,7 @@ from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import BY_HAND, HALF_A_WHEELBASE, baseline
+from sigmaswarm.filters.presets import HALF_A_WHEELBASE, baseline_of
 from sigmaswarm.filters.recording import Innovations, Recording
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.jobs import cores
@@ -152,7 +152,7 @@ def estimate_lever_arm(
     prior = {name: (float(m), s) for name, m, s in zip(ARM, mean, std, strict=True)}
     if parameters is None:
         options = with_filter({}, [sensors_of(drive) for drive in read])[0]
-        values, _ = _maximum(read, _by_hand(read[0], options["model"], options["use"]), prior)
+        values, _ = _maximum(read, baseline_of(read[0], options["model"], options["use"]), prior)
         moved = [_with_arm(drive, (values["forward"], values["left"])) for drive in read]
         parameters = _tuned(moved, options)
     else:
@@ -179,15 +179,6 @@ def _with_arm(drive: Drive, arm: tuple[float, float], **more: Any) -> Drive:
     """Return a drive with another lever arm; the antenna's height stays."""
     changed = {"gps_lever_arm_m": [*map(float, arm), drive.antenna_height], **more}
     return replace(drive, metadata={**drive.metadata, **changed})
-
-
-def _by_hand(drive: Drive, model: Any, use: Sequence[str]) -> FilterParameters:
-    """Return the filter that suits the logs, with the noises of the baseline."""
-    used: dict[str, Any] = {name: v for name, v in BY_HAND.items() if name.split("_")[0] in use}
-    like = FilterParameters(
-        0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0, 1.0), model=model, kind="ekf", **used
-    )
-    return baseline(drive, like)
 
 
 def _tuned(drives: Sequence[Drive], options: Mapping[str, Any]) -> FilterParameters:

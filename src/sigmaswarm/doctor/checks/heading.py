@@ -107,9 +107,6 @@ def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
 
     tried = np.arange(-1.5, 1.51, 0.05)
     each = [misfit(float(late)) for late in tried]
-    found, own = (
-        float(tried[int(np.argmin(each))]),
-        evidence.clock.late - evidence.moved if evidence.clock.visible else 0.0,
-    )
-    late = found - own
+    own = evidence.clock.late - evidence.moved if evidence.clock.visible else 0.0
+    late = float(tried[int(np.argmin(each))]) - own
     return late if abs(late) >= LATE and min(each) < WORSE * misfit(own) else 0.0
