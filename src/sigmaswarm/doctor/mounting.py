@@ -249,7 +249,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)
     spread = 1.4826 * np.median(np.abs(leak - gravity), axis=0)
-    known = np.hypot(TILT_FLOOR[1], 2 * spread / math.sqrt(len(leak)))
+    known = np.hypot(TILT_FLOOR[1], 2 * spread / math.sqrt(len(leak))) + fit.bias_std / GRAVITY
     axis, axis_std = _axis_of_turning(drive)
     weight = np.array([1 / known**2, 1 / np.full(2, np.max(axis_std)) ** 2])
     tilt = (weight[0] * gravity + weight[1] * (about_z(yaw)[:2, :2] @ axis)) / weight.sum(axis=0)

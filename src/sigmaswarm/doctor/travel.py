@@ -14,7 +14,7 @@ import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import drift_of, usable_windows
 from sigmaswarm.doctor.fixes import Course
-from sigmaswarm.doctor.windows import Complex, integral, regress
+from sigmaswarm.doctor.windows import Complex, integral, regress, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
@@ -22,6 +22,8 @@ WINDOW, DEGREE = 20.0, 2
 """s, and degree of the polynomial in time whose coefficients belong to a window."""
 FORWARD = 4.0
 """Ratio of the deviations of the velocity along and across the direction of travel."""
+LEAST_STRAIGHT = 0.5
+"""Ratio of the mean velocity to the speed in the sharpest turns."""
 
 
 def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
@@ -49,7 +51,10 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     level = (gained - 1j * GRAVITY * (since(integral(time, tilt)) - leaned * (at - at[:, :1]))) / start
     up = since(integral(time, imu.az - np.median(imu.az) + np.imag(np.conj(tilt) * force)))
     up = up.real - np.imag(np.conj(leaned) * gained)
-    speed = np.abs(course.velocity)[rows]
+    straight = np.abs(
+        smoothed(time, heading, course.time - late, course.span)
+    )  # a mean velocity is less in turns
+    speed = (np.abs(course.velocity) / np.maximum(straight, LEAST_STRAIGHT))[rows]
     back, zero = np.conj(turned), np.zeros(at.shape)
 
     def stack(across: Complex, up: Array) -> Complex:
