@@ -47,7 +47,6 @@ def doctor(
     lever_arm_within
         Estimate one lever arm for all drives; --fix writes each axis whose 95% interval is within this many meters.
     """
-
     read = _read(drives)
     if fix is not None:
         _check_names(read, fix)
@@ -85,7 +84,6 @@ def doctor(
 
 def _read(paths: list[Path]) -> "list[Drive]":
     """Read the drives without the warnings of reading, since the diagnosis checks more."""
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)
@@ -106,7 +104,6 @@ def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "Leve
 
 def _check_names(drives: "list[Drive]", out: Path) -> None:
     """Refuse, before anything is written, copies that would replace each other or another folder."""
-
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:

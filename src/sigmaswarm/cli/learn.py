@@ -11,7 +11,7 @@ from cyclopts import Parameter
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_drives, say
 from sigmaswarm.cli.options import FIELDS, Seed
-from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.filters.names import NetworkName
 
 if TYPE_CHECKING:
@@ -76,10 +76,7 @@ def learn(
         A tuning.toml, or its folder.
     drives
         Drive folders to learn from, or folders of drive folders.
-    options
-        The options of the command line.
     """
-
     record = _learn(network, tuning, drives, options)
     if options.json:
         print_json(record.model_dump(mode="json"))
@@ -90,19 +87,16 @@ def learn(
 def _learn(network: NetworkName, tuning: Path, drives: list[str], options: LearnOptions) -> "LearnedRecord":
     from sigmaswarm.learned.learn import LearnConfig
     from sigmaswarm.learned.learn import learn as train
-    from sigmaswarm.tuning.record import FILE
+    from sigmaswarm.tuning.record import tuning_file
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read, held_back = read_drives(drives), read_drives(options.validation or [])
-    counted, waiting = (
-        "epochs at most, loss {task.fields[loss]}, remaining",
-        "smoothing the drives",
-    )
-    with progress_bar("learning", counted, waiting, loss="-") as show:
+    counted = "epochs at most, loss {task.fields[loss]}, remaining"
+    with progress_bar("learning", counted, "smoothing the drives", loss="-") as show:
         learned = train(
             LearnConfig(network, parameters, read, held_back, options.search, options.seed),
             options.out,
-            tuning=tuning / FILE if tuning.is_dir() else tuning,
+            tuning=tuning_file(tuning),
             resume=options.resume,
             progress=lambda now: show(now.done, now.total, loss=f"{now.loss:.3f}"),
         )

@@ -54,7 +54,8 @@ def noise(
 ) -> None:
     """Measure the noise of an IMU at rest, in the units of filters that need it.
 
-    A log needs no fixes. An hour at rest shows all noises; the standstills of a drive show the white noise.
+    The log needs no fixes. An hour at rest determines all noise terms; the standstills of a drive determine the white
+    noise only.
 
     Examples:
 
@@ -67,8 +68,6 @@ def noise(
     ----------
     log
         A drive's folder, or any log that import reads.
-    options
-        The options of the command line.
     """
     from sigmaswarm.exports.imu_noise import noise_texts
     from sigmaswarm.exports.targets import write_texts

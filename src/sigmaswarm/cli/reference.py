@@ -10,7 +10,7 @@ from cyclopts import Parameter
 import sigmaswarm
 from sigmaswarm.cli.common import numbers_of, print_json, read_known, say, stdout
 from sigmaswarm.cli.options import FIELDS, Hyphened, Json
-from sigmaswarm.cli.progress import tuning_progress
+from sigmaswarm.cli.terminal import tuning_progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +69,6 @@ def reference(
     ----------
     drive
         The drive folder, with the IMU and the cheap receiver's fixes.
-    options
-        The options of the command line.
     """
     from sigmaswarm.drives.writer import require_replaceable, write_drive
 
@@ -91,7 +89,7 @@ def reference(
     for note in about["notes"]:
         stdout().print(f"note: {note}", markup=False)
     say(
-        f"took {about['fixes_taken']} of {about['fixes_given']} fixes; the truth is known to {options.accuracy:g} m "
+        f"used {about['fixes_taken']} of {about['fixes_given']} fixes; the truth is known to {options.accuracy:g} m "
         f"over {about['share']:.0%} of the drive"
     )
     if about["stretched"] > 1:
