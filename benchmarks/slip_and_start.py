@@ -68,7 +68,7 @@ def score(out: Path, case: Any, known: str, slip: str, seed: int, pool: ThreadPo
     key = (name, known, slip, seed)
     if (*key, "tuning") not in done:
         drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
-        chosen, _ = with_filter({}, [*training, *test])
+        chosen, _ = with_filter({}, [*drives, *test])
         use = (*chosen["use"], *MORE[slip])
         tuned = tune(drives, seed=seed, executor=pool, model=chosen["model"], use=use).parameters
         note(out, (*key, "tuning"), tuned.to_dict())

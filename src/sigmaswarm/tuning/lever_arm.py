@@ -16,7 +16,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.sensors import sensors_of
+from sigmaswarm.drives.sensors import sensors_of, suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -25,7 +25,7 @@ from sigmaswarm.filters.recording import Innovations, Recording
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import TuneConfig, validated_config
-from sigmaswarm.tuning.defaults import settled, with_filter
+from sigmaswarm.tuning.defaults import settled
 from sigmaswarm.tuning.problem import car_problem
 from sigmaswarm.tuning.search import Search
 
@@ -157,7 +157,8 @@ def estimate_lever_arm(
     mean, std = read[0].lever_arm, _stated_std(read[0])
     prior = {name: (float(m), s) for name, m, s in zip(ARM, mean, std, strict=True)}
     if parameters is None:
-        options = with_filter({}, [sensors_of(drive) for drive in read])[0]
+        suited = suggest_filter(read)
+        options: dict[str, Any] = {"model": suited.model, "use": suited.use}
         values, _ = _maximum(read, baseline_of(read[0], options["model"], options["use"]), prior)
         moved = [_with_arm(drive, (values["forward"], values["left"])) for drive in read]
         parameters = _tuned(moved, options)
