@@ -64,11 +64,8 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
         allowed = MODELS[model].options if model in MODELS else ()
         offered = (*found.use, "gate") if allowed else found.use
         use = [name for name in offered if name in (allowed or (name,)) and _fits(name, options)]
-        because = (
-            found.because
-            if model == found.model or "model" not in options
-            else (f"{found.model} suits the logs: {found.because}")
-        )
+        other = model != found.model and "model" in options
+        because = f"{found.model} suits the logs: {found.because}" if other else found.because
     described = _described(model, use) + (", as given" if "model" in options else "")
     return {**options, "model": model, "use": tuple(use)}, f"{described}: {because}"
 
