@@ -66,7 +66,13 @@ class EvaluateOptions:
 
 
 def evaluate(
-    tuning: Annotated[Path, Parameter(name="TUNING")],
+    tuning: Annotated[
+        Path,
+        Parameter(
+            name="TUNING",
+            help="A tuning.toml, or the folder that contains it; also a folder of `sigmaswarm learn`.",
+        ),
+    ],
     drives: Places,
     /,
     *,
@@ -88,11 +94,6 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --smooth --out evaluation
         sigmaswarm evaluate tuned drives/friday --swarm
         sigmaswarm evaluate tuned drives/friday --json
-
-    Parameters
-    ----------
-    tuning
-        A tuning.toml, or the folder that contains it; also a folder of `sigmaswarm learn`.
     """
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.records import load_record

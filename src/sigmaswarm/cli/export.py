@@ -52,7 +52,7 @@ class ExportOptions:
 
 
 def export(
-    tuning: Annotated[Path, Parameter(name="TUNING")],
+    tuning: Annotated[Path, Parameter(name="TUNING", help="A tuning.toml, or the folder that contains it.")],
     /,
     *,
     options: Annotated[ExportOptions, FIELDS],
@@ -68,11 +68,6 @@ def export(
         sigmaswarm export tuned --to c99 --out filter-c --check drives
         sigmaswarm export tuned --to robot_localization --out filter-ros
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
-
-    Parameters
-    ----------
-    tuning
-        A tuning.toml, or the folder that contains it.
     """
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts

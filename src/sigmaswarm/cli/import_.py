@@ -64,7 +64,7 @@ class ImportOptions:
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
     mag_topic
-        Topic or table of a magnetometer in the IMU's axes; it gives the fixes a heading. Or map mag.mx and mag.my.
+        Topic or table of a magnetometer in the IMU's axes, which gives a heading; or map mag.mx, mag.my.
     declination
         Magnetic declination, deg east of true north; by default estimated from the course, with the sensor's rotation.
     receive_times
@@ -142,7 +142,10 @@ class ImportOptions:
 
 
 def import_(
-    source: Annotated[Path, Parameter(name="SOURCE")],
+    source: Annotated[
+        Path,
+        Parameter(name="SOURCE", help="The log, a file or a folder, with the IMU and often everything else."),
+    ],
     /,
     *,
     options: Annotated[ImportOptions, FIELDS] = ImportOptions(),
@@ -158,11 +161,6 @@ def import_(
         sigmaswarm import monday.mcap --out drives/monday --imu-topic /imu/data --mount 90
         sigmaswarm import imu.csv --out drives/monday --gps track.ubx --truth rtk.pos
         sigmaswarm import log.csv --out drives/monday --time "stamp*1e-3" --map "ax=-acc_y*9.80665" "gz=radians(gyro_z)"
-
-    Parameters
-    ----------
-    source
-        The log, a file or a folder, with the IMU and often everything else.
     """
     request, heading = _request(source, options), options.heading_from_north
     if heading is not None and not abs(heading) <= 360:

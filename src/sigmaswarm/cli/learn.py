@@ -47,9 +47,11 @@ class LearnOptions:
 
 
 def learn(
-    network: Annotated[NetworkName, Parameter(name="NETWORK")],
-    tuning: Annotated[Path, Parameter(name="TUNING")],
-    drives: Annotated[list[str], Parameter(name="DRIVE")],
+    network: Annotated[NetworkName, Parameter(name="NETWORK", help="outage-lstm or noise-gru.")],
+    tuning: Annotated[Path, Parameter(name="TUNING", help="A tuning.toml, or its folder.")],
+    drives: Annotated[
+        list[str], Parameter(name="DRIVE", help="Drive folders to learn from, or folders of drive folders.")
+    ],
     /,
     *,
     options: Annotated[LearnOptions, FIELDS],
@@ -67,15 +69,6 @@ def learn(
         sigmaswarm learn outage-lstm tuned drives/training --out learned --validation drives/monday --search 8
         sigmaswarm learn noise-gru tuned drives/training --out learned --seed 1
         sigmaswarm learn noise-gru tuned drives/training --out learned --resume
-
-    Parameters
-    ----------
-    network
-        outage-lstm or noise-gru.
-    tuning
-        A tuning.toml, or its folder.
-    drives
-        Drive folders to learn from, or folders of drive folders.
     """
     record = _learn(network, tuning, drives, options)
     if options.json:

@@ -47,7 +47,9 @@ class NoiseOptions:
 
 
 def noise(
-    log: Annotated[Path | None, Parameter(name="LOG")] = None,
+    log: Annotated[
+        Path | None, Parameter(name="LOG", help="A drive's folder, or any log that import reads.")
+    ] = None,
     /,
     *,
     options: Annotated[NoiseOptions, FIELDS] = NoiseOptions(),
@@ -63,11 +65,6 @@ def noise(
         sigmaswarm noise static.bag --imu-topic /imu/data --to kalibr --out noise
         sigmaswarm noise drives/friday --to sigmaswarm kf-gins
         sigmaswarm noise --tuned tuned --to kf-gins
-
-    Parameters
-    ----------
-    log
-        A drive's folder, or any log that import reads.
     """
     from sigmaswarm.exports.imu_noise import noise_texts
     from sigmaswarm.exports.targets import write_texts

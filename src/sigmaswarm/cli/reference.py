@@ -49,7 +49,9 @@ class ReferenceOptions:
 
 
 def reference(
-    drive: Annotated[Path, Parameter(name="DRIVE")],
+    drive: Annotated[
+        Path, Parameter(name="DRIVE", help="The drive folder, with the IMU and the cheap receiver's fixes.")
+    ],
     /,
     *,
     options: Annotated[ReferenceOptions, FIELDS],
@@ -64,11 +66,6 @@ def reference(
         sigmaswarm reference drives/monday --fixes rtk.pos --out drives/monday-rtk --lever-arm 0.9,-0.4,1.2
         sigmaswarm tune drives/monday-rtk --out tuned
         sigmaswarm reference drives/monday --fixes drives/rtk --out drives/monday-rtk --accuracy 0.3 --offset -18
-
-    Parameters
-    ----------
-    drive
-        The drive folder, with the IMU and the cheap receiver's fixes.
     """
     from sigmaswarm.drives.writer import require_replaceable, write_drive
 

@@ -55,8 +55,14 @@ class RunOptions:
 
 
 def run(
-    tuning: Annotated[Path, Parameter(name="TUNING")],
-    drive: Annotated[Path, Parameter(name="DRIVE")],
+    tuning: Annotated[
+        Path,
+        Parameter(
+            name="TUNING",
+            help="A tuning.toml or its folder. A network of `sigmaswarm learn` helps the filter, except with --smooth or --bank.",
+        ),
+    ],
+    drive: Annotated[Path, Parameter(name="DRIVE", help="A drive folder.")],
     /,
     *,
     options: Annotated[RunOptions, FIELDS],
@@ -77,13 +83,6 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.ros2 --merge friday.mcap
         sigmaswarm run tuned drives/friday --out smoothed.csv --smooth
         sigmaswarm run tuned drives/friday --out estimate.csv --bank
-
-    Parameters
-    ----------
-    tuning
-        A tuning.toml or its folder. A network of `sigmaswarm learn` helps the filter, except with --smooth or --bank.
-    drive
-        A drive folder.
     """
     read, summary, fixes = _run(tuning, drive, options)
     if options.json:

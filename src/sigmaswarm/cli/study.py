@@ -106,7 +106,7 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     """
     from sigmaswarm.experiments.study.study import run_study
     from sigmaswarm.reports.folders import save_page
-    from sigmaswarm.reports.study import save_study
+    from sigmaswarm.reports.study_charts import save_study
 
     out, config = options.out, _config(options)
     counted = "generations and epochs, remaining" if config.rivals else "generations, remaining"

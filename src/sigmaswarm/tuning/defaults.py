@@ -66,11 +66,8 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
         allowed = MODELS[model].options if model in MODELS else ()
         offered = (*found.use, "gate") if allowed else found.use
         use = [name for name in offered if name in (allowed or (name,)) and _fits(name, options)]
-        because = (
-            found.because
-            if model == found.model or "model" not in options
-            else (f"{found.model} suits the logs: {found.because}")
-        )
+        other = model != found.model and "model" in options
+        because = f"{found.model} suits the logs: {found.because}" if other else found.because
         if "accuracy" in use and _needs_fix_error(model, options, drives):
             use.append("fix-error")
             because += ", correlated fix errors"

@@ -57,7 +57,7 @@ class MountingPanel:
                 with ui.element("div"):
                     sliders = ui.element("div")
                     with line("end"):
-                        field = ui.input("As an option", value=mount).props(
+                        field = ui.input("Mounting (--mount)", value=mount).props(
                             'hint="90, or 0,10,90, or x=-y,y=x"'
                         )
                         field.classes("grow").on("change", lambda: self._choose("mount", field.value))
@@ -100,9 +100,16 @@ class MountingPanel:
     def _settings(self) -> None:
         """Settings for few logs."""
         chosen = self.page.bench.log_choices.get
-        offset = ui.number("Added to the times of the fixes, s", value=chosen("gps_offset_s"), step=0.01)
-        arm = ui.input("From the IMU to the antenna, m forward,left,up", value=chosen("gps_lever_arm_m", ""))
-        part = ui.number("Recording, where a clock restarts", value=chosen("part"), min=1, precision=0)
+        offset = ui.number(
+            "Added to the times of the fixes, s (--gps-offset)", value=chosen("gps_offset_s"), step=0.01
+        )
+        arm = ui.input(
+            "From the IMU to the antenna, m forward,left,up (--lever-arm)",
+            value=chosen("gps_lever_arm_m", ""),
+        )
+        part = ui.number(
+            "Recording, where a clock restarts (--part)", value=chosen("part"), min=1, precision=0
+        )
         offset.on("change", lambda: self._choose("gps_offset_s", offset.value or 0.0))
         arm.on("change", lambda: self._choose("gps_lever_arm_m", arm.value))
         part.on("change", lambda: self._choose("part", int(part.value) if part.value else None))

@@ -35,7 +35,10 @@ class OpenLog(Page):
         """Show what the page waits for, and the last result."""
         self.messages()
         if self.wrong and self.look and self.look.tables:
-            text("p", "Choose below what each column is used for; the log is read again after every choice.")
+            text(
+                "p",
+                "Choose below what each column is used for (--map); the log is read again after every choice.",
+            )
         message(self.done, "good")
 
     def choose(self, **choices: Any) -> None:

@@ -101,7 +101,7 @@ class TunePage(Page):
                 choose = partial(self._choose, options)
                 select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
                 use, names = options.get("use") or [], list(get_args(Option))
-                more = select("Measurements", names, use, partial(choose, "use"), multiple=True)
+                more = select("Measurements (--use)", names, use, partial(choose, "use"), multiple=True)
                 more.props('hint="none: chosen by the log"')
             with line():
                 for key, usual in {"particles": 30, "generations": 50, "trials": 1, "seed": 0}.items():
