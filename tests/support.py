@@ -26,6 +26,19 @@ GRAVITY = 9.80665
 
 
 @contextmanager
+def no_pictures() -> Generator[None]:
+    """Pictures are not drawn."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    empty = '<svg height="1pt" width="1pt"></svg>'
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(FigureCanvasAgg, "print_png", lambda _, file, **__: file.write(b"a picture"))
+        patched.setattr(FigureCanvasSVG, "print_svg", lambda _, file, **__: file.write(empty))
+        yield
+
+
+@contextmanager
 def limited_memory(gigabytes: float = 1.0) -> Generator[None]:
     """No more than so much memory on top of what the process has: more is a MemoryError, where the system can."""
     resource = pytest.importorskip("resource")

@@ -22,13 +22,8 @@ QUICK = {
     "csv",
     "ubx",
     "px4",
-    "ardupilot",
-    "matlab",
-    "gnss-logger",
     "ros1",
-    "mcap-json",
     "phyphox",
-    "nmea",
     "rtklib",
 }
 
