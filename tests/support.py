@@ -3,6 +3,7 @@
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,12 @@ from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 def quickly(cases: Iterable[tuple[Any, ...]], here: Callable[..., bool]) -> list[Any]:
     """Cases of a parametrized test: those for which ``here`` does not speak are left to `make test-long`."""
     return [pytest.param(*case, marks=() if here(*case) else pytest.mark.long) for case in cases]
+
+
+def require(module: str, reason: str) -> None:
+    """Skip the tests of a file where a module is missing; unlike `pytest.importorskip` it is not imported."""
+    if find_spec(module) is None:
+        pytest.skip(reason, allow_module_level=True)
 
 
 SHARED = Path(__file__).parents[1].parent / "shared"

@@ -24,9 +24,9 @@ from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
 from sigmaswarm.learned.noise_filter import Settings, columns_of, require_supported, run
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
-from support import make_drive, quickly, sparse
+from support import make_drive, quickly, require, sparse
 
-pytest.importorskip("optax", reason="JAX and Optax are not installed (extra learned)")
+require("optax", "JAX and Optax are not installed (extra learned)")
 
 ALL = OPTIONS["all"] | {"velocity_noise": None}
 ONE_STEP = Schedule(0.01, epochs=1, batch=1, patience=5, seed=0)

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from processes import Process
+from support import require
 
-pytest.importorskip("nicegui", reason="NiceGUI is not installed (extra workbench)")
+require("nicegui", "NiceGUI is not installed (extra workbench)")
 
 SERVER = """
 import os, threading, time
