@@ -432,7 +432,7 @@ def test_the_demo_is_the_quick_study(
         at = {"protocol": protocol, "method": method, "measure": measure, "maneuver": "all"}
         return next(r["mean"] for r in results["summary"] if at.items() <= r.items())
 
-    why = next(line for line in ended.out.splitlines() if line.startswith("Why there are two objectives"))
+    why = next(line for line in ended.out.splitlines() if line.startswith("There are two objectives"))
     for figures in (
         ("paper", "pso-ukf", "gps_rmse_m"),
         ("paper", "pso-ukf", "position_rmse_m"),
@@ -441,7 +441,7 @@ def test_the_demo_is_the_quick_study(
     ):
         assert f"{mean(*figures):.2f} m" in why
     assert all(is_picture(Path(f"show/figures/{name}.png")) for name in ("convergence", "trajectory"))
-    assert "Why there are two objectives" in Path("show/page.html").read_text()
+    assert "There are two objectives" in Path("show/page.html").read_text()
     request.getfixturevalue("unpainted")
     again = sigmaswarm("demo", "--out", "show")
     assert again.code == 0

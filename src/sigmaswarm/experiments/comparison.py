@@ -39,7 +39,7 @@ class Contender:
         The optimizer's name and its settings, as ``pso:polish=300``.
     scale : str
     config : TuneConfig
-        Of the tunings, but for the seed.
+        Of the tunings, without the seed.
     """
 
     name: str

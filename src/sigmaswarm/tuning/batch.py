@@ -38,7 +38,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        Where a covariance lost its definiteness or something became NaN.
+        True where a covariance became indefinite or a value became NaN.
     """
 
     costs: Array

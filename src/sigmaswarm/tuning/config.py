@@ -188,7 +188,7 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
         if name in PAPER and (tuple(value) if name == "use" else value) != PAPER[name]:
             papers = "nothing" if PAPER[name] in ((), None) else PAPER[name]
             raise InputError(
-                f"{name} = {value!r}: contradicts the paper's setting, which has {papers}; "
+                f"{name} = {value!r}: contradicts the paper's setting, which is {papers}; "
                 f"leave out {name} or the paper's setting"
             )
     return {**options, **PAPER}

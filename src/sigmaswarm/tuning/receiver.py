@@ -117,7 +117,7 @@ def noise_warnings(
     if r * FAR_BELOW < stated:
         why = f"the receiver states {stated:.2g} m"
     elif r * FAR_BELOW < scatter:
-        why = f"they scatter by {scatter:.2g} m about a path that the IMU can follow"
+        why = f"the fixes scatter by {scatter:.2g} m about a path that the IMU can follow"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]

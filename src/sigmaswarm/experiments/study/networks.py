@@ -16,7 +16,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import ALL, BESIDE, NETWORKS
+from sigmaswarm.experiments.study.config import ALL, HELPED, NETWORKS
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -157,7 +157,7 @@ def train_all(
     trained: dict[Training, Trained] = {}
     for training in trainings(design):
         drives = lessons(design, training.trial, training.minutes or design.config.learn_minutes)
-        out, helped = folder / training.folder, parameters[Task("honest", BESIDE, ALL, training.trial)]
+        out, helped = folder / training.folder, parameters[Task("honest", HELPED, ALL, training.trial)]
         finished = (out / "timings.json").exists()  # the last file that `learn` writes
         learned = load_learned(out) if finished else None
         seed = design.config.seed + training.trial

@@ -103,7 +103,7 @@ def score_all(
     executor: Executor | None = None,
     networks: Mapping[Task, Trained] | None = None,
 ) -> ScoreTable:
-    """Score every method, networks too, on each trial's test drives."""
+    """Score every method, including networks, on each trial's test drives."""
     test = [design.split(trial)[1] for trial in range(design.config.trials)]
     tested = np.array([np.isin(np.arange(len(design.drives)), drives) for drives in test])
     score = partial(_score_sets, design, _passes(design), executor)

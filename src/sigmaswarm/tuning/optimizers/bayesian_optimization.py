@@ -6,10 +6,9 @@ M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-bo
 L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is assumed to have its predicted cost
 until its cost is known.
 
-The lengths over which costs are alike are found by scikit-learn, from the points and costs alone, each time from these
-alone, so that they and the generator are the whole state. The search for the next point is our own, since it uses the
-slope of the expected improvement in closed form; without the slope it would take several times as long as everything
-else.
+scikit-learn fits the length scales from the points and costs each time, so these and the generator are the whole state.
+The search for the next point is our own, since it uses the slope of the expected improvement in closed form; without
+the slope it would take several times as long as everything else.
 """
 
 import threading
@@ -125,7 +124,7 @@ def suggested(
     -------
     ndarray, shape (count, d)
     """
-    # one thread: more gain nothing on matrices so small, and the bits would depend on how many there are
+    # one thread: more gain nothing on small matrices, and the bits would depend on their number
     from threadpoolctl import threadpool_limits
 
     n = len(points)
