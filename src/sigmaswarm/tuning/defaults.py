@@ -32,24 +32,11 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 
 
 def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
-    """Fill in the model and the measurements; explain the choice in one line.
+    """Fill in the model and the measurements; explain the choice in one line, empty where the user gave both.
 
     Options that the user gave stay. Without ``model`` and ``use`` both are those of `suggest_filter`. With ``use``
     alone the model is that of `suggest_filter`. With ``model`` alone the measurements are; planar5, the paper's model,
     uses none. Measurements that conflict with the given ``kind`` or objective are left out.
-
-    Parameters
-    ----------
-    options : dict
-        `TuneOptions` that the user gave.
-    drives : sequence of Drive or Sensors
-        All drives that the filter runs on.
-
-    Returns
-    -------
-    options : dict
-    explanation : str
-        Empty where the user gave both.
     """
     if "model" in options and "use" in options:
         return options, ""

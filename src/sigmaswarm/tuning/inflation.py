@@ -48,28 +48,11 @@ STEP = 0.1
 def inflated(
     problem: Problem[Any], point: Array, cost: float, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
-    """Inflate process noise until the cost has risen by the allowed share.
+    """Inflate process noise from an optimum, (d,), until the cost has risen by the allowed share.
 
-    Parameters
-    ----------
-    problem : Problem
-        Its variances are searched as logarithms.
-    point : ndarray, shape (d,)
-        The optimum, in search coordinates.
-    cost : float
-        At the optimum.
-    allowed : float
-        Relative cost increase on `REFERENCE_DURATION` seconds of driving, or less.
-    executor : concurrent.futures.Executor or None
-
-    Returns
-    -------
-    point : ndarray, shape (d,)
-        The last point before the cost rises more, moved to the lower limits; no noise leaves its bounds.
-    cost : float
-        At that point.
-    factor : float
-        By which the noise that is inflated most has grown, where it is not at its bound.
+    ``allowed`` is the relative increase on `REFERENCE_DURATION` seconds of driving, or less. Returns the last point
+    before the cost rises more, moved to the lower limits, its cost, and the factor of the noise that is inflated most.
+    No noise leaves its bounds.
     """
     space = problem.space
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)

@@ -48,15 +48,9 @@ LARGE_GAP = 0.2
 
 @dataclass(frozen=True)
 class Validation:
-    """Result on drives that the search did not use.
+    """Cost on drives that the search did not use.
 
-    Attributes
-    ----------
-    cost : float
-        The objective on the validation drives.
-    gap : float
-        Relative increase of the errors over the training drives; 0.1 is 10%.
-    drives : tuple of str
+    ``gap``: relative increase of the errors over the training drives; 0.1 is 10%.
     """
 
     cost: float

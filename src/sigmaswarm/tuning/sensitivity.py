@@ -50,17 +50,7 @@ class Sensitivity:
 def sensitivities(
     problem: Problem[Any], point: Array, cost: float, executor: Executor | None
 ) -> tuple[Sensitivity, ...]:
-    """Move each parameter of a tuned filter away from its value, both ways, until the cost has risen by 1%.
-
-    Parameters
-    ----------
-    problem : Problem
-    point : ndarray, shape (d,)
-        The optimum, in search coordinates.
-    cost : float
-        The cost at the optimum.
-    executor : concurrent.futures.Executor or None
-    """
+    """Move each parameter away from the optimum, (d,), both ways, until the cost has risen by 1%."""
     space, names, axes = problem.space, [*problem.space.names], np.eye(len(point))
     down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
     noises = space.logarithmic & space.noises

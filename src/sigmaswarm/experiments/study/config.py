@@ -240,13 +240,7 @@ class StudyConfig(BaseModel):
 
 
 def read_config(path: Path | None, **changes: Any) -> StudyConfig:
-    """Read study.toml, or take the defaults, and change some options.
-
-    Raises
-    ------
-    InputError
-        If the file or an option is invalid.
-    """
+    """Read study.toml, or take the defaults, and change some options."""
     options: dict[str, Any] = {}
     if path is not None:
         missing = "leave --config out for the paper's study"

@@ -39,13 +39,9 @@ TAKEN: dict[str, Callable[[Scores], Array]] = {
 
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
-    """All scores of a study.
+    """All scores of a study, arrays of shape (trials, drives) by variant and measure.
 
-    Attributes
-    ----------
-    design : Design
-    values : mapping of (protocol, method) to mapping of measure to ndarray, shape (trials, drives)
-        NaN where the trial did not test on the drive or the measure is unknown; ``inf`` where the filter failed.
+    NaN where the trial did not test on the drive or the measure is unknown; ``inf`` where the filter failed.
     """
 
     design: Design
