@@ -33,25 +33,11 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 
 
 def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
-    """Fill in the model and the measurements; explain the choice in one line.
+    """Fill in the model and the measurements; explain the choice in one line, empty where the user gave both.
 
-    Options that the user gave stay. Without ``model`` and ``use`` both are those of `suggest_filter`.
-    With ``use`` alone the model is; with ``model`` alone its measurements are, except for planar5, the paper's model,
-    which uses none. Measurements that conflict with the given ``kind`` or objective are left out. A tuning without
-    truth adds ``fix-error`` to ``accuracy`` where all logs have `has_lasting_errors`.
-
-    Parameters
-    ----------
-    options : dict
-        `TuneOptions` that the user gave.
-    drives : sequence of Drive or Sensors
-        All drives that the filter runs on.
-
-    Returns
-    -------
-    options : dict
-    explanation : str
-        Empty where the user gave both.
+    Options that the user gave stay. Without ``model`` and ``use`` both are those of `suggest_filter`. With ``use``
+    alone the model is that of `suggest_filter`. With ``model`` alone the measurements are; planar5, the paper's model,
+    uses none. Measurements that conflict with the given ``kind`` or objective are left out.
     """
     if "model" in options and "use" in options:
         return options, ""
@@ -95,7 +81,7 @@ def _described(model: str, use: Sequence[str]) -> str:
 def _fits(name: str, options: dict[str, Any]) -> bool:
     """Check that a measurement agrees with the filter type and the objective."""
     if name == "robust" and "innovation-nll" in str(options.get("objective")):
-        return False  # innovation-nll counts outliers in full, whatever the filter makes of them
+        return False  # innovation-nll counts outliers in full
     kind = options.get("kind")
     return kind is None or clash(kind, [name]) is None
 
