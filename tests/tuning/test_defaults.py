@@ -55,7 +55,7 @@ def test_the_rule_is_what_the_log_has():
     assert chosen(PLAIN) == ("planar8", CAR)
     assert chosen(six(PLAIN)) == ("tilted12", CAR)
     assert chosen(wheeled(PLAIN)) == ("planar8", ("lateral", "standstill", "odometer", "robust"))
-    assert chosen(stating(PLAIN, 1.0, 9.0)) == ("planar8", ("lateral", "standstill", "accuracy", "robust"))
+    assert chosen(stating(PLAIN, 0.5, 2.5)) == ("planar8", ("lateral", "standstill", "accuracy", "robust"))
     assert chosen(stating(PLAIN, 2.0, 2.0)) == ("planar8", CAR)  # which tells no fix from another
     speed = np.full(FIXES, 5.0)
     assert chosen(replace(PLAIN, gps=replace(PLAIN.gps, speed=speed, course=0 * speed))) == ("planar8", CAR)
@@ -70,7 +70,7 @@ def test_six_columns_are_not_always_six_axes(up: float, turning: float):
 
 
 def test_of_several_drives_what_all_have_counts():
-    rich = stating(wheeled(six(PLAIN)), 1.0, 9.0)
+    rich = stating(wheeled(six(PLAIN)), 0.5, 2.5)
     assert chosen(rich, rich) == ("tilted12", ("lateral", "standstill", "odometer", "accuracy", "robust"))
     assert chosen(rich, PLAIN) == chosen(PLAIN, rich) == ("planar8", CAR)
     assert chosen(rich, six(PLAIN)) == ("tilted12", CAR)
@@ -123,6 +123,26 @@ def test_receivers_whose_errors_last_are_told_from_those_that_err_anew(gps: str,
     if not stated:
         drive = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata={})
     assert has_white_errors(drive) == white
+
+
+def test_fix_errors_are_modelled_as_correlated_where_most_receivers_err_by_more_than_their_fixes_show():
+    white, smooth, precise = noisy(WHOLE, 1.0), noisy(WHOLE, 0.05), noisy(WHOLE, 0.05, stated=0.05)
+    for drives, modelled in (
+        ([white], False),
+        ([smooth], True),  # of a receiver that states nothing, 2.1 m are assumed
+        ([precise], False),
+        ([white, smooth], False),
+        ([white, smooth, noisy(WHOLE, 1.0, stated=5.0)], True),
+        ([replace(smooth, truth=WHOLE.truth)], False),
+        ([replace(smooth, truth=WHOLE.truth), smooth], True),
+        ([], False),
+    ):
+        assert ("fix-error" in suggest_filter(drives).use) == modelled
+    assert "fixes that scatter far less than their receiver errs" in suggest_filter([smooth]).because
+    assert "fix-error" in with_filter({"kind": "ukf"}, [smooth])[0]["use"]
+    assert "fix-error" in with_filter({"model": "tilted12"}, [six(smooth)])[0]["use"]
+    for asked in ({"kind": "fuzzy-ukf"}, {"model": "planar8"}, {"model": "tilted12", "kind": "ukf"}):
+        assert "fix-error" not in with_filter(asked, [six(smooth)])[0]["use"]
 
 
 @needs_shared
