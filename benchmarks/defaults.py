@@ -161,7 +161,7 @@ def run(
     training, test = cached(name, parts)
     blind = [replace(drive, truth=None) for drive in training]
     if label == "default":
-        chosen, _ = with_filter({}, [*(blind if objective == "auto" else training), *test])
+        chosen, _ = with_filter({}, [*(training if "truth" in objective else blind), *test])
         model, use = chosen["model"], chosen["use"]
         same = [each for each, filter in FILTERS.items() if filter == (model, tuple(use))]
         if same and (name, same[0], objective, seed) in done:
@@ -172,7 +172,7 @@ def run(
             return None
     if (name, "raw fixes", "-", 0) not in done:
         noted(out, done, (name, "raw fixes", "-", 0), [*quantities(raw(test))])
-    taken = objective_for(blind, objective, model)
+    taken = objective_for(blind, objective, model, use)
     tuning = tune(training, objective=taken, seed=seed, executor=pool, model=model, use=use)
     return noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
 

@@ -30,7 +30,7 @@ from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.filters.tilted import rotation
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.fixes import ReceiverLog, read_fixes
-from sigmaswarm.scoring.truth_noise import share_known
+from sigmaswarm.scoring.truth import share_known
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
@@ -175,12 +175,11 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the filter that suits the drive on the good receiver's fixes.
 
-    It does not use ``fix-error``, since these fixes are the reference. It does not use ``standstill`` either: tuned on
-    fixes accurate to a centimeter, its noise is so small that one wrongly detected standstill, in an outage, moves the
-    track by meters and leaves the covariance small.
+    It does not use ``standstill``: tuned on fixes accurate to a centimeter, its noise is so small that one wrongly
+    detected standstill, in an outage, moves the track by meters and leaves the covariance small.
     """
     found = suggest_filter([receiver])
-    use = tuple(option for option in found.use if option not in ("standstill", "fix-error"))
+    use = tuple(option for option in found.use if option != "standstill")
     options: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
     with warnings.catch_warnings():  # of a filter that is not used any further
         warnings.simplefilter("ignore", SigmaswarmWarning)
