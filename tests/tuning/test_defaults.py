@@ -155,7 +155,11 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
     assert chosen_for([stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used  # they show
     assert chosen_for([smoothing(0.02)]) == used  # less than motion between fixes
     assert chosen_for([lasting, stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used
-    assert chosen_for([smoothing(2.0, 1.1)]) == CAR
+    assert chosen_for([smoothing(2.0, 1.1)]) == (*CAR, "fix-error")
+    assert chosen_for([noisy(make_drive(duration=60.0), 0.05)]) == (*CAR, "fix-error")  # unstated: 2.1 m
+    assert chosen_for([noisy(make_drive(duration=60.0), 0.05, stated=0.05)]) == CAR
+    assert chosen_for([noisy(make_drive(duration=60.0), 1.0)]) == CAR
+    assert chosen_for([six(lasting)], model="planar8") == used
     assert chosen_for([lasting], model="planar5") == ()
     for kind in ("fuzzy-ukf", "strong-tracking-ukf"):
         assert "fix-error" not in chosen_for([lasting], kind=kind)

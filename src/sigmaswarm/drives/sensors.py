@@ -208,15 +208,13 @@ def has_white_errors(drive: Drive) -> bool:
 
 
 def has_lasting_errors(drive: Drive) -> bool:
-    """Return whether the receiver states errors that would show from fix to fix if they were white, and do not.
+    """Return whether the receiver's errors, see `receiver_std`, would show from fix to fix if white, and do not.
 
     They are correlated then. Where a white error of the stated deviation is small next to the motion between fixes, as
     with RTK, nothing is known.
     """
-    gps, stated = drive.gps, stated_std(drive)
-    if stated is None:
-        return False
-    least, moved = WHITE * max(stated), motion_in_noise(float(np.median(np.diff(gps.time))))
+    gps, std = drive.gps, receiver_std(drive)
+    least, moved = WHITE * max(std), motion_in_noise(float(np.median(np.diff(gps.time))))
     return white_noise(gps.x + 1j * gps.y) <= least and least > 3 * moved
 
 
