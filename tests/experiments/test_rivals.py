@@ -28,9 +28,9 @@ from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS
-from sigmaswarm.reports import study as reports
+from sigmaswarm.reports import study_charts as reports
 from sigmaswarm.reports.folders import read_report
-from sigmaswarm.reports.study import save_study, study_figures
+from sigmaswarm.reports.study_charts import save_study, study_figures
 from sigmaswarm.reports.study_tables import study_tables
 from sigmaswarm.scoring.targets import outage_windows, tracking_replay
 from sigmaswarm.simulation.scenarios import simulate

@@ -24,7 +24,7 @@ from sigmaswarm.experiments.study.config import BY_DEFAULT, StudyConfig, read_co
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.study import Study, run_study
 from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
-from sigmaswarm.reports.study import save_study
+from sigmaswarm.reports.study_charts import save_study
 from sigmaswarm.scoring.evaluation import score_fixes_alone
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH
 from sigmaswarm.tuning.racing import MANY

@@ -14,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
-from sigmaswarm.tuning.prior import prior_costs
+from sigmaswarm.tuning.receiver import prior_costs
 
 SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
 
