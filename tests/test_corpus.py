@@ -271,7 +271,7 @@ def test_comparisons_are_gone_on_with(
     (out / "comparison.csv").unlink()
     command(
         *("compare", "drives/town-0", "drives/town-1", "--validation", "drives/town-2", "--model", "planar5"),
-        *(
+        *[
             "--optimizers",
             "pso",
             "de",
@@ -282,7 +282,7 @@ def test_comparisons_are_gone_on_with(
             "2",
             "--trials",
             "2",
-        ),
+        ],
         *("--workers", "1", "--out", out, "--resume"),
     )
     assert_same_numbers(out / "comparison.csv", Path("comparison/comparison.csv"))

@@ -115,32 +115,12 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
 
 
 def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path):
-    options = [
-        "--particles",
-        5,
-        "--generations",
-        3,
-        "--seed",
-        9,
-        "--objective",
-        "truth-pose",
-        "--scale",
-        "linear",
-    ]
-    more = [
-        "--optimizer",
-        "pso",
-        "--inertia",
-        0.6,
-        "--zero-velocity-at-bounds",
-        "--patience",
-        2,
-        "--workers",
-        1,
-    ]
-    ended = sigmaswarm(
-        "tune", drives / "urban-clear-01", drives / "urban-clear-00", "--out", "t", *options, *more, "--json"
+    options = (
+        "--particles 5 --generations 3 --seed 9 --objective truth-pose --scale linear --workers 1 --json"
     )
+    more = "--optimizer pso --inertia 0.6 --zero-velocity-at-bounds --patience 2"
+    given = (drives / "urban-clear-01", drives / "urban-clear-00", *options.split(), *more.split())
+    ended = sigmaswarm("tune", *given, "--out", "t")
     said = json.loads(ended.out)
     expected = library.tune(
         [read_drive(drives / name) for name in ("urban-clear-01", "urban-clear-00")],

@@ -240,13 +240,8 @@ def test_two_tunings_into_one_folder(drives: Path, here: Path):
     """One of them fills it, the other one says so; started again, it goes on from what is there."""
     words = [
         "tune",
-        str(drives / "urban-clear-00"),
-        "--out",
-        "tuned",
-        "--generations",
-        "20",
-        "--particles",
-        "6",
+        drives / "urban-clear-00",
+        *["--out", "tuned", "--generations", "20", "--particles", "6"],
     ]
     both = [Process(COMMAND, words) for _ in range(2)]
     ended = [(process.communicate()[1], process.wait()) for process in both]
