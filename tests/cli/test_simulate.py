@@ -25,6 +25,7 @@ from sigmaswarm.simulation import (
 from sigmaswarm.simulation.scenarios import Scenario
 from support import make_drive
 
+pytestmark = pytest.mark.usefixtures("simulated_anew")
 SOME = ("--maneuver", "turns", "brake", "--environment", "rain", "slippery", "--runs", 2, "--seed", 7)
 NAMES = [f"{m}-{e}-0{run}" for m in ("turns", "brake") for e in ("rain", "slippery") for run in range(2)]
 

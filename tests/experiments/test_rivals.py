@@ -36,9 +36,10 @@ from sigmaswarm.scoring.targets import outage_windows, tracking_replay
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.search import Search
 from sigmaswarm.tuning.tune import tune
+from support import require
 
-pytest.importorskip("optax", reason="JAX and Optax are not installed (extra learned)")
-pytest.importorskip("sklearn", reason="scikit-learn is not installed (extra bo)")
+require("optax", "JAX and Optax are not installed (extra learned)")
+require("sklearn", "scikit-learn is not installed (extra bo)")
 
 TINY = StudyConfig(
     maneuvers=("outages",),

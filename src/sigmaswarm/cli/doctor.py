@@ -45,7 +45,7 @@ def doctor(
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm for all drives; --fix writes it if its 95% interval is within this many meters.
+        Estimate one lever arm for all drives; --fix writes each axis whose 95% interval is within this many meters.
     """
     read = _read(drives)
     if fix is not None:
@@ -64,7 +64,7 @@ def doctor(
             sigmaswarm.write_drive(copy, folder)
             codes = dict.fromkeys(f.code for f in diagnosis.findings if f.repair)
             mended = [code for code in codes if code not in copy.metadata.get("withheld", ())]
-            mended += ["lever-arm"] if arm and arm.observable else []
+            mended += ["lever-arm"] if arm and any(arm.observable) else []
             diagnosis = sigmaswarm.diagnose(copy)
             found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if mended and not json:
