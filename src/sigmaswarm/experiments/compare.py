@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
@@ -35,8 +35,7 @@ from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import objective_for, with_filter
-from sigmaswarm.tuning.optimizers import OPTIMIZERS
-from sigmaswarm.tuning.options import SEEDS, CompareOptions
+from sigmaswarm.tuning.options import SEEDS, CompareOptions, OptimizerName
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
@@ -244,8 +243,8 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
 
 def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
     optimizer, _, settings = name.partition(":")
-    if optimizer not in OPTIMIZERS:
-        raise InputError(f"no optimizer is called {optimizer!r}; choose from {', '.join(OPTIMIZERS)}")
+    if optimizer not in (known := get_args(OptimizerName)):
+        raise InputError(f"no optimizer is called {optimizer!r}; choose from {', '.join(known)}")
     own: dict[str, Any] = {}
     for setting in settings.split(",") if settings else []:
         key, _, value = setting.partition("=")

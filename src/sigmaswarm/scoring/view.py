@@ -26,8 +26,6 @@ _Row = tuple[str, str, Mapping[str, float | None]]
 
 LATE = 5.0
 """s after the start of a drive: a later start of the scores is reported."""
-MOST_REMARKS = 3
-"""Remarks that `print` shows of an evaluation."""
 NO_TRUTH = (
     "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
     "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
@@ -287,7 +285,7 @@ class EvaluationView:
             "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
             for row in zip(*columns, strict=True)
         ]
-        return "\n".join([self.result(), *lines, *self.warnings()[:MOST_REMARKS]])
+        return "\n".join([self.result(), *lines, *self.warnings()[:3]])
 
     def to_html(self) -> str:
         """Return HTML for a notebook: means over the drives, each drive below, and the warnings."""

@@ -15,8 +15,6 @@ from sigmaswarm.tuning.problem import Problem
 
 RISE = 0.01
 """Relative increase of the cost."""
-HALVINGS = 10
-"""Halvings of the distance to the bound for the first step, which is doubled up to the bound."""
 NOISE_SCALE = "all noise variances times"
 
 
@@ -64,7 +62,7 @@ def sensitivities(
         first = int(np.argmax(noises))
         return float(space.values(at)[k] if k < len(point) else 10 ** (at[first] - point[first]))
 
-    shares = np.array([0.5**k for k in range(HALVINGS, -1, -1)])
+    shares = np.array([0.5**k for k in range(10, -1, -1)])  # of the distance to the bound
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
     tried, of = np.unique(points, axis=0, return_inverse=True)  # a parameter at a bound moves one way only

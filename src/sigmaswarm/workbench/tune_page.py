@@ -27,8 +27,6 @@ MODELS = {
     "planar8": "planar8",
     "tilted12": "tilted12",
 }
-REFRESH = 0.7
-"""s between two updates of running tunings."""
 STARTING = "reading the drives, to tune on them"
 """Status that a changed choice must not replace."""
 COMPARED = 6
@@ -67,7 +65,7 @@ class TunePage(Page):
             for update in updates.values():
                 update()
 
-        ui.timer(REFRESH, look)
+        ui.timer(0.7, look)  # s
 
     def refresh(self) -> None:
         """Show the changed choices."""

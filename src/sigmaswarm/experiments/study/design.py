@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 T = TypeVar("T")
-ELSEWHERE_RUNS = 2
-"""Largest number of runs of each condition with another IMU or car."""
 OTHER_IMU = ("mpu-6050", "icm-20602")
 """Other IMUs; the first that differs from the study's is used."""
 HOME_CAR, OTHER_CAR = "model3", "model3-carla"
@@ -243,7 +241,7 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
         _require_apart([landmarks(drive) for drive in (*own, *found["as given"])])
     else:
         imu = next(name for name in OTHER_IMU if name != c.imu)
-        runs, seed = min(c.runs, ELSEWHERE_RUNS), c.seed + 1  # other roads
+        runs, seed = min(c.runs, 2), c.seed + 1  # other roads
         found = {
             f"IMU {imu} for {c.imu}": _simulated(c, executor, runs, seed=seed, imu=imu),
             f"car {OTHER_CAR} for {HOME_CAR}": _simulated(c, executor, runs, seed=seed, vehicle=OTHER_CAR),

@@ -33,8 +33,6 @@ ALONE = 80.0
 """s after the start: the last quarter of such a drive can be held back where it is the only one."""
 FEWEST = 3
 """Drives of which the last third is held back, to stop the training early and to calibrate."""
-FIRST_POINT = 2.0
-"""Minutes at the first point of a learning curve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +120,7 @@ def trainings(design: Design) -> list[Training]:
     trials = range(design.config.trials)
     driven = [lessons(design, trial, design.config.learn_minutes).driven for trial in trials]
     of_trials = [Training(network, trial) for trial in trials for network in NETWORKS]
-    doubled = (FIRST_POINT * 2.0 ** np.arange(12)).tolist()
+    doubled = (2.0 * 2.0 ** np.arange(12)).tolist()  # minutes
     curve = [minutes for minutes in doubled if minutes < 0.9 * (driven[0] / 60.0)]
     return of_trials + [Training(network, 0, minutes) for minutes in curve for network in NETWORKS]
 

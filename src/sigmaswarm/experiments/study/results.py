@@ -42,9 +42,6 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.search import Trial
 
-STABLE = 0.01
-"""Relative distance from the last cost within which a search has settled."""
-
 
 def results_of(
     trials: Mapping[Task, Trial],
@@ -188,7 +185,7 @@ def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
         best.setdefault((task.protocol, task.method, task.group), []).append(trial.best)
     for (protocol, method, group), each in best.items():
         low, median, high = np.quantile(each, [0.1, 0.5, 0.9], axis=0)
-        away = np.flatnonzero(np.abs(median - median[-1]) > STABLE * abs(median[-1]))
+        away = np.flatnonzero(np.abs(median - median[-1]) > 0.01 * abs(median[-1]))
         yield Convergence(
             protocol=protocol,
             method=method,

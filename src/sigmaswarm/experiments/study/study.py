@@ -53,9 +53,6 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     from distributed import Client
 
-RACED = 0.2
-"""Approximate relative time of a tuning with racing, by which the tunings are ordered."""
-
 
 @dataclass(frozen=True)
 class StudyProgress:
@@ -281,7 +278,7 @@ def _tune_all(
     def effort(task: Task) -> float:
         """Estimate the duration of a tuning relative to others on as many drives."""
         config = configs[task.variant]
-        step = len(MODELS[config.model].states) ** 1.5 * (RACED if config.racing else 1.0)
+        step = len(MODELS[config.model].states) ** 1.5 * (0.2 if config.racing else 1.0)  # of the time
         return (1 + outages[task.variant]) * step * config.particles * config.generations
 
     if processes:
