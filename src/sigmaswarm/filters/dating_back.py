@@ -1,7 +1,7 @@
-"""A start that is dated back: the filter runs over the fixes of the alignment again, up to the time of the start.
+"""A better start: the filter runs over the fixes before the start again, up to the time of the start.
 
-The alignment (`drives.alignment`) is a fit in the plane, without tilts and accelerometer biases, without standstills
-and the lateral constraint. A filter that runs over the same fixes, and those before them, uses them all.
+The alignment (`drives.alignment`) is a fit in the plane. It uses no tilts, accelerometer biases, standstills or lateral
+constraint. A filter that runs over the same and earlier fixes uses all of them.
 """
 
 from dataclasses import replace
@@ -22,32 +22,32 @@ from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import smooth
 
 LONGEST = 60.0
-"""s before the start from which fixes are used."""
+"""s before the start in which fixes are used."""
 PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])
-"""Standard deviations of the prior at the first of these fixes, m, m/s, rad: about those of an alignment. With 0.1 rad
-colorado-1's heading error after the start grew up to threefold."""
+"""Standard deviations of the prior at the first of these fixes, m, m/s, rad, similar to those of an alignment. With
+0.1 rad the heading error of colorado-1 after the start was up to three times larger."""
 
 
 def dated_back(
     drive: Drive | PreparedDrive, parameters: FilterParameters, *, longest: float = LONGEST
 ) -> InitialState:
-    """Filter over the fixes before the start again, for a better start at the same time.
+    """Run the filter over the fixes before the start, for a better start at the same time.
 
-    Two passes, since the filter linearizes: the first is smoothed back to the earliest of these fixes, the second
-    starts from there with the same prior covariance. Only data before the start are used.
+    There are two passes, since the filter linearizes. The first is smoothed back to the earliest of these fixes; the
+    second starts from there with the same prior covariance. Only data before the start are used.
 
     Parameters
     ----------
     drive : Drive or PreparedDrive
     parameters : FilterParameters
     longest : float
-        s: fixes earlier than this before the start are not used.
+        s before the start; earlier fixes are not used.
 
     Returns
     -------
     InitialState
-        All states of the model, for ``initial`` of `run_filter` and `smooth`. The alignment's start where a pass fails
-        or no earlier fix is usable.
+        All states of the model, for ``initial`` of `run_filter` and `smooth`. Where a pass fails or there are fewer
+        than two usable fixes, it is the start of the alignment.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def dated_back(
 
 
 def _past(ready: PreparedDrive, start: InitialState, until: float, more: int = 0) -> PreparedDrive:
-    """The drive up to a time and ``more`` IMU samples, with another start."""
+    """Return the drive up to a time and ``more`` IMU samples after it, with another start."""
     drive, imu = ready.drive, ready.drive.imu
     last = int(np.searchsorted(imu.time, until, side="right")) + more
     past = replace(
@@ -80,7 +80,7 @@ def _past(ready: PreparedDrive, start: InitialState, until: float, more: int = 0
 
 
 def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
-    """The prior at a fix before the start: its position, the heading minus the turns since, the velocity of a chord."""
+    """Return the prior at a fix before the start: its position, the heading minus later turns, a chord's velocity."""
     gps, imu = drive.gps, drive.imu
     time = float(gps.time[fix])
     inside = (imu.time > time) & (imu.time <= found.time)
@@ -88,17 +88,15 @@ def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
     later = min(int(np.searchsorted(gps.time, time + 1.0)), int(np.searchsorted(gps.time, found.time)))
     moved = np.array([gps.x[later] - gps.x[fix], gps.y[later] - gps.y[fix]]) / (gps.time[later] - time)
     c, s = np.cos(theta), np.sin(theta)
-    east, north = (
-        drive.lever_arm[0] * c - drive.lever_arm[1] * s,
-        drive.lever_arm[0] * s + drive.lever_arm[1] * c,
-    )
+    forward, left = drive.lever_arm[:2]
+    east, north = forward * c - left * s, forward * s + left * c
     mean = np.array([gps.x[fix] - east, gps.y[fix] - north, *moved, theta])
     gyro = None if found.gyro is None else replace(found.gyro, turns=np.zeros(5))
     return InitialState(mean, np.diag(PRIOR_STD**2), time, gyro)
 
 
 def _ended(ready: PreparedDrive, parameters: FilterParameters, found: InitialState) -> InitialState:
-    """Run to the fix of the start; the alignment's start where the filter fails."""
+    """Run to the fix of the start; return the alignment's start where the filter fails."""
     replay, array = replay_of(ready), KernelArray([parameters])
     rows = start_replays([replay], array)[0]
     line = replay.timeline
