@@ -265,7 +265,7 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
     names = ["t", "ax", "ay", "AccelUp", "Engine Temp (C)", "gz", "x", "y", "fix_type"]
     (here / "log.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
     said = sigmaswarm("import", "log.csv", "--show").out
-    tail = "What neither reads:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
+    tail = "the proposal uses:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
     assert tail in said, said
 
 

@@ -89,7 +89,7 @@ def fit_acceleration(
     drive: Drive, course: Course, rate: Array, tried: Array = LATENESS
 ) -> AccelerationFit | None:
     """Fit; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are values of ``late`` to begin with, s."""
-    rows = _windows(drive, course)
+    rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
         return None
     fit = _Fit(drive, course, rate, rows)
@@ -112,11 +112,10 @@ def fit_acceleration(
     return AccelerationFit(matrix, covariance, late, fit.bias, rows, found.residual[:, :-1])
 
 
-def _windows(drive: Drive, course: Course) -> NDArray[np.intp]:
-    """Windows in which the car moves and the IMU has no gap."""
+def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
+    """Indices (w, n) of the fixes of windows in which the car moves and the IMU, sampled at ``imu`` s, has no gap."""
     interval = float(np.median(np.diff(course.time)))
-    imu = drive.imu.time
-    length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, WINDOW))
+    length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
     gaps = imu[:-1][np.diff(imu) > 0.3]
     before, after = np.searchsorted(gaps, [course.time[rows[:, 0]] - 1, course.time[rows[:, -1]] + 1])

@@ -23,6 +23,7 @@ from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.geodesy import wrap_angle
 
 COMPILERS = ("cc", "gcc", "clang")
+OPTIMIZE = "-O2"
 _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
 
 
@@ -102,7 +103,18 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
         raise InputError(
             f"no C compiler was found ({', '.join(COMPILERS)}); install one, or name it in the variable CC"
         )
-    command = [*compiler.split(), "-std=c99", "-O2", "-shared", "-fPIC", *flags, *_SOURCES, "-lm", "-o", name]
+    command = [
+        *compiler.split(),
+        "-std=c99",
+        OPTIMIZE,
+        "-shared",
+        "-fPIC",
+        *flags,
+        *_SOURCES,
+        "-lm",
+        "-o",
+        name,
+    ]
     try:
         built = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     except OSError as error:

@@ -117,7 +117,7 @@ def load_learned(folder: Path) -> Learned | None:
     try:
         arrays = {name: np.asarray(array, np.float64) for name, array in read_arrays(weights).items()}
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
-        raise InputError(f"{weights}: cannot be read; repeat the command that made the folder") from None
+        raise InputError(f"{weights}: not readable; repeat the command that made the folder") from None
     if n_weights(arrays) != record.network.numbers or not _fits(record, arrays):
         raise InputError(f"{weights}: does not match {file.name}; repeat the command that made the folder")
     return Learned(record, arrays)

@@ -46,7 +46,7 @@ from sigmaswarm.scoring.measures import Measure
 from sigmaswarm.scoring.records import seal
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
-from sigmaswarm.tuning.record import FILE, HISTORY_FILE
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
@@ -81,7 +81,7 @@ def save_evaluation(
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
     """Copy a tuning.toml or that of a folder, its history and its fingerprints; return the paths of the copies."""
-    file = tuning / FILE if tuning.is_dir() else tuning
+    file = tuning_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, SEEN_FILE):
         source = file if name == FILE else file.parent / name

@@ -24,8 +24,6 @@ RIGHT_NEES = 1.5
 """Mean NEES from which, up to `FAR_NEES`, a filter's position covariance counts as right."""
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
-
-
 _KEYS = {
     "nis_band": "nis_band_95",
     "inside_gate": "share_inside_95_gate",

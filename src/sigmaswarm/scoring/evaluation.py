@@ -58,8 +58,7 @@ from sigmaswarm.scoring.tracks import (
     compared,
     save_tracks,
 )
-from sigmaswarm.scoring.truth_noise import share_known
-from sigmaswarm.scoring.truth_offset import truth_offset
+from sigmaswarm.scoring.truth import share_known, truth_offset
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 

@@ -227,11 +227,8 @@ class EvaluationView:
             inside, ratio = found.inside_95, found.sigma_ratio
             held = "" if inside is None else f", and {100 * inside:.0f}% do"
             sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
-            lasts = (
-                f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
-                if found.lasting_m
-                else ""
-            )
+            lasts = f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
+            lasts = lasts if found.lasting_m else ""
             said.append(
                 f"{drive}: 95% of the position errors should be within {found.radius_95_m:.2g} m (median){lasts}{held}"
                 f"{sigma}."
@@ -311,7 +308,7 @@ def explained_consistency(nees: bool) -> str:
     return (
         f"Do the tuned filter's {'predictions and errors' if nees else 'predictions'} agree with its covariances? "
         f"{what} 2 where they do; above 2 the filter is overconfident, below 2 too cautious."
-        f"{'' if nees else f' Beware: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
+        f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
         "the next fix. p is the probability that white ones look as correlated as these (Ljung and Box's test over "
         "ten fixes). Below 0.01, each error is partly that of the fix before, as with most real receivers, and "
         "averages out less than the filter assumes."

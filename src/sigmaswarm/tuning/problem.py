@@ -35,11 +35,11 @@ from sigmaswarm.tuning.diagnostics import (
     scale_warnings,
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.prior import prior_costs
 from sigmaswarm.tuning.receiver import (
     accuracy_warnings,
     fix_noise,
     noise_warnings,
+    prior_costs,
     prior_warnings,
     stated,
 )

@@ -81,6 +81,11 @@ class TuningRecord(TuningConfigRecord):
     data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
 
 
+def tuning_file(path: Path) -> Path:
+    """Return the tuning.toml at a path: the file itself, or the one in this folder."""
+    return path / FILE if path.is_dir() else path
+
+
 def seen_by(file: Path) -> list[Landmarks]:
     """Return the identification of the training drives named in a filter's file.
 

@@ -22,7 +22,7 @@ from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, 
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast, said_of_forecasts
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord, seen_by
+from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, seen_by, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.tuning.space import search_space
@@ -258,7 +258,7 @@ class Tuning(Generic[P]):
         InputError
             If the file can't be read, or is not the result of a tuning.
         """
-        file = Path(path) / FILE if Path(path).is_dir() else Path(path)
+        file = tuning_file(Path(path))
         record = load_record(TuningRecord, file)
         result = record.result
         if result is None:

@@ -22,8 +22,6 @@ CHECKED = "-checked"
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
 MOST_UPLOADED = 2_000_000_000
 """Bytes of one drop; a larger log is named on the command line."""
-MOST_CACHED = 6
-"""Drives kept in memory."""
 T = TypeVar("T")
 
 
@@ -48,7 +46,7 @@ class Workbench:
         self.named = tuple(log.resolve() for log in logs)
         self._file = self.folder / "workbench.json"
         self.choices: dict[str, Any] = _read_choices(self._file)
-        self.drive = lru_cache(MOST_CACHED)(self._drive)
+        self._cached = lru_cache(6)(_read_version)
         if self.named:
             self.choices["log"] = str(self.named[0])
 
@@ -89,10 +87,12 @@ class Workbench:
     def read(self, name: str) -> Drive:
         """Read a drive, or return it from the cache."""
         path = self.path("drives", name)
-        return self.drive(path, path.stat().st_mtime_ns)
+        return self._cached(path, path.stat().st_mtime_ns)
 
-    def _drive(self, path: Path, _: int) -> Drive:
-        return sigmaswarm.read_drive(path)
+    def write(self, drive: Drive) -> str:
+        """Write a drive under its own name, in place of an earlier one; return the name."""
+        sigmaswarm.write_drive(drive, self.path("drives", drive.name), overwrite=True)
+        return drive.name
 
     @property
     def sources(self) -> list[Path]:
@@ -111,7 +111,7 @@ class Workbench:
 
     @property
     def log_choices(self) -> dict[str, Any]:
-        """The choices made for the open log."""
+        """The choices for the open log."""
         return self.choices.setdefault("logs", {}).setdefault(str(self.log), {})
 
     @property
@@ -131,6 +131,10 @@ class Workbench:
         path = self.path(kind, name)
         if path.exists():
             shutil.rmtree(path)
+
+
+def _read_version(path: Path, _: int) -> Drive:
+    return sigmaswarm.read_drive(path)
 
 
 def _read_choices(file: Path) -> dict[str, Any]:

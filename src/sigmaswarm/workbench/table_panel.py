@@ -1,7 +1,7 @@
 """One table of a log: its columns with a plot, and the use of each."""
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from nicegui import ui
@@ -10,11 +10,9 @@ from sigmaswarm.importing.look import Glance, Look, Range
 from sigmaswarm.importing.times import numbers_of
 from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.columns import CUSTOM, NAMES, TARGETS, UNUSED, Uses
+from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
-
-if TYPE_CHECKING:
-    from sigmaswarm.workbench.log_page import LogPage
 
 MOST_COLUMNS = 30
 """Columns of a table that can be edited; columns in use come first."""
@@ -26,7 +24,7 @@ FEW_TABLES = 4
 class TablePanel:
     """A table that can be folded; a choice redraws only the rows that it changes."""
 
-    def __init__(self, page: "LogPage", look: Look, glance: Glance) -> None:
+    def __init__(self, page: OpenLog, look: Look, glance: Glance) -> None:
         self.page, self.look, self.glance, self.uses = page, look, glance, columns.uses_of(look)
         shown = sorted(glance.ranges, key=lambda r: (glance.table, r.column) not in self.uses)
         self.rows = [ColumnRow(self, one) for one in shown[:MOST_COLUMNS]]

@@ -168,9 +168,8 @@ def run_study(
         # Python's own number of threads is larger, and they would wait for each other.
         crew = workers or cores()
         pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
-        forks = (
-            sys.platform == "linux" and crew > 1 and executor is cluster is None and not config.rivals
-        )  # JAX
+        # JAX, which rivals need, does not survive a fork.
+        forks = sys.platform == "linux" and crew > 1 and executor is cluster is None and not config.rivals
         design = make_design(config, pool, cluster)
         return _run(folder, design, pool, crew if forks else 0, progress or (lambda _: None), watch)
 

@@ -148,9 +148,7 @@ def _fitted(points: Array, costs: Array) -> Array:
     kernel: Any = Matern(begin, (SHORTEST, LONGEST), nu=2.5)
     process: Any = GaussianProcessRegressor(kernel, alpha=NOISE, normalize_y=True)
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # that a length is at its bound, as that of a parameter without influence is
+        warnings.simplefilter("ignore")  # the length of a parameter without influence is at its bound
         process.fit(points, costs)
     return np.array(process.kernel_.length_scale)
 
@@ -166,10 +164,7 @@ class Improvement:
     """
 
     def __init__(self, lengths: Array, points: Array, costs: Array) -> None:
-        from scipy.linalg import (
-            cho_factor,
-            cho_solve,
-        )  # takes 0.1 s to import, for each command that knows of it
+        from scipy.linalg import cho_factor, cho_solve  # 0.1 s to import
         from scipy.special import ndtr
 
         self._solved, self._below = cho_solve, ndtr
