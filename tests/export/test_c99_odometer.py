@@ -71,5 +71,5 @@ def test_late_readings_take_it_back_and_forward(tmp_path: Path):
 
 
 def test_the_script_reads_none(tmp_path: Path):
-    with pytest.raises(InputError, match="reads no odometer; export the filter as C99"):
+    with pytest.raises(InputError, match="does not read an odometer; export the filter as C99"):
         export_filter(given("planar8", "ukf"), "filterpy", tmp_path)

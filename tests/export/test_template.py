@@ -7,9 +7,9 @@ import pytest
 
 from exported import tuned
 from sigmaswarm.exports.c99 import c99
+from sigmaswarm.exports.features import _chosen, fill
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.targets import TARGETS
-from sigmaswarm.exports.template import _chosen, fill
 from support import quickly
 
 TEXT = """a

@@ -10,10 +10,9 @@ import sigmaswarm
 from sigmaswarm.cli.common import print_evaluation
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.run import run_filter
+from sigmaswarm.filters.run import run_filter, run_imu_only
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps

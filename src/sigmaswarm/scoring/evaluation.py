@@ -19,12 +19,11 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.bank.run import BankRun
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.replay import Replay, joined
-from sigmaswarm.filters.run import Estimate, Innovations, estimate_of
+from sigmaswarm.filters.run import Estimate, Innovations, estimate_of, run_imu_only
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.custom.identity import fingerprint
 from sigmaswarm.filters.custom.log import Log
-from sigmaswarm.filters.custom.model import Model
+from sigmaswarm.filters.custom.model import Model, fingerprint
 from sigmaswarm.filters.custom.run import Runner, run_model
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.tuning.box import Box, Dimension

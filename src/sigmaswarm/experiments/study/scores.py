@@ -17,10 +17,10 @@ from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, score_networks
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
+from sigmaswarm.filters.run import run_imu_only
 from sigmaswarm.scoring.batch import Replayer, Scores
 from sigmaswarm.scoring.evaluation import score_fixes_alone, score_imu_only
 from sigmaswarm.scoring.remote import Replays
