@@ -70,9 +70,7 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "importing" in ended.err  # progress
     then = ended.out.splitlines()[-2]
     # Its speeds are drawn by chance, which no repair mends.
-    assert (
-        "next: sigmaswarm doctor drives/monday    (then correct in the log what it can't repair)" in ended.out
-    )
+    assert "next: sigmaswarm doctor drives/monday    (then correct the other faults in the log)" in ended.out
     assert then == "then: sigmaswarm tune drives/monday --out tuned"
     app.parse_args(
         shlex.split(then)[2:], exit_on_error=False, print_error=False

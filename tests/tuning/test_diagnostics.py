@@ -49,7 +49,7 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
 
 def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     good = tune([town()], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
-    assert not [doubt for doubt in good.warnings if "DON'T" in doubt]
+    assert not [doubt for doubt in good.warnings if "DO NOT" in doubt]
     found = [drifts_of(PreparedDrive(town()), good.parameters)]
     assert drift_warnings(found) == []
     q = list(good.parameters.process_noise)
@@ -58,7 +58,7 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     (tuned, other) = drifts_of(PreparedDrive(town()), bad)
     assert tuned > found[0][0]
     (said,) = drift_warnings([(100.0, 20.0), (np.nan, np.nan)])
-    assert said.startswith("TO DO: DON'T USE IT; ")
+    assert said.startswith("TO DO: DO NOT USE IT; ")
     assert "or on more drives: over 30 s without fixes the tuned filter drifts 100 m" in said
     assert drift_warnings([(29.0, 20.0)]) == drift_warnings([]) == []
     assert not may_drift_far([(20.0, 20.0), (np.nan, np.nan)])
@@ -93,10 +93,10 @@ def test_a_car_that_stands_has_no_drift():
 def test_a_search_that_ended_too_early_is_noticed():
     first = split_time(read_drive(DRIVES / "dresden"), 0.7)[0]
     early = tune([first], objective="innovation-t", model="planar8", particles=10, generations=2, seed=2)
-    assert [r for r in early.remarks if "DON'T USE IT" in r and "over 30 s without fixes" in r]
+    assert [r for r in early.remarks if "DO NOT USE IT" in r and "over 30 s without fixes" in r]
     for model in ("planar8", None):
         whole = tune([first], objective="innovation-t", seed=0, **({"model": model} if model else {}))
-        assert not [r for r in whole.remarks if "DON'T" in r]
+        assert not [r for r in whole.remarks if "DO NOT" in r]
 
 
 def test_it_names_three_drives_and_counts_the_others():

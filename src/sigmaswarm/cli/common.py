@@ -88,7 +88,7 @@ def read_datasets(
 
 
 def tuned_as_recorded(tuning: Path) -> bool:
-    """Read from a tuning if the filter was tuned without preprocessing."""
+    """Check whether a tuning was made without preprocessing."""
     from sigmaswarm.records import load_record
     from sigmaswarm.tuning.record import TuningConfigRecord, tuning_file
 

@@ -80,9 +80,9 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    It is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that the tuning
-    never saw. All methods start at the same time from the same state. Without truth the scores are the drift over
-    outages, against the hidden fixes, and the consistency of the innovations.
+    The filter is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that
+    the tuning never saw. All methods start at the same time from the same state. Without truth the scores are the
+    drift over outages, against the hidden fixes, and the consistency of the innovations.
 
     Examples:
 

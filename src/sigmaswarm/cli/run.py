@@ -59,7 +59,7 @@ def run(
         Path,
         Parameter(
             name="TUNING",
-            help="A tuning.toml or its folder. A network of `sigmaswarm learn` helps the filter; not with --smooth or --bank.",
+            help="A tuning.toml or its folder. A network in it helps the filter, except with --smooth or --bank.",
         ),
     ],
     drive: Annotated[Path, Parameter(name="DRIVE", help="A drive folder.")],

@@ -144,12 +144,13 @@ def _config(options: StudyOptions) -> "StudyConfig":
 
 def _print(done: "Study", out: Path, page: Path) -> None:
     from sigmaswarm.experiments.study.config import BY_DEFAULT
+    from sigmaswarm.experiments.study.design import tuning_name
     from sigmaswarm.reports.study_tables import objectives_compared, runtime_table, study_tables
 
     shown = ("table-", "optimum", "rivals", "elsewhere-", "learning-")
     tables = [table for name, table in study_tables(done.results).items() if name.startswith(shown)]
     say(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
-    name, _ = done.best_of("honest", BY_DEFAULT, 0)
+    name = tuning_name("honest", BY_DEFAULT, done.design.group_of(0))
     say(
         f"{objectives_compared(done.results)}\n",
         f"results: {out / 'results.json'}, {out / 'scores.csv'}",

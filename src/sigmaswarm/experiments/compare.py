@@ -93,7 +93,7 @@ def compare(
     out : path, optional
         Folder of all runs; a killed comparison can be resumed.
     resume : bool
-        Continue with the content of ``out``; the result is the same as without interruption, but for the times.
+        Continue with the content of ``out``; the result is the same as without interruption, except for the times.
     cluster : distributed.Client, optional
         A Dask cluster whose workers read the drives, given as paths or URLs too, and do the work; ``workers`` is
         then the number of tunings at a time. The result does not depend on it.
@@ -191,7 +191,7 @@ class _Grid:
                     problem, config, folder=opened, progress=lambda _: report(0), diagnose=False
                 )
                 outcome = _outcome(tuning, self.test)
-                if fresh:  # of an interrupted run the time is unknown
+                if fresh:  # the time of an interrupted run is unknown
                     line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'
                     with lock:
                         write_whole(times, times.read_text() + line)

@@ -33,7 +33,10 @@ def comparison_table(comparison: Comparison) -> Table:
     columns = [Column("optimizer"), Column("scale")]
     for measure in shown:
         columns += [Column(COMPARED[measure], number=digits), Column("95%", number=digits, joined=True)]
-        columns += [Column("worst", number=digits), Column("p", number=_probability)]
+        columns += [
+            Column("worst", number=digits),
+            Column("p", number=lambda p: "< 0.001" if p < 0.001 else f"{p:.3f}"),
+        ]
     columns += [Column("steps", number="{:.0%}".format), Column("touched bounds")]
     rows: list[tuple[Cell, ...]] = []
     for row in comparison.frame.iter_rows(named=True):
@@ -57,10 +60,6 @@ def comparison_table(comparison: Comparison) -> Table:
         f"held out: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)
-
-
-def _probability(p: float) -> str:
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def comparison_figure(comparison: Comparison) -> Figure:

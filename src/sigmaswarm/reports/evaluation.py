@@ -201,7 +201,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
         corners = half * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
         curve(ax, x + corners[0], y + corners[1], Look(CHARCOAL, 0.8))
         low, high = picture.frame
-        margin = 0.08 * float((high - low).max())  # the fixes: a filter that runs away must not set the scale
+        margin = 0.08 * float((high - low).max())  # of the fixes: a diverged filter must not set the scale
         as_map(ax, *zip(low - margin, high + margin, strict=True))
 
     def close(ax: Axes) -> None:
@@ -230,7 +230,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
         for name in methods:
             curve(ax, series[name]["time"], series[name]["position_error"], LOOKS[name], labels[name])
         ax.set(ylabel="position error, m")
-        logarithmic(ax.yaxis)  # from centimetres to hundreds of metres: else not all methods are visible
+        logarithmic(ax.yaxis)  # from centimeters to hundreds of meters, so that all methods are visible
         ax.set_ylim(0.03, None)
 
     def heading(ax: Axes) -> None:

@@ -132,11 +132,11 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Too confident: innovations are larger than their covariances; pessimistic: smaller.
+"""Overconfident (``optimistic``): innovations are larger than their covariances imply; pessimistic: smaller.
 
-Alike: smaller, and neighbors are nearly equal, so that nothing is known without truth.
-Lasting: smaller, and the errors against truth are as large as the covariances; predictions share the fixes' errors.
-Correlated: as large as the covariances, but neighbors are correlated; without truth.
+Alike: smaller, and consecutive innovations are nearly equal, so the error is unknown without truth.
+Lasting: smaller, although errors against truth match the covariances, since predictions share the fixes' errors.
+Correlated: of the right size, but consecutive innovations are correlated; only without truth.
 """
 ALIKE = 0.5
 """Correlation of neighboring innovations from which they are nearly equal."""

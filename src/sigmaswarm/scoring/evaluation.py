@@ -348,13 +348,6 @@ def evaluate(
         do not depend on it.
     **options
         Those of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more, fixes_alone.
-
-    Raises
-    ------
-    InputError
-        If there are no drives, or the two arguments are in the order of version 0.1.
-    AlignmentError
-        If a drive never moves far enough to start a filter.
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")

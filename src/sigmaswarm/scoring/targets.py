@@ -22,7 +22,7 @@ FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 """s: outages over which the drift of a tuned filter is compared with that of a filter of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""Number of outages of a drive that determines its drift to about a tenth."""
+"""Number of outages per drive; they determine the drift to about 10%."""
 MOST_PLACEMENTS = 8
 """Largest number of placements of outages on a drive: more would hide the same seconds again."""
 OUTAGE_FIRST_AFTER = 10.0

@@ -277,13 +277,7 @@ def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
 
 
 def load_tracks(path: Path) -> list[Tracks]:
-    """Read a file of `save_tracks`.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read.
-    """
+    """Read a file of `save_tracks`."""
     try:
         arrays = read_arrays(path)
         names = [str(name) for name in arrays.pop("names")]

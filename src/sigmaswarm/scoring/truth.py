@@ -15,7 +15,8 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """m per axis: the accuracy of the best filters of cheap receivers, beyond which better truth gets no more weight.
 
-Without this limit only stretches under open sky would have weight, where a reference is best and every filter good.
+Without this limit only stretches under open sky would have weight. There the reference is most accurate, and every
+filter is good.
 """
 HEADING_FLOOR = math.radians(0.3)
 """rad, likewise."""

@@ -39,12 +39,7 @@ NO_TRUTH = (
 class EvaluationView:
     """An evaluation as tables and sentences, from memory or from its files.
 
-    Attributes
-    ----------
-    scores : ScoresRecord
-    setup : EvaluationRecord
-    names : mapping of method to str
-        Display names, in the order of the rows.
+    ``names`` are the display names of the methods, in the order of the rows.
     """
 
     scores: ScoresRecord

@@ -78,13 +78,7 @@ class ModelProblem(Problem[dict[str, float]]):
 
 
 def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> ModelProblem:
-    """Make the problem of tuning a model of the user's own on logs.
-
-    Raises
-    ------
-    InputError
-        If the model does not fit a log, the objective does not support models, or it needs truth that a log lacks.
-    """
+    """Make the problem of tuning a model of the user's own on logs."""
     if not logs:
         raise InputError("no logs were given; give at least one")
     if config.objective not in MODEL_OBJECTIVES:
@@ -103,11 +97,6 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
 
     It is sqrt(mean(e^T e)) over moments of truth; e = estimate - truth, the estimate linear in between. By default all
     states are scored whose truth the log has.
-
-    Raises
-    ------
-    InputError
-        If the log has no such truth, or none within its time.
     """
     names = model.scored or tuple(log.truth)
     missing = [name for name in names if name not in log.truth]

@@ -41,20 +41,12 @@ STATE = "write the receiver's deviation, m per axis, as gps_std_m into drive.tom
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Penalty of the prior per fix, added to the negative log-likelihood, nats.
+    """Penalty of the prior per fix, (n, m), added to the negative log-likelihood, nats.
 
-    Parameters
-    ----------
-    parameter_sets : sequence of FilterParameters, length n
-    std : ndarray, shape (m, 2)
-        `receiver_std` of each drive, m.
-
-    Returns
-    -------
-    ndarray, shape (n, m)
-        0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0; the mean over both axes. R of a filter
-        that uses each fix's stated accuracy is that of the median fix. With `FilterParameters.fix_error` R includes the
-        variance of the correlated errors, and 0.25 replaces 0.5 where it is larger.
+    ``std`` (m, 2) is `receiver_std` of each drive, m. The penalty is 0.5 (log10(R / std^2) / 0.5)^2 where R is smaller
+    than std^2, else 0; the mean over both axes. R of a filter that uses each fix's stated accuracy is that of the
+    median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors, and 0.25 replaces
+    0.5 where it is larger.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
@@ -71,14 +63,10 @@ def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> 
 
 @dataclass(frozen=True)
 class FixNoise:
-    """Estimates of the errors of a drive's fixes.
+    """Estimates of the errors of a drive's fixes, m per axis; NaN if unknown.
 
-    Attributes
-    ----------
-    stated : float
-        Median deviation that the receiver states, m per axis; NaN without one.
-    scatter : float
-        Scatter about a path of ten seconds that the IMU can follow, m per axis; NaN if unknown.
+    ``stated``: median deviation that the receiver states. ``scatter``: about a path of ten seconds that the IMU can
+    follow.
     """
 
     stated: float
@@ -117,7 +105,7 @@ def noise_warnings(
     if r * FAR_BELOW < stated:
         why = f"the receiver states {stated:.2g} m"
     elif r * FAR_BELOW < scatter:
-        why = f"they scatter by {scatter:.2g} m about a path that the IMU can follow"
+        why = f"the fixes scatter by {scatter:.2g} m about a path that the IMU can follow"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]

@@ -114,12 +114,7 @@ def time_plot(
 ) -> None:
     """Show series over time. Zooming in fetches the detail; with ``on_select`` the mouse selects a span instead.
 
-    Parameters
-    ----------
-    title, unit : str
-    series : mapping of label to `Series`
-    dashed, pale : as of `lines`
-    span : from when to when to shade, s, if it is a part
+    ``dashed`` and ``pale`` are as of `lines`; ``span``, s, is shaded if it is a part of the time.
     """
 
     def visible(start: float = -np.inf, end: float = np.inf) -> Lines:

@@ -26,15 +26,7 @@ T = TypeVar("T")
 
 
 class Workbench:
-    """The folder of the workbench, and the logs that the user named.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if missing.
-    logs : sequence of Path
-        Files or folders outside ``folder`` that may be read.
-    """
+    """The folder of the workbench, made if missing, and the logs outside of it that the user named."""
 
     def __init__(self, folder: Path, logs: Sequence[Path] = ()) -> None:
         for log in logs:

@@ -203,13 +203,7 @@ class Design:
 def make_design(
     config: StudyConfig, executor: Executor | None = None, cluster: "Client | None" = None
 ) -> Design:
-    """Simulate or read a study's drives, locally or on the workers of a cluster.
-
-    Raises
-    ------
-    InputError
-        If the drives are too few, lack truth, or can't be read or made.
-    """
+    """Simulate or read a study's drives, locally or on the workers of a cluster."""
     remote: RemoteDataset | None = None
     drives: Sequence[Drive | Sensors]
     if cluster is not None:
@@ -239,13 +233,7 @@ def make_design(
 
 
 def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives of other sensors and of another car, by their description.
-
-    Raises
-    ------
-    InputError
-        If drives can't be read, lack truth, or share parts with the study's.
-    """
+    """Read or simulate test drives of other sensors and of another car, by their description."""
     c = home.config
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}

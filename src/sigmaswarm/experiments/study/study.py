@@ -29,7 +29,7 @@ import numpy as np
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Report, run_grid
 from sigmaswarm.experiments.study.config import MAIN, StudyConfig, read_config
-from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design, tuning_name
+from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design
 from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
 from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
@@ -102,11 +102,6 @@ class Study:
     def results(self) -> Results:
         """The content of results.json."""
         return self.record.results
-
-    def best_of(self, protocol: str, method: str, drive: int) -> tuple[str, FilterParameters]:
-        """Return name and parameters of the best tuning for a drive, given by its index."""
-        name = tuning_name(protocol, method, self.design.group_of(drive))
-        return name, self.best[name]
 
 
 def shown_trial(trials: Mapping[Task, Trial]) -> int:

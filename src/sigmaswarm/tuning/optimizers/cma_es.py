@@ -87,7 +87,7 @@ class CmaEs(AskTell):
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))
 
     def _learn(self, costs: Array) -> None:
-        if costs.min() == costs.max():  # a plateau teaches nothing: look elsewhere
+        if costs.min() == costs.max():  # a plateau has no information: restart elsewhere
             self._restart(self.rng.random(len(self.mean)))
             return
         n, d = self.positions.shape

@@ -74,7 +74,7 @@ def offspring(
     ``box``: lower and upper bounds.
     """
     pairs = (n + 1) // 2
-    # neighbors of one round, so that hardly ever someone mates with itself
+    # neighbors of one round, so that a member is rarely paired with itself
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
     low, high = np.minimum(first, second), np.maximum(first, second)
     u = rng.random(first.shape)
