@@ -161,7 +161,7 @@ def run(
     training, test = cached(name, parts)
     blind = [replace(drive, truth=None) for drive in training]
     if label == "default":
-        chosen, _ = with_filter({}, [*(training if "truth" in objective else blind), *test])
+        chosen, _ = with_filter({}, [*(blind if objective == "auto" else training), *test])
         model, use = chosen["model"], chosen["use"]
         same = [each for each, filter in FILTERS.items() if filter == (model, tuple(use))]
         if same and (name, same[0], objective, seed) in done:

@@ -55,7 +55,7 @@ def test_the_rule_is_what_the_log_has():
     assert chosen(PLAIN) == ("planar8", CAR)
     assert chosen(six(PLAIN)) == ("tilted12", CAR)
     assert chosen(wheeled(PLAIN)) == ("planar8", ("lateral", "standstill", "odometer", "robust"))
-    assert chosen(stating(PLAIN, 1.0, 9.0)) == ("planar8", ("lateral", "standstill", "accuracy", "robust"))
+    assert chosen(stating(PLAIN, 0.5, 2.5)) == ("planar8", ("lateral", "standstill", "accuracy", "robust"))
     assert chosen(stating(PLAIN, 2.0, 2.0)) == ("planar8", CAR)  # which tells no fix from another
     speed = np.full(FIXES, 5.0)
     assert chosen(replace(PLAIN, gps=replace(PLAIN.gps, speed=speed, course=0 * speed))) == ("planar8", CAR)
@@ -70,7 +70,7 @@ def test_six_columns_are_not_always_six_axes(up: float, turning: float):
 
 
 def test_of_several_drives_what_all_have_counts():
-    rich = stating(wheeled(six(PLAIN)), 1.0, 9.0)
+    rich = stating(wheeled(six(PLAIN)), 0.5, 2.5)
     assert chosen(rich, rich) == ("tilted12", ("lateral", "standstill", "odometer", "accuracy", "robust"))
     assert chosen(rich, PLAIN) == chosen(PLAIN, rich) == ("planar8", CAR)
     assert chosen(rich, six(PLAIN)) == ("tilted12", CAR)
@@ -125,6 +125,26 @@ def test_receivers_whose_errors_last_are_told_from_those_that_err_anew(gps: str,
     assert has_white_errors(drive) == white
 
 
+def test_fix_errors_are_modelled_as_correlated_where_most_receivers_err_by_more_than_their_fixes_show():
+    white, smooth, precise = noisy(WHOLE, 1.0), noisy(WHOLE, 0.05), noisy(WHOLE, 0.05, stated=0.05)
+    for drives, modelled in (
+        ([white], False),
+        ([smooth], True),  # of a receiver that states nothing, 2.1 m are assumed
+        ([precise], False),
+        ([white, smooth], False),
+        ([white, smooth, noisy(WHOLE, 1.0, stated=5.0)], True),
+        ([replace(smooth, truth=WHOLE.truth)], False),
+        ([replace(smooth, truth=WHOLE.truth), smooth], True),
+        ([], False),
+    ):
+        assert ("fix-error" in suggest_filter(drives).use) == modelled
+    assert "fixes that scatter far less than their receiver errs" in suggest_filter([smooth]).because
+    assert "fix-error" in with_filter({"kind": "ukf"}, [smooth])[0]["use"]
+    assert "fix-error" in with_filter({"model": "tilted12"}, [six(smooth)])[0]["use"]
+    for asked in ({"kind": "fuzzy-ukf"}, {"model": "planar8"}, {"model": "tilted12", "kind": "ukf"}):
+        assert "fix-error" not in with_filter(asked, [six(smooth)])[0]["use"]
+
+
 @needs_shared
 @pytest.mark.parametrize(
     ("name", "white"),
@@ -133,34 +153,6 @@ def test_receivers_whose_errors_last_are_told_from_those_that_err_anew(gps: str,
 @pytest.mark.filterwarnings("ignore::sigmaswarm.SigmaswarmWarning")
 def test_real_receivers_whose_errors_last(name: str, white: bool):
     assert has_white_errors(read_drive(DRIVES / name)) == white
-
-
-def smoothing(stated: float, up: float = 3.0, name: str = "smoothing") -> Drive:
-    """Without truth; the fixes are those of `noisy` with 0.05 m, and the receiver states far more, which varies."""
-    return stating(noisy(make_drive(duration=60.0), 0.05, name), stated, up * stated)
-
-
-def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
-    lasting, used = smoothing(2.0), ("lateral", "standstill", "accuracy", "robust")
-    truth = make_drive(duration=60.0).truth
-
-    def chosen_for(drives: list[Drive], **options: str) -> tuple[str, ...]:
-        return with_filter(options, drives)[0]["use"]
-
-    assert chosen_for([lasting]) == (*used, "fix-error")
-    assert with_filter({}, [lasting])[1].endswith("correlated fix errors")
-    assert chosen_for([lasting, replace(lasting, truth=truth)]) == (*used, "fix-error")
-    assert chosen_for([replace(lasting, truth=truth)]) == used
-    assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")
-    assert chosen_for([stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used  # they show
-    assert chosen_for([smoothing(0.02)]) == used  # less than motion between fixes
-    assert chosen_for([lasting, stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used
-    assert chosen_for([smoothing(2.0, 1.1)]) == CAR
-    assert chosen_for([lasting], model="planar5") == ()
-    for kind in ("fuzzy-ukf", "strong-tracking-ukf"):
-        assert "fix-error" not in chosen_for([lasting], kind=kind)
-    assert chosen_for([six(lasting)], kind="ukf", model="tilted12") == used
-    assert chosen_for([six(lasting)]) == (*used, "fix-error")
 
 
 def test_what_the_user_gives_stays():

@@ -59,10 +59,8 @@ class Sensors:
         True if the log has wheel speed, the receiver's deviations, its speed and course, and its heading.
     spread : (float, float) or None
         See `stated_spread`.
-    white : bool
-        See `has_white_errors`.
-    lasting : bool
-        See `has_lasting_errors`.
+    white, correlated : bool
+        See `has_white_errors` and `has_correlated_errors`.
     driven : float
         Time from 20 m of distance to the end of the log, s.
     receiver_std : (float, float)
@@ -79,10 +77,10 @@ class Sensors:
     velocity: bool
     spread: tuple[float, float] | None
     white: bool
+    correlated: bool
     driven: float
     receiver_std: tuple[float, float]
     heading: bool = False
-    lasting: bool = False
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
@@ -102,10 +100,10 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         velocity=gps.speed is not None and gps.course is not None,
         spread=stated_spread(drive),
         white=has_white_errors(drive),
+        correlated=has_correlated_errors(drive),
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
         receiver_std=receiver_std(drive),
         heading=gps.heading is not None,
-        lasting=has_lasting_errors(drive),
     )
 
 
@@ -118,6 +116,8 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     - **odometer** if every log has one.
     - **accuracy** if every receiver states its deviation, and it varies.
     - **robust** always: it costs little without outliers, and is needed with some.
+    - **fix-error** if most logs have correlated fix errors, see `has_correlated_errors`, and not all have truth, with
+      which the tuning finds a better filter without it.
 
     Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity and
     heading (no log with truth had them) and latency. Models are not chosen by scores: held-out likelihood and
@@ -138,9 +138,13 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
+    correlated = 2 * sum(one.correlated for one in found) > len(found) and not all(one.truth for one in found)
+    if correlated:
+        reasons.append("fixes that scatter far less than their receiver errs")
     if found and all(one.heading for one in found):
         reasons.append("a heading, which you may add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
+    use += ("fix-error",) if correlated else ()
     return SuggestedFilter("tilted12" if six else "planar8", use, ", ".join(reasons))
 
 
@@ -207,17 +211,9 @@ def has_white_errors(drive: Drive) -> bool:
     return shown > WHITE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
 
 
-def has_lasting_errors(drive: Drive) -> bool:
-    """Return whether the receiver states errors that would show from fix to fix if they were white, and do not.
-
-    They are correlated then. Where a white error of the stated deviation is small next to the motion between fixes, as
-    with RTK, nothing is known.
-    """
-    gps, stated = drive.gps, stated_std(drive)
-    if stated is None:
-        return False
-    least, moved = WHITE * max(stated), motion_in_noise(float(np.median(np.diff(gps.time))))
-    return white_noise(gps.x + 1j * gps.y) <= least and least > 3 * moved
+def has_correlated_errors(drive: Drive) -> bool:
+    """Return whether neighboring fixes differ by far less than the error of their receiver, see `receiver_std`."""
+    return white_noise(drive.gps.x + 1j * drive.gps.y) < WHITE * min(receiver_std(drive))
 
 
 def motion_in_noise(interval: float) -> float:

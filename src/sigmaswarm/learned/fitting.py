@@ -6,7 +6,7 @@ It needs JAX and Optax, the extra ``learned``.
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -135,7 +135,7 @@ def fit(
     with exact():
         import jax
 
-        optimizer, test = _optimizer(schedule.learning_rate), jax.jit(lesson.loss)
+        optimizer, test, run = _compiled(lesson.loss, schedule.learning_rate)
         weights: dict[str, Any] = {name: np.asarray(w, np.float64) for name, w in lesson.weights.items()}
         before = [[np.nan, float(test(weights, lesson.held_back))]]
         state = _State(weights, optimizer.init(weights), weights, np.array(before))
@@ -149,7 +149,6 @@ def fit(
                 ) from None
         count = len(lesson.examples[0])
         size = min(schedule.batch, count)
-        run = jax.jit(partial(_epoch, lesson.loss, optimizer))
         while (epoch := len(state.losses) - 1) < schedule.epochs:
             if epoch - int(np.argmin(state.losses[:, 1])) >= schedule.patience:
                 break
@@ -165,6 +164,15 @@ def fit(
             if progress:
                 progress(epoch + 1, float(np.nanmin(state.losses[:, 1])))
     return Fit(state.best, state.losses)
+
+
+@lru_cache(maxsize=4)
+def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
+    """Return the optimizer, the loss and an epoch; trainings of the same loss share the compiled code."""
+    import jax
+
+    optimizer = _optimizer(learning_rate)
+    return optimizer, jax.jit(loss), jax.jit(partial(_epoch, loss, optimizer))
 
 
 def _optimizer(learning_rate: float) -> Any:

@@ -175,11 +175,12 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the filter that suits the drive on the good receiver's fixes.
 
-    It does not use ``standstill``: tuned on fixes accurate to a centimeter, its noise is so small that one wrongly
-    detected standstill, in an outage, moves the track by meters and leaves the covariance small.
+    It does not use ``fix-error``, since these fixes are the reference. It does not use ``standstill`` either: tuned on
+    fixes accurate to a centimeter, its noise is so small that one wrongly detected standstill, in an outage, moves the
+    track by meters and leaves the covariance small.
     """
     found = suggest_filter([receiver])
-    use = tuple(option for option in found.use if option != "standstill")
+    use = tuple(option for option in found.use if option not in ("standstill", "fix-error"))
     options: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
     with warnings.catch_warnings():  # of a filter that is not used any further
         warnings.simplefilter("ignore", SigmaswarmWarning)

@@ -158,7 +158,8 @@ def estimate_lever_arm(
     prior = {name: (float(m), s) for name, m, s in zip(ARM, mean, std, strict=True)}
     if parameters is None:
         suited = suggest_filter(read)
-        options: dict[str, Any] = {"model": suited.model, "use": suited.use}
+        use = tuple(name for name in suited.use if name != "fix-error")
+        options: dict[str, Any] = {"model": suited.model, "use": use}
         values, _ = _maximum(read, baseline_of(read[0], options["model"], options["use"]), prior)
         moved = [_with_arm(drive, (values["forward"], values["left"])) for drive in read]
         parameters = _tuned(moved, options)

@@ -77,6 +77,8 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         reasons["accuracy"] = f"the stated deviations run from {stated[0]:.2g} to {stated[1]:.2g} m"
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
+    if "fix-error" in chosen.use:
+        reasons["fix-error"] = "the fixes scatter far less than their receiver errs"
     if chosen.model == "tilted12":
         reasons["model"] = "the IMU has az, gx and gy, which distinguish hills from motion"
     because = "; ".join(filter(None, reasons.values()))
