@@ -159,8 +159,9 @@ def run(
     if (name, label, objective, seed) in done:
         return None
     training, test = cached(name, parts)
+    blind = [replace(drive, truth=None) for drive in training]
     if label == "default":
-        chosen, _ = with_filter({}, [*training, *test])
+        chosen, _ = with_filter({}, [*(training if "truth" in objective else blind), *test])
         model, use = chosen["model"], chosen["use"]
         same = [each for each, filter in FILTERS.items() if filter == (model, tuple(use))]
         if same and (name, same[0], objective, seed) in done:
@@ -171,8 +172,7 @@ def run(
             return None
     if (name, "raw fixes", "-", 0) not in done:
         noted(out, done, (name, "raw fixes", "-", 0), [*quantities(raw(test))])
-    blind = [replace(drive, truth=None) for drive in training]
-    taken = objective_for(blind, objective, model)
+    taken = objective_for(blind, objective, model, use)
     tuning = tune(training, objective=taken, seed=seed, executor=pool, model=model, use=use)
     return noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
 

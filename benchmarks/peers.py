@@ -1,39 +1,57 @@
-"""Our filters beside GTSAM's iSAM2, on the same drives from the same start, in one run.
+"""The default filter, causal and smoothed, next to GTSAM's iSAM2 and batch smoother, column by column.
 
-    python benchmarks/peers.py ../shared/drives
-    python benchmarks/peers.py ../shared/drives --models planar8 tilted12 --only colorado-1 --seeds 3 --tries 40
+    python benchmarks/peers.py ../shared/drives --out peers.jsonl
+    python benchmarks/peers.py ../shared/drives --out peers.jsonl --table
 
-KITTI's drives: each is held out once; colorado-1: the first 70% of the time to tune on, the rest to test. Ours is
-tuned on the training drives as in `switches.py` (medians over the seeds). GTSAM's noises are searched, too, on the
-shortest training drive's first minute, which is what a user with an evening would do: the best of `--tries` random
-draws around typical values, by position RMSE + 0.1 m/deg x heading error. Drift is the RMS over the windows of
-seeds 0 to 3 (5 s) and 0 to 5 (30 s). The time is processor time per IMU sample, on one core, of running over the
-test drives once. GTSAM is in the dependency group `bench-gtsam`; without it only our rows are made.
+KITTI's drives: each is held out once; colorado-1: the first 70% of the time to tune on, the rest to test. Ours is tuned
+by default with truth (T) and without (B). GTSAM's noises are searched with truth on the first minute of the shortest
+training drive, since its steps get dearer as the graph grows: position RMSE + 0.1 m/deg x heading error + 0.1 x drift
+over 5 s, by `de-qpso` from typical values. All start at the same moment; drifts are RMS over all placements of the
+outages. Each result is a line of the file, and is not repeated. Prints Markdown: medians over the seeds, the mean over
+KITTI's drives, and the number of columns in which ours is lower. The time is processor time per IMU sample of the
+causal filter. GTSAM is in the dependency group `bench-gtsam`.
 """
 
 import argparse
 import time
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
-from importlib.util import find_spec
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sigmaswarm import Drive, SigmaswarmWarning, clip, initial_state, run_filter, tune
+from real_drives import KITTI, cases
+from sigmaswarm import (
+    Drive,
+    FilterParameters,
+    SigmaswarmWarning,
+    clip,
+    initial_state,
+    run_filter,
+    smooth,
+    tune,
+)
 from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, truth_at
-from sigmaswarm.scoring.targets import outage_windows
-from switches import TITLES, WINDOWS, cases, measured, quantities
+from sigmaswarm.filters.smoothing import Smoothing
+from sigmaswarm.scoring.drifts import SMOOTHED, Outages
+from sigmaswarm.scoring.score import truth_at
+from sigmaswarm.scoring.targets import outage_windows, placements
+from sigmaswarm.tuning.optimizers import create_optimizer
+from slip_and_start import errors, lines, note, rms_deg
+from switches import quantities
 
-USE = ("lateral", "standstill", "gate")
 SEARCHED = 60.0
-"""s of the training drive on which GTSAM's noises are searched: its steps get dearer as the graph grows."""
-COLUMNS = (*TITLES, "us a sample")
+"""s of the training drive on which GTSAM's noises are searched."""
+LENGTHS = (5.0, 30.0)
+COLUMNS = ("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m")
+SCALED = ("accel", "gyro", "accel_walk", "gyro_walk", "slide")
+"""Noises that are searched within a factor of ten; that of the fixes within two, the place without slip up to 2 m."""
 
 
 def main() -> None:
@@ -41,115 +59,173 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("drives", type=Path)
-    parser.add_argument("--models", nargs="*", default=["planar8"], help="of ours")
-    parser.add_argument("--only", nargs="+", help="names of cases, as in switches.py")
+    parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=3, help="of our tunings")
-    parser.add_argument("--tries", type=int, default=40, help="draws of GTSAM's noises")
+    parser.add_argument("--evaluations", type=int, default=100, help="of GTSAM's noises")
+    parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
-    print("| " + " | ".join(COLUMNS) + " |\n" + "|---" * len(COLUMNS) + "|")
-    for name, splits in cases(options.drives, options.seeds, options.only):
-        if any(drive.imu.az is None for part in splits[0] for drive in part):
-            continue
-        for model in options.models:
-            row = np.median([ours(*split, model, seed) for seed, split in enumerate(splits)], axis=0)
-            print(f"| {name} | {' + '.join((model, *USE))} | {shown(row)} |", flush=True)
-        if find_spec("gtsam") is not None:
-            row, noise = theirs(*splits[0], options.tries)
-            print(f"| {name} | GTSAM iSAM2 | {shown(row)} |  <!-- {noise} -->", flush=True)
+    if not options.table:
+        six = [case for case in cases(options.drives) if all(d.imu.az is not None for d in case[1])]
+        with ThreadPoolExecutor() as pool:
+            for seed, (name, training, test), known in product(range(options.seeds), six, "TB"):
+                if (name, known, seed) not in lines(options.out):
+                    note(options.out, (name, known, seed), ours(training, test, known, seed, pool))
+        for name, training, test in six:
+            if (name, "GTSAM", 0) not in lines(options.out):
+                noise = searched(min(training, key=lambda drive: drive.duration), options.evaluations)
+                note(options.out, (name, "GTSAM", 0), theirs(test, noise))
+    table(lines(options.out))
 
 
-def shown(row: Sequence[float]) -> str:
-    return " | ".join([f"{v:.2f}" for v in row[:-1]] + [f"{row[-1]:.3g}"])
-
-
-def ours(training: Sequence[Drive], test: Sequence[Drive], model: str, seed: int) -> list[float]:
-    with ThreadPoolExecutor() as pool:
-        tuned = tune(
-            training, objective="truth-pose", optimizer="de", model=model, use=USE, seed=seed, executor=pool
-        )
+def ours(
+    training: Sequence[Drive], test: Sequence[Drive], known: str, seed: int, pool: Executor
+) -> dict[str, list[float]]:
+    """Columns of the causal and of the smoothed filter, and the time per sample, us."""
+    drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
+    tuned = tune(drives, seed=seed, executor=pool).parameters
     ready = [PreparedDrive(drive) for drive in test]
-    row = measured(ready, tuned.parameters)
     begun = time.process_time()
-    samples = sum(len(run_filter(each, tuned.parameters).time) for each in ready)
-    return [*row, (time.process_time() - begun) / samples * 1e6]
+    causal = [run_filter(one, tuned) for one in ready]
+    spent = (time.process_time() - begun) / sum(len(one.time) for one in causal)
+    drifts = [our_drifts(ready, tuned, length) for length in LENGTHS]
+    found = {"causal": causal, SMOOTHED: [smooth(one, tuned) for one in ready]}
+    rows = {
+        kind: figures(test, estimates, [drift[kind] for drift in drifts]) for kind, estimates in found.items()
+    }
+    return {**rows, "us": [spent * 1e6]}
 
 
-def theirs(training: Sequence[Drive], test: Sequence[Drive], tries: int) -> tuple[list[float], object]:
+def our_drifts(ready: Sequence[PreparedDrive], tuned: FilterParameters, length: float) -> dict[str, float]:
+    """RMS over the drives and all placements, m."""
+    each = []
+    for one in ready:
+        outages = Outages(one, length=length, seed=0)
+        outages.run({"tuned": tuned}, {SMOOTHED: partial(Smoothing, parameters=tuned, recover=True)})
+        each.append((outages.drift("tuned"), outages.drift(SMOOTHED)))
+    return dict(zip(("causal", SMOOTHED), np.sqrt(np.mean(np.square(each), axis=0)).tolist(), strict=True))
+
+
+def theirs(test: Sequence[Drive], noise: Any) -> dict[str, Any]:
+    """Columns of iSAM2 and of the batch smoother, the time per sample, us, and the noises."""
     import rival_gtsam as rival
 
-    noise = _searched(min(training, key=lambda drive: drive.duration), tries)
-    off, turned, samples, begun = [], [], 0, time.process_time()
-    for drive in test:
-        run = rival.run(drive, initial_state(drive), noise)
-        samples += len(run.time)
-        distances, angles = _errors(drive, run)
-        off.append(distances)
-        turned.append(angles)
-    spent = (time.process_time() - begun) / samples * 1e6
-    heading = float(np.degrees(np.sqrt(np.mean(np.concatenate(turned) ** 2))))
-    drifts = [_drift(test, noise, length) for length in WINDOWS]
-    return [*quantities(np.concatenate(off)), heading, *drifts, spent], noise
+    runs = [rival.run_batch(drive, initial_state(drive), noise) for drive in test]
+    found = {"causal": [one.causal for one in runs], SMOOTHED: [one.run for one in runs]}
+    drifts = {kind: [] for kind in found}
+    for length in LENGTHS:
+        squares: dict[str, list[float]] = {kind: [] for kind in found}
+        for drive in test:
+            start = initial_state(drive)
+            off: dict[str, list[np.ndarray]] = {kind: [] for kind in found}
+            for seed in placements(drive, start, length=length, seed=0):
+                windows = outage_windows(drive, start, length=length, seed=seed)
+                run = rival.run_batch(drive, start, noise, hidden_fixes(drive.gps.time, windows))
+                off["causal"].append(off_at(drive, run.causal, windows[:, 1]))
+                off[SMOOTHED].append(off_at(drive, run.run, windows[:, 1]))
+            for kind, values in off.items():
+                squares[kind].append(float(np.mean(np.concatenate(values) ** 2)))
+        for kind, values in squares.items():
+            drifts[kind].append(float(np.sqrt(np.mean(values))))
+    begun = time.process_time()
+    samples = sum(len(rival.run(drive, initial_state(drive), noise).time) for drive in test)
+    spent = (time.process_time() - begun) / samples
+    rows = {kind: figures(test, each, drifts[kind]) for kind, each in found.items()}
+    return {**rows, "us": [spent * 1e6], "noise": str(noise)}
 
 
-_FOUND: dict[tuple[str, int], object] = {}
+def figures(test: Sequence[Drive], runs: Sequence[Any], drifts: Sequence[float]) -> list[float]:
+    """Scores in the order of `COLUMNS`."""
+    off, turned = zip(*map(errors_of, test, runs), strict=True)
+    return [*quantities(np.concatenate(off)), rms_deg(turned), *drifts]
+
+
+def errors_of(drive: Drive, run: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Position errors, m, and heading errors where they count, rad, of an estimate or of a run of GTSAM."""
+    return errors(drive, run if hasattr(run, "mean") else Tabled(run))
+
+
+class Tabled:
+    """A run of GTSAM in the form of an estimate."""
+
+    def __init__(self, run: Any) -> None:
+        nothing = np.zeros_like(run.x)
+        self.time, self.mean = run.time, np.column_stack([run.x, run.y, nothing, nothing, run.theta])
+
+
+def off_at(drive: Drive, run: Any, times: np.ndarray) -> np.ndarray:
+    """Distances from the truth, m."""
+    x, y = truth_at(drive.truth, times)
+    return np.hypot(np.interp(times, run.time, run.x) - x, np.interp(times, run.time, run.y) - y)
+
+
+_FOUND: dict[tuple[str, int], Any] = {}
 """Noises by the drive that they were searched on: several cases share it."""
 
 
-def _searched(drive: Drive, tries: int):
-    import rival_gtsam as rival
-
+def searched(drive: Drive, evaluations: int) -> Any:
+    """GTSAM's noises with the lowest cost on a minute of a drive."""
     key = drive.name, len(drive.imu)
     if key not in _FOUND:
         start = initial_state(drive).time
         drive = clip(drive, drive.imu.time[0], start + SEARCHED)
-        candidates = [rival.Noise(), *(_drawn(rival.Noise(), np.random.default_rng(i)) for i in range(tries))]
-        _FOUND[key] = min(candidates, key=lambda each: _cost(drive, each))
+        low, high = np.array([-1.0] * len(SCALED) + [-0.3, 0.0]), np.array([1.0] * len(SCALED) + [0.3, 2.0])
+        optimizer = create_optimizer(
+            "de-qpso", low, high, population=10, budget=evaluations, rng=np.random.default_rng(0)
+        )
+        optimizer.begin_at(np.array([0.0] * (len(SCALED) + 1) + [0.5]))
+        while len(points := optimizer.ask()):
+            optimizer.tell(np.array([cost(drive, noise_at(point)) for point in points]))
+        _FOUND[key] = noise_at(optimizer.global_best)
     return _FOUND[key]
 
 
-def _drawn(typical, rng: np.random.Generator):
-    """Noises around typical ones: by factors up to ten, the fixes' up to two; the car slides 0 to 2 m behind."""
-    factors = {
-        name: 10 ** rng.uniform(-1, 1) for name in ("accel", "gyro", "accel_walk", "gyro_walk", "slide")
-    }
-    changed = {name: factor * getattr(typical, name) for name, factor in factors.items()}
-    return replace(typical, fix=typical.fix * 2 ** rng.uniform(-1, 1), behind=rng.uniform(0, 2), **changed)
-
-
-def _cost(drive: Drive, noise) -> float:
+def noise_at(point: np.ndarray) -> Any:
     import rival_gtsam as rival
 
+    typical = rival.Noise()
+    factors = dict(zip((*SCALED, "fix"), 10.0 ** point[:-1], strict=True))
+    scaled = {name: float(factor * getattr(typical, name)) for name, factor in factors.items()}
+    return replace(typical, behind=float(point[-1]), **scaled)
+
+
+def cost(drive: Drive, noise: Any) -> float:
+    import rival_gtsam as rival
+
+    start = initial_state(drive)
+    windows = outage_windows(drive, start, length=LENGTHS[0], seed=0)
     try:
-        off, turned = _errors(drive, rival.run(drive, initial_state(drive), noise))
+        off, turned = errors_of(drive, rival.run(drive, start, noise))
+        hidden = rival.run(drive, start, noise, hidden_fixes(drive.gps.time, windows))
     except RuntimeError:  # GTSAM's own: a system that it can't solve
         return np.inf
-    return float(np.sqrt(np.mean(off**2)) + 0.1 * np.degrees(np.sqrt(np.mean(turned**2))))
+    drift = float(np.sqrt(np.mean(off_at(drive, hidden, windows[:, 1]) ** 2)))
+    return float(np.sqrt(np.mean(off**2))) + 0.1 * rms_deg([turned]) + 0.1 * drift
 
 
-def _errors(drive: Drive, run) -> tuple[np.ndarray, np.ndarray]:
-    """Position errors, m, and heading errors where they count, rad, at the truth's times."""
-    truth = drive.truth.select((drive.truth.time >= run.time[0]) & (drive.truth.time <= run.time[-1]))
-    x, y, theta = (np.interp(truth.time, run.time, v) for v in (run.x, run.y, run.theta))
-    counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
-    return np.hypot(x - truth.x, y - truth.y), wrap_angle(theta - truth.theta)[counts]
-
-
-def _drift(test: Sequence[Drive], noise, length: float) -> float:
-    """RMS over all windows of a length that fit, m."""
-    import rival_gtsam as rival
-
-    squares = []
-    for drive in test:
-        start = initial_state(drive)
-        for seed in WINDOWS[length]:
-            windows = outage_windows(drive, start, length=length, seed=seed)
-            if len(windows):
-                run = rival.run(drive, start, noise, hidden_fixes(drive.gps.time, windows))
-                x, y = truth_at(drive.truth, windows[:, 1])
-                ends = [np.interp(windows[:, 1], run.time, v) for v in (run.x, run.y)]
-                squares.append((ends[0] - x) ** 2 + (ends[1] - y) ** 2)
-    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else float("nan")
+def table(done: dict[tuple[Any, ...], Any]) -> None:
+    """Medians over the seeds, and the number of columns in which ours is lower."""
+    print("| tested on | estimate | filter | " + " | ".join(COLUMNS) + " | us a sample |")
+    print("|---" * (len(COLUMNS) + 4) + "|")
+    whole: dict[tuple[str, str, str], np.ndarray] = {}
+    names = dict.fromkeys("KITTI" if name in KITTI else name for name, *_ in done)
+    for name, kind, who in product(names, ("causal", SMOOTHED), ("T", "B", "GTSAM")):
+        each: dict[str, list[list[float]]] = {}
+        for (case, by, _), rows in done.items():
+            if by == who and ("KITTI" if case in KITTI else case) == name:
+                each.setdefault(case, []).append([*rows[kind], *rows["us"]])
+        if each:
+            whole[name, kind, who] = np.mean([np.median(rows, axis=0) for rows in each.values()], axis=0)
+            cells = " | ".join(f"{v:.3g}" for v in whole[name, kind, who])
+            print(f"| {name} | {kind} | {who} | {cells} |")
+    for who in "TB":
+        pairs = [
+            (row[:-1], whole[name, kind, who][:-1])
+            for (name, kind, by), row in whole.items()
+            if by == "GTSAM" and (name, kind, who) in whole
+        ]
+        lower = sum(int(np.sum(own < other)) for other, own in pairs)
+        print(f"\n{who}: lower in {lower} of {len(COLUMNS) * len(pairs)} columns")
 
 
 if __name__ == "__main__":

@@ -66,15 +66,18 @@ LENGTH = 60.0
 """s, of a window."""
 
 
-def sound_drives(folder: Path, simulated: int) -> Iterator[Drive]:
-    """Recordings below a folder, without those that are as recorded, and simulated drives of all IMU grades."""
+def sound_drives(folder: Path, simulated: int, first: int = 0) -> Iterator[Drive]:
+    """Recordings below a folder, without those that are as recorded, and simulated drives of all IMU grades.
+
+    ``first`` is the number of the first simulated drive.
+    """
     for about in sorted(folder.glob("*/drive.toml")):
         if not about.parent.name.endswith("as-recorded"):
             drive = read_drive(about.parent)
             middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
             yield clip(drive, middle - LONGEST / 2, middle + LONGEST / 2)
     grades = [name for name in IMU_GRADES if name not in ("ideal", "carla")]
-    for run in range(simulated):
+    for run in range(first, first + simulated):
         yield simulate(
             "urban", run=run, imu=grades[run % len(grades)], gps=GPS[run % len(GPS)], duration=120.0,
             terrain=("flat", "hilly")[run // 2 % 2], vibration=float(run % 3 > 0),
@@ -237,10 +240,11 @@ def main() -> None:
     parser.add_argument("what", choices=["faults", "windows", "mounting"])
     parser.add_argument("drives", type=Path)
     parser.add_argument("--simulated", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=3000)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    drives = sound_drives(options.drives, options.simulated)
+    drives = sound_drives(options.drives, options.simulated, options.first)
     if options.what == "faults":
         faults(drives)
     elif options.what == "mounting":

@@ -20,7 +20,7 @@ from real_drives import KITTI
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, tune
 from sigmaswarm.drives.sensors import receiver_std
 from sigmaswarm.scoring.score import truth_at
-from sigmaswarm.tuning.prior import typical_variance
+from sigmaswarm.tuning.receiver import typical_variance
 
 CASES = ("colorado-1", "kingston-1", "comma2k19", *KITTI)
 

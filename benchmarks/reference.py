@@ -16,7 +16,7 @@ import sigmaswarm
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.scoring.truth_noise import share_known
+from sigmaswarm.scoring.truth import share_known
 from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.imu import gauss_markov
 

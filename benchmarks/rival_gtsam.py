@@ -166,9 +166,10 @@ def run(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = 
 
 @dataclass(frozen=True)
 class Batch:
-    """What is known in hindsight, and the processor time, s, of the optimizer alone."""
+    """The smoothed run, the causal one before it, and the processor time, s, of the optimizer alone."""
 
     run: Run
+    causal: Run
     spent: float
 
 
@@ -187,7 +188,9 @@ def run_batch(drive: Drive, start: InitialState, noise: Noise, hidden: Array | N
     places = np.array([pose.translation() for pose in poses])
     theta = np.unwrap([pose.rotation().yaw() for pose in poses])
     track = CubicHermiteSpline(np.array(times), places[:, :2], speeds[:, :2])(causal.time)
-    return Batch(Run(causal.time, track[:, 0], track[:, 1], np.interp(causal.time, times, theta)), spent)
+    return Batch(
+        Run(causal.time, track[:, 0], track[:, 1], np.interp(causal.time, times, theta)), causal, spent
+    )
 
 
 def _driven(

@@ -127,12 +127,12 @@ def batch(training, test, tries: int) -> str:
     import peers
     import rival_gtsam as rival
 
-    noise = peers._searched(min(training, key=lambda drive: drive.duration), tries)
+    noise = peers.searched(min(training, key=lambda drive: drive.duration), tries)
     off, turned, samples, took = [], [], 0, 0.0
     for drive in test:
         found = rival.run_batch(drive, initial_state(drive), noise)
         samples += len(found.run.time)
-        distances, angles = peers._errors(drive, found.run)
+        distances, angles = peers.errors_of(drive, found.run)
         off.append(distances)
         turned.append(angles)
         took += found.spent

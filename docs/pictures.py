@@ -55,7 +55,7 @@ def workbench(folder: Path) -> None:
         with open_browser() as browser:
             page = browser.new_page(viewport={"width": 1228, "height": 1056})
             page.goto(server.stdout.readline().removeprefix("workbench: ").strip())
-            page.get_by_text("Does it agree?").wait_for(timeout=120_000)
+            page.get_by_text("Agreement of the IMU with the fixes").wait_for(timeout=120_000)
             page.add_style_tag(content=f"{HIDDEN} {{ display: none }}")
             page.wait_for_timeout(3000)
             page.screenshot(path=IMAGES / "workbench.png")

@@ -3,7 +3,9 @@
 import gc
 import os
 import signal
+import sys
 from collections.abc import Generator, Iterator
+from functools import lru_cache
 from pathlib import Path
 
 # Before NumPy is imported: as many processes as cores run the tests, and threads of BLAS would wait for each other.
@@ -38,20 +40,39 @@ def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collecto
 
 
 def pytest_collection_finish() -> None:
-    """Keep the collected tests out of garbage collections, which would take 6% of the processor's time."""
+    """Simulate the same drive once, and keep the collected tests out of garbage collections.
+
+    Garbage collections would take 6% of the processor's time. Tests of the simulation itself use `simulated_anew`.
+    """
+    if scenarios := sys.modules.get("sigmaswarm.simulation.scenarios"):
+        scenarios._drive = lru_cache(64)(scenarios._drive)
     gc.collect()
     gc.freeze()
 
 
 @pytest.fixture
-def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+def unpainted() -> Iterator[None]:
     """Pictures are not drawn, which takes half a second each: where a test is about something else."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from support import no_pictures
 
-    empty = '<svg height="1pt" width="1pt"></svg>'
-    monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda _, file, **__: file.write(b"a picture"))
-    monkeypatch.setattr(FigureCanvasSVG, "print_svg", lambda _, file, **__: file.write(empty))
+    with no_pictures():
+        yield
+
+
+@pytest.fixture
+def simulated_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each call of `simulate` computes its drive."""
+    from sigmaswarm.simulation import scenarios
+
+    monkeypatch.setattr(scenarios, "_drive", scenarios._drive.__wrapped__)
+
+
+@pytest.fixture
+def unoptimized(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Build C for `check_export` without optimization, which takes a third of the time."""
+    from sigmaswarm.exports import check
+
+    monkeypatch.setattr(check, "OPTIMIZE", "-O0")
 
 
 @pytest.fixture(scope="session")

@@ -46,8 +46,12 @@ class Process:
             self._code = _TEMPLATE.ask({"ended": self.pid})
         return self._code
 
-    def kill(self) -> None:
-        os.kill(self.pid, signal.SIGKILL)
+    def kill(self, how: signal.Signals = signal.SIGKILL) -> None:
+        os.kill(self.pid, how)
+
+    def line(self) -> str:
+        """The next line that it said on standard output."""
+        return self._said[0].readline()
 
     def communicate(self) -> tuple[str, str]:
         """What it said on standard output and error, to its end."""

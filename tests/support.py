@@ -3,6 +3,7 @@
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,30 @@ def quickly(cases: Iterable[tuple[Any, ...]], here: Callable[..., bool]) -> list
     return [pytest.param(*case, marks=() if here(*case) else pytest.mark.long) for case in cases]
 
 
+def require(module: str, reason: str) -> None:
+    """Skip the tests of a file where a module is missing; unlike `pytest.importorskip` it is not imported."""
+    if find_spec(module) is None:
+        pytest.skip(reason, allow_module_level=True)
+
+
 SHARED = Path(__file__).parents[1].parent / "shared"
 DRIVES = SHARED / "drives"
 needs_shared = pytest.mark.skipif(not DRIVES.is_dir(), reason=f"the real drives are not at {DRIVES}")
 
 GRAVITY = 9.80665
+
+
+@contextmanager
+def no_pictures() -> Generator[None]:
+    """Pictures are not drawn."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    empty = '<svg height="1pt" width="1pt"></svg>'
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(FigureCanvasAgg, "print_png", lambda _, file, **__: file.write(b"a picture"))
+        patched.setattr(FigureCanvasSVG, "print_svg", lambda _, file, **__: file.write(empty))
+        yield
 
 
 @contextmanager

@@ -16,6 +16,7 @@ import sigmaswarm
 from sigmaswarm_carla.options import Options
 from standin.process import record, recording, stand_in
 from standin.world import DEFAULTS
+from support import quickly
 
 BRAKE = ("--maneuver", "brake", "--environment", "clear", "--timeout", 3, "--patience", 1)
 MID_DRIVE = 500  # ticks since the car was spawned
@@ -133,7 +134,14 @@ def test_broken_in_the_second_drive(fault: dict, said: str, complete: Path, tmp_
 
 @pytest.mark.parametrize(
     ("fault", "said"),
-    [("fail_spawn", "can't be spawned"), ("stuck", "got stuck after"), ("astray", "left its route after")],
+    quickly(
+        [
+            ("fail_spawn", "can't be spawned"),
+            ("stuck", "got stuck after"),
+            ("astray", "left its route after"),
+        ],
+        lambda fault, _: fault != "astray",
+    ),
 )
 def test_a_failed_run_takes_another_route(fault: str, said: str, tmp_path: Path):
     with stand_in(tmp_path, **{fault: 1}) as server:

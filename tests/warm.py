@@ -2,8 +2,8 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from typing import Any
 
 from filter_cases import equipped, parameters
 from sigmaswarm import simulate
@@ -14,12 +14,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.smoothing import smooth
 
-FILTERS = (
-    ("tilted12", "ukf"),
-    ("tilted12", "ekf"),
-    ("planar8", "ukf"),
-    ("planar5", "ukf"),
-)  # the longest first
+COLLECT = [sys.executable, "-m", "pytest", "--collect-only", "-qq"]
+"""Writes the bytecode of all test files, whose asserts pytest rewrites."""
 
 
 def run(p: FilterParameters) -> None:
@@ -42,23 +38,28 @@ def many(p: FilterParameters) -> None:
     LiveFilterBank(p, initial_state(equipped()), nominal_interval=0.01)
 
 
-def drive() -> None:
-    simulate("turns")
-
-
-def collect() -> None:
-    """Write the bytecode of all test files, whose asserts pytest rewrites."""
-    command = [sys.executable, "-m", "pytest", "--collect-only", "-qq"]
-    subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+LASTING: dict[str, Any] = {"kind": "ekf", "fix_error": 1.3, "fix_error_time": 2.0}
+FILTERS = [
+    (parameters("tilted12", kind="ukf"), (run, live, hindsight)),
+    (parameters("tilted12"), (lagged, run, hindsight, live, many)),
+    (parameters("tilted12", **LASTING), (run, hindsight, live)),
+    (parameters("planar8", **LASTING), (run, hindsight, live)),
+    (parameters("planar8"), (run, lagged, hindsight, live, many)),
+    (parameters("planar5"), (run, hindsight, many)),
+    (parameters("planar5", **LASTING), (run,)),
+    (parameters("robot-localization"), (run,)),
+]
+"""What the quick tests run; the longest first."""
 
 
 def main() -> None:
-    ways: list[Callable[[FilterParameters], None]] = [live, run, lagged, hindsight, many]
+    collection = subprocess.Popen(COLLECT, stdout=subprocess.DEVNULL)
+    simulate("turns")
+    lagged(parameters("planar5"))  # with all that live filters share
     with ProcessPoolExecutor() as pool:
-        jobs = [pool.submit(collect), pool.submit(drive)]
-        jobs += [pool.submit(way, parameters(model, kind=kind)) for model, kind in FILTERS for way in ways]
-        for job in jobs:
+        for job in [pool.submit(way, p) for p, ways in FILTERS for way in ways]:
             job.result()
+    collection.wait()
 
 
 if __name__ == "__main__":

@@ -63,53 +63,27 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.custom.log import Log as Log
     from sigmaswarm.filters.custom.model import Model
     from sigmaswarm.filters.custom.model import Tunable as Tunable
-    from sigmaswarm.filters.custom.run import (
-        ModelEstimate as ModelEstimate,
-    )
-    from sigmaswarm.filters.custom.run import (
-        run_model as run_model,
-    )
-    from sigmaswarm.filters.custom.run import (
-        smooth_model as smooth_model,
-    )
+    from sigmaswarm.filters.custom.run import ModelEstimate as ModelEstimate
+    from sigmaswarm.filters.custom.run import run_model as run_model
+    from sigmaswarm.filters.custom.run import smooth_model as smooth_model
     from sigmaswarm.filters.dating_back import dated_back as dated_back
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import baseline
     from sigmaswarm.filters.presets import preset as preset
-    from sigmaswarm.filters.run import (
-        Estimate,
-    )
-    from sigmaswarm.filters.run import (
-        Innovations as Innovations,
-    )
-    from sigmaswarm.filters.run import (
-        run_filter as run_filter,
-    )
-    from sigmaswarm.filters.run import (
-        run_innovations as run_innovations,
-    )
-    from sigmaswarm.filters.run import (
-        run_textbook as run_textbook,
-    )
+    from sigmaswarm.filters.run import Estimate
+    from sigmaswarm.filters.run import Innovations as Innovations
+    from sigmaswarm.filters.run import run_filter as run_filter
+    from sigmaswarm.filters.run import run_innovations as run_innovations
+    from sigmaswarm.filters.run import run_textbook as run_textbook
     from sigmaswarm.filters.smoothing import smooth as smooth
-    from sigmaswarm.filters.textbook import (
-        ExtendedKalmanFilter as ExtendedKalmanFilter,
-    )
-    from sigmaswarm.filters.textbook import (
-        SigmaPoints as SigmaPoints,
-    )
-    from sigmaswarm.filters.textbook import (
-        UnscentedKalmanFilter as UnscentedKalmanFilter,
-    )
+    from sigmaswarm.filters.textbook import ExtendedKalmanFilter as ExtendedKalmanFilter
+    from sigmaswarm.filters.textbook import SigmaPoints as SigmaPoints
+    from sigmaswarm.filters.textbook import UnscentedKalmanFilter as UnscentedKalmanFilter
     from sigmaswarm.references.reference import reference
     from sigmaswarm.reports.compare import comparison_table as comparison_table
-    from sigmaswarm.reports.study import (
-        save_study as save_study,
-    )
-    from sigmaswarm.reports.study import (
-        study_figures as study_figures,
-    )
+    from sigmaswarm.reports.study_charts import save_study as save_study
+    from sigmaswarm.reports.study_charts import study_figures as study_figures
     from sigmaswarm.reports.study_tables import study_tables as study_tables
     from sigmaswarm.scoring.consistency import Consistency as Consistency
     from sigmaswarm.scoring.consistency import consistency as consistency
@@ -154,7 +128,7 @@ _HOMES = {
     "filters.textbook": "ExtendedKalmanFilter SigmaPoints UnscentedKalmanFilter",
     "references.reference": "reference",
     "reports.compare": "comparison_table",
-    "reports.study": "save_study study_figures",
+    "reports.study_charts": "save_study study_figures",
     "reports.study_tables": "study_tables",
     "scoring.consistency": "Consistency consistency",
     "scoring.evaluation": "Evaluation",

@@ -80,8 +80,8 @@ def held_folder(path: Path) -> Generator[Path]:
         raise InputError(
             f"{path}: another run is writing to it; wait for its end, or choose another --out"
         ) from None
-    # A run that was killed just after its last file of a folder within left a lock file that no write would find. No
-    # run makes folders deeper than this; all of a large tree that a user named would take long.
+    # A run that was killed just after the last file of a subfolder left a lock file that no later write would find. No
+    # run makes deeper folders, and a search of a user's whole tree would take long.
     for level in ("", "*/", "*/*/", "*/*/*/"):
         _sweep_all(path, f"{level}.*.lock")
     try:
@@ -216,7 +216,7 @@ class _Part(io.FileIO):
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
     """Yield a free, hidden path next to ``path`` with a locked lock file; remove its remains at the end.
 
-    An error of the hidden path, or of none, becomes one of ``named``, by default ``path``.
+    An error that names the hidden path, or no path, is raised as an error of ``named``, by default ``path``.
     """
     _sweep(path.parent.resolve())
     stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes

@@ -60,17 +60,15 @@ def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
     """
     require_regular(path)
     with path.open("rb") as file:
-        _require_unpacked(shown_as or path, file.read(8))
+        head = file.read(8)
+        if packed := next((kind for first, kind in _PACKED.items() if head.startswith(first)), None):
+            raise InputError(
+                f"{shown_as or path}: is compressed ({packed}); unpack it, and name the unpacked file"
+            )
         file.seek(0)
         lines = _require_lines(shown_as or path, file)
         file.seek(0)
         return file.readline(), lines
-
-
-def _require_unpacked(path: Path, head: bytes) -> None:
-    for first, kind in _PACKED.items():
-        if head.startswith(first):
-            raise InputError(f"{path}: is compressed ({kind}); unpack it, and name the unpacked file")
 
 
 def _require_lines(path: Path, file: BinaryIO) -> int:

@@ -68,9 +68,8 @@ def read_content(
         raise InputError(f"{path}: no such file; {missing}") from None
     except InputError:
         raise
-    except (
-        Exception
-    ) as error:  # a damaged archive raises anything, a nested text RecursionError, a number ValueError
+    # A damaged archive raises anything, a nested text RecursionError, a number ValueError.
+    except Exception as error:
         said = shown(" ".join(str(error).split()) or type(error).__name__, 160)
         raise InputError(f"{path}: not readable: {said}; {remedy}") from None
     if not isinstance(content, dict):

@@ -10,8 +10,6 @@ MOST_CHARACTERS = 60
 """Longest name or cell in a message."""
 MOST_NAMES = 12
 """Longest list in a message."""
-
-
 TO_DO = "TO DO: "
 """Beginning of remarks that require action; such remarks come first."""
 
@@ -55,7 +53,7 @@ def value_shown(value: object) -> str:
     try:
         return shown(repr(value))
     except (ValueError, RecursionError):
-        return "what stands there"
+        return "an unreadable value"
 
 
 class Mistake(NamedTuple):

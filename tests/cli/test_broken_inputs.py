@@ -10,7 +10,7 @@ import pytest
 from importing.test_datasets import imu_csv
 from sigmaswarm import read_drive
 from sigmaswarm.errors import DriveError
-from support import SHARED
+from support import SHARED, quickly
 
 FOUND = SHARED / "broken" / "inputs"
 INPUTS = sorted(FOUND.glob("*/*/in"))
@@ -29,7 +29,7 @@ def log_of(place: Path) -> Path:
 
 @needs_inputs
 @named
-@pytest.mark.parametrize("show", [True, False])
+@pytest.mark.parametrize("show", quickly([(True,), (False,)], lambda show: not show))
 def test_a_drive_or_one_line(sigmaswarm: Command, here: Path, place: Path, show: bool):
     reader, log = place.parts[-3], log_of(place)
     if reader.startswith("drive"):

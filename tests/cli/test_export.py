@@ -40,7 +40,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert ended.code == 0, ended.err
     page = Path("ekf/README.md").read_text()
     assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization |" in page
-    assert "The tuning has seen urban-clear-00" in page
+    assert "The filter was tuned on urban-clear-00" in page
     for wrong, said in (
         (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against needs --check"),
         (("--to", "filterpy", "--out", "ekf"), "filterpy does not support robot-localization"),
@@ -61,7 +61,7 @@ def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, d
     assert "#define INS_GPS_LANES 3" in Path("c/ins_gps.h").read_text()
     wrong = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 17)
     assert (wrong.code, wrong.err.count("\n")) == (2, 1)
-    assert "lanes = 17: a filter bank has 2 to 16" in wrong.err
+    assert "lanes = 17: out of range; give 2 to 16" in wrong.err
     wrong = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--lanes", 4)
     assert wrong.code == 2
     assert "--lanes is for --to c99 only" in wrong.err

@@ -70,9 +70,7 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "importing" in ended.err  # progress
     then = ended.out.splitlines()[-2]
     # Its speeds are drawn by chance, which no repair mends.
-    assert (
-        "next: sigmaswarm doctor drives/monday    (then correct in the log what it can't repair)" in ended.out
-    )
+    assert "next: sigmaswarm doctor drives/monday    (then correct the other faults in the log)" in ended.out
     assert then == "then: sigmaswarm tune drives/monday --out tuned"
     app.parse_args(
         shlex.split(then)[2:], exit_on_error=False, print_error=False
@@ -265,7 +263,7 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
     names = ["t", "ax", "ay", "AccelUp", "Engine Temp (C)", "gz", "x", "y", "fix_type"]
     (here / "log.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
     said = sigmaswarm("import", "log.csv", "--show").out
-    tail = "What neither reads:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
+    tail = "the proposal uses:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
     assert tail in said, said
 
 

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from processes import COMMAND, Process, run
 from sigmaswarm import FilterParameters, evaluate, files, read_drive
 from sigmaswarm.reports.evaluation import save_evaluation
+from support import quickly
 
 pytestmark = pytest.mark.usefixtures("painted")  # the same bytes in processes of their own
 
@@ -113,8 +115,13 @@ def put_old(name: str, found: dict[str, bytes], drive: Path) -> dict[str, bytes]
     return tree(Path("out"))
 
 
-@pytest.mark.parametrize("moment", ["first", "last"])
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    ("name", "moment"),
+    quickly(
+        product(COMMANDS, ("first", "last")),
+        lambda name, moment: (moment == "last") == (name in ("evaluate", "simulate", "import", "report")),
+    ),
+)
 def test_a_kill_leaves_nothing_half_done(
     sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str, moment: str
 ):
@@ -137,7 +144,9 @@ def test_a_kill_leaves_nothing_half_done(
     assert tree(Path("out")) == found  # and nothing hidden is left
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", quickly([(name,) for name in COMMANDS], lambda name: name in ("run-bag", "evaluate", "import"))
+)
 def test_a_full_disk_leaves_what_was_there(
     sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ):
@@ -157,7 +166,8 @@ def test_a_full_disk_leaves_what_was_there(
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long if name == "evaluate" else ()) for name in COMMANDS]
+    "name",
+    quickly([(name,) for name in COMMANDS], lambda name: name in ("run", "export", "simulate", "import")),
 )
 def test_a_disk_that_is_full_at_each_write(
     sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -230,13 +240,8 @@ def test_two_tunings_into_one_folder(drives: Path, here: Path):
     """One of them fills it, the other one says so; started again, it goes on from what is there."""
     words = [
         "tune",
-        str(drives / "urban-clear-00"),
-        "--out",
-        "tuned",
-        "--generations",
-        "20",
-        "--particles",
-        "6",
+        drives / "urban-clear-00",
+        *["--out", "tuned", "--generations", "20", "--particles", "6"],
     ]
     both = [Process(COMMAND, words) for _ in range(2)]
     ended = [(process.communicate()[1], process.wait()) for process in both]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sigmaswarm as library
-from sigmaswarm.cli.simulate import JITTER, VIBRATION, SimulateOptions
+from sigmaswarm.cli.simulate import JITTER, SimulateOptions
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.simulation import (
     ENVIRONMENTS,
@@ -25,6 +25,7 @@ from sigmaswarm.simulation import (
 from sigmaswarm.simulation.scenarios import Scenario
 from support import make_drive
 
+pytestmark = pytest.mark.usefixtures("simulated_anew")
 SOME = ("--maneuver", "turns", "brake", "--environment", "rain", "slippery", "--runs", 2, "--seed", 7)
 NAMES = [f"{m}-{e}-0{run}" for m in ("turns", "brake") for e in ("rain", "slippery") for run in range(2)]
 
@@ -103,13 +104,13 @@ def test_every_option_reaches_the_drive(sigmaswarm, here: Path):
     assert sigmaswarm("simulate", "--out", "s", *where, *given, *flags).code == 0
     drive = read_drive("s/urban-rain-00")
     expected = library.simulate(
-        "urban", "rain", duration=30.0, jitter=JITTER, vibration=VIBRATION, gnss_degradation=True, **options
+        "urban", "rain", duration=30.0, jitter=JITTER, vibration=1.0, gnss_degradation=True, **options
     )
     assert drive.metadata == expected.metadata
     np.testing.assert_array_equal(drive.imu.ax, expected.imu.ax)
     np.testing.assert_array_equal(drive.gps.x, expected.gps.x)
     assert drive.duration == pytest.approx(30.0, abs=0.1)  # its clock jitters
-    assert read_drive("s/brake-rain-00").metadata["scenario"]["vibration"] == VIBRATION
+    assert read_drive("s/brake-rain-00").metadata["scenario"]["vibration"] == 1.0
 
 
 def test_workers_are_as_many_threads(sigmaswarm, here: Path, monkeypatch):

@@ -18,7 +18,7 @@ def drive() -> Drive:
 
 @pytest.mark.parametrize(
     "offset",
-    quickly([(s,) for s in (-37.0, -18.0, -6.0, 4.0, 18.0, 33.0)], lambda s: s in (-37.0, 4.0, 18.0)),
+    quickly([(s,) for s in (-37.0, -18.0, -6.0, 4.0, 18.0, 33.0)], lambda s: s in (-37.0, 4.0)),
 )
 def test_an_offset_of_seconds_is_found_and_mended(offset: float):
     late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))
@@ -52,7 +52,7 @@ def swaying(period: float) -> Drive:
     return Drive("swaying", imu, Gps(t[k], x, y))
 
 
-@pytest.mark.parametrize("period", [9.5, 11.0, 12.0])
+@pytest.mark.parametrize("period", quickly([(9.5,), (11.0,), (12.0,)], lambda period: period == 11.0))
 def test_turns_that_would_match_with_another_sign_or_a_smaller_offset(period: float):
     """18 s are about one and a half periods, or two."""
     sound = swaying(period)

@@ -14,6 +14,7 @@ from sigmaswarm.doctor.checks.mounting import moved
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.fixes import course_of
 from sigmaswarm.doctor.mounting import angle_of, mounting_of, turned
+from sigmaswarm.doctor.travel import direction_of_travel
 from sigmaswarm.drives.drive import Gps, Imu
 from sigmaswarm.drives.split import clip
 from support import DRIVES, needs_shared, quickly
@@ -52,6 +53,15 @@ def test_the_estimate_of_a_turned_drive_is_the_turned_estimate():
         rotation = Rotation.random(random_state=seed).as_matrix()
         found, _ = estimate(drive_of("icm-20602"), rotation)
         assert np.degrees(angle_of(found.rotation @ rotation @ plain.rotation.T)) < 0.1
+
+
+@pytest.mark.parametrize("terrain", ["flat", "rolling", "hilly"])
+def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
+    drive, turn = drive_of("icm-20602", terrain), Rotation.from_euler("zy", (4, -3), degrees=True)
+    course = course_of(drive.gps.time, drive.gps.x + 1j * drive.gps.y)
+    slopes, std = direction_of_travel(turned(drive.imu, turn.as_matrix()), course, 0.0)
+    np.testing.assert_allclose(np.degrees(slopes), np.degrees(turn.apply([1, 0, 0])[1:]), atol=1.0)
+    assert np.degrees(std).max() < 1.0
 
 
 @pytest.mark.parametrize("sign", ["force", "rate"])

@@ -22,7 +22,7 @@ bias with it; an angle is found to about 2 deg."""
 @cache
 def drive_of(name: str) -> Drive:
     if name.startswith("simulated"):
-        return sigmaswarm.simulate("urban", gps="white-1m", duration=100.0 if "short" in name else 180.0)
+        return sigmaswarm.simulate("urban", gps="white-1m", duration=80.0 if "short" in name else 180.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)
         return sigmaswarm.read_drive(DRIVES / name)

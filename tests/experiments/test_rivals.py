@@ -28,17 +28,18 @@ from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS
-from sigmaswarm.reports import study as reports
+from sigmaswarm.reports import study_charts as reports
 from sigmaswarm.reports.folders import read_report
-from sigmaswarm.reports.study import save_study, study_figures
+from sigmaswarm.reports.study_charts import save_study, study_figures
 from sigmaswarm.reports.study_tables import study_tables
 from sigmaswarm.scoring.targets import outage_windows, tracking_replay
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.search import Search
 from sigmaswarm.tuning.tune import tune
+from support import require
 
-pytest.importorskip("optax", reason="JAX and Optax are not installed (extra learned)")
-pytest.importorskip("sklearn", reason="scikit-learn is not installed (extra bo)")
+require("optax", "JAX and Optax are not installed (extra learned)")
+require("sklearn", "scikit-learn is not installed (extra bo)")
 
 TINY = StudyConfig(
     maneuvers=("outages",),

@@ -231,6 +231,7 @@ def test_the_replay_builds_without_a_word(tmp_path: Path, case: int, flags: tupl
 @pytest.mark.parametrize(
     "case", quickly([(0,), (2,)], lambda case: case == 0), ids=lambda case: CASES[case][0]
 )
+@pytest.mark.usefixtures("unoptimized")
 def test_a_check_compares_with_the_swarm(tmp_path: Path, case: int):
     model, kind, option, lanes = CASES[case]
     p = given(model, kind, option)
@@ -258,7 +259,8 @@ def test_cpp_takes_the_header(tmp_path: Path):
 @needs_arm
 def test_a_board_finds_the_mixture(tmp_path: Path):
     p, drive = given("planar8", "ukf", "all"), equipped()
-    program = build_for(M4F, tmp_path, p, "-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0", lanes=4)
+    flags = ("-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0")
+    program = build_for(M4F, tmp_path, p, *flags, optimize="-O1", lanes=4)
     board = replay_on(M4F, program, drive, p.model)
     swarm, means = python_lanes(p, drive, 4, start=initial_state(drive)), []
     c = c_filter(tmp_path / "host", p, drive, 4)
@@ -271,6 +273,7 @@ def test_a_board_finds_the_mixture(tmp_path: Path):
 
 @needs_gcc
 @needs_shared
+@pytest.mark.usefixtures("unoptimized")
 @pytest.mark.parametrize("name", ["kitti-09-30-0033", "colorado-1"])
 def test_it_is_the_swarm_on_real_drives(tmp_path: Path, name: str):
     p, drive = given("planar8", "ukf", "lateral"), read_drive(DRIVES / name)

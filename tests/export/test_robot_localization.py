@@ -152,7 +152,7 @@ def test_the_page_compares_it_with_its_defaults_and_another_filter():
     ]
     assert float(rows[2][1]) == pytest.approx(found.mean("tuned", "position_rmse_m"), rel=5e-3)
     noisy = replace(ROBOT, measurement_noise=(1e-3, 1e-3))  # follows each fix
-    for own, rival, said in ((noisy, ROBOT, "you would gain"), (ROBOT, noisy, "lower than with")):
+    for own, rival, said in ((noisy, ROBOT, "lower: "), (ROBOT, noisy, "lower than with")):
         text = accuracy_section(evaluate([drive], own, against=rival))
         assert said in text.splitlines()[-1]
 

@@ -63,7 +63,7 @@ def test_a_filter_that_can_not_be_handed_over_is_refused(tmp_path: Path, target,
 
 def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
     with pytest.raises(
-        InputError, match="no export target is called 'rust'; choose one of filterpy, c99, robot_loc"
+        InputError, match="there is no export target 'rust'; choose one of filterpy, c99, robot_loc"
     ):
         export_filter(P, "rust", tmp_path)  # pyright: ignore
     with pytest.raises(InputError, match="--replay is for --to c99 only"):

@@ -1,14 +1,16 @@
 """Templates: what is filled in, what is left out, and that nothing is forgotten."""
 
 import re
+from itertools import product
 
 import pytest
 
 from exported import tuned
 from sigmaswarm.exports.c99 import c99
+from sigmaswarm.exports.features import _chosen, fill
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.targets import TARGETS
-from sigmaswarm.exports.template import _chosen, fill
+from support import quickly
 
 TEXT = """a
 #if USE_A
@@ -49,9 +51,13 @@ def test_a_place_without_a_value_is_an_error():
 
 
 @pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize("everything", [True, False])
-@pytest.mark.parametrize("kind", ["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"])
-@pytest.mark.parametrize("model", ["planar5", "planar8"])
+@pytest.mark.parametrize(
+    ("model", "kind", "everything"),
+    quickly(
+        product(("planar5", "planar8"), ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"), (True, False)),
+        lambda model, kind, everything: (model == "planar8") == everything,
+    ),
+)
 def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everything: bool):
     p = tuned(model, kind, 0.01, everything=everything)
     texts = [*TARGETS[target](p, 0.01).values(), *c99(p, 0.01, lanes=Lanes(3)).values()]

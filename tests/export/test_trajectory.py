@@ -24,10 +24,9 @@ from sigmaswarm.exports.trajectory import (
     write_fixes,
     write_pieces,
 )
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.recording import Recording
-from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter
+from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter, run_imu_only
 from support import make_drive
 
 STATES = ["x", "y", "vx", "vy", "theta"]
@@ -323,5 +322,8 @@ def test_the_fixes_before_a_start_are_written_as_fixes(tmp_path: Path, suffix: s
     else:
         assert len(places(tmp_path / f"f{suffix}")) == count
         assert f"{drive.name}: fixes before" in (tmp_path / f"f{suffix}").read_text()
-    with pytest.raises(InputError, match=r"f.tum: fixes are not poses; end the name in .csv, .geojson"):
+    with pytest.raises(
+        InputError,
+        match=r"f.tum: this format contains poses, and fixes are not poses; end the name in .csv, .geojson",
+    ):
         write_fixes(drive, 5.0, tmp_path / "f.tum")

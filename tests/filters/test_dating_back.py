@@ -1,4 +1,4 @@
-"""A start that is dated back: from the log before it alone, with all states of the model."""
+"""A start that is dated back: from the log before it alone, with all states of the filter."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from filter_cases import parameters
-from sigmaswarm import InputError, dated_back, initial_state, run_filter, simulate
+from sigmaswarm import InputError, dated_back, initial_state, run_filter, simulate, smooth
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.filters.schedule import start_of
 
 EACH_MODEL = pytest.mark.parametrize(
     "model", [name for name, model in MODELS.items() if not model.measures_imu]
@@ -44,18 +44,36 @@ def test_no_truth_and_nothing_after_the_start_is_used(model: str):
 
 
 @EACH_MODEL
-def test_all_states_are_estimated_within_their_deviations(model: str):
+def test_the_start_keeps_what_the_alignment_determines_and_completes_the_rest(model: str):
     drive, p = hilly(), cases(model)
-    start, found, truth = dated_back(drive, p), initial_state(drive), drive.truth
+    start, found = dated_back(drive, p), initial_state(drive)
+    if p.n_states == 5:
+        assert np.array_equal(start.mean, found.mean)
+        return
+    plain_mean, plain_covariance = start_of(found, p)
+    kept = [0, 1, 2, 3, 4, MODELS[model].gyro_bias]
+    rest = [i for i in range(p.n_states) if i not in kept]
     assert start.mean.shape == (p.n_states,)
-    assert not np.array_equal(start.mean[:5], found.mean)
-    columns = truth.x, truth.y, truth.vx, truth.vy, np.unwrap(truth.theta)
-    error = start.mean[:5] - [np.interp(start.time, truth.time, column) for column in columns]
-    error[4] = wrap_angle(error[4])
-    assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(start.covariance)[:5]))
-    if MODELS[model].tilts:  # what an alignment does not see
-        assert np.all(np.diag(start.covariance)[8:10] < np.radians(3.0) ** 2)
-        assert abs(start.mean[9]) > 0.0
+    assert np.array_equal(start.mean[kept], plain_mean[kept])
+    assert np.array_equal(start.covariance[np.ix_(kept, kept)], plain_covariance[np.ix_(kept, kept)])
+    assert np.all(start.mean[rest] != plain_mean[rest])
+    assert np.all(np.diag(start.covariance)[rest] < np.diag(plain_covariance)[rest])
+
+
+def test_tilts_are_those_that_all_fixes_show():
+    drive, p = hilly(), cases("tilted12")
+    start, smoothed = dated_back(drive, p), smooth(drive, p)
+    off = start.mean[8:10] - smoothed.initial.mean[8:10]
+    assert np.all(np.abs(off) < np.sqrt(np.diag(start.covariance)[8:10]))
+    assert np.hypot(*off) < 0.2 * np.hypot(*smoothed.initial.mean[8:10])
+
+
+def test_correlated_fix_errors_keep_their_prior():
+    drive, p = hilly(), replace(cases("tilted12"), fix_error=1.0, fix_error_time=60.0)
+    start, plain = dated_back(drive, p), start_of(initial_state(drive), p)
+    assert len(start.mean) == 14
+    assert np.array_equal(start.mean[12:], plain[0][12:])
+    assert np.array_equal(start.covariance[12:, :2], plain[1][12:, :2])
 
 
 @EACH_MODEL
@@ -66,7 +84,6 @@ def test_filters_start_from_it(model: str):
     assert estimate.initial is start
     assert estimate.failure is None
     assert np.abs(estimate.mean[0, :2] - start.mean[:2]).max() < 1.0
-    assert not np.array_equal(estimate.mean, run_filter(drive, p).mean)
 
 
 def test_where_the_filter_fails_the_start_is_the_alignments():

@@ -8,7 +8,7 @@ import pytest
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.run import run_imu_only
 from support import make_drive
 
 

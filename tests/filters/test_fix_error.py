@@ -26,7 +26,7 @@ from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, flags_of, star
 from sigmaswarm.filters.smoothing import smooth, smooth_textbook
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
-from support import quickly
+from support import quickly, sparse
 
 ERROR: dict[str, Any] = {"fix_error": 1.3, "fix_error_time": 2.0, "fix_std": 0.8}
 ALONG: dict[str, Any] = {"lateral_noise": 0.05, "rear_axle": 1.2, "standstill_noise": 1e-3}
@@ -110,7 +110,7 @@ def updated(x: np.ndarray, P: np.ndarray, nu: np.ndarray, H: np.ndarray, R: np.n
 
 @pytest.mark.parametrize(("model", "kind", "option"), CASES)
 def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option: str):
-    drive = straying() if option == "weighed" else rough()
+    drive = sparse(straying() if option == "weighed" else rough())
     p = filter_of(model, kind, option)
     compiled, textbook = run_filter(drive, p, recover=False), run_textbook(drive, p)
     assert compiled.failure is None and textbook.failure is None
@@ -123,7 +123,7 @@ def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option:
     quickly(CASES[1::2], lambda model, kind, option: (model, kind) != ("planar5", "ekf")),
 )
 def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
-    drive = straying() if option == "weighed" else rough()
+    drive = sparse(straying() if option == "weighed" else rough())
     p = filter_of(model, kind, option)
     assert relative(smooth(drive, p, recover=False), smooth_textbook(drive, p)) < 1e-7
 
@@ -222,6 +222,7 @@ def test_it_is_consistent_where_errors_last_and_white_noise_is_far_too_sure():
     assert 0.5 < np.mean(nees[True]) < 4.0
 
 
+@pytest.mark.usefixtures("unoptimized")
 @pytest.mark.parametrize(
     ("model", "kind", "option"),
     quickly([CASES[0], CASES[2], CASES[4], CASES[7]], lambda *case: case in CASES[4:]),

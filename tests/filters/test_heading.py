@@ -30,6 +30,7 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.tune import tune
+from support import sparse
 
 MORE: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -109,11 +110,9 @@ def test_jacobian_of_the_yaw_of_an_attitude_is_its_derivative():
 
 @pytest.mark.parametrize(("model", "kind", "option"), CASES)
 def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option: str):
-    drive = hilly() if model == "tilted12" and option == "all" else driven(option)
-    p, start = (
-        filter_of(model, kind, option),
-        initial_state(replace(drive, gps=replace(drive.gps, heading=None))),
-    )
+    drive = sparse(hilly() if model == "tilted12" and option == "all" else driven(option))
+    p = filter_of(model, kind, option)
+    start = initial_state(replace(drive, gps=replace(drive.gps, heading=None)))
     compiled = run_filter(drive, p, initial=start, recover=False)
     textbook = run_textbook(drive, p, initial=start)
     assert compiled.failure is None and textbook.failure is None
@@ -124,7 +123,7 @@ def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option:
 
 @pytest.mark.parametrize(("model", "kind", "option"), CASES[::3])
 def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
-    drive, p = driven(option), filter_of(model, kind, option)
+    drive, p = sparse(driven(option)), filter_of(model, kind, option)
     assert relative(smooth(drive, p, recover=False), smooth_textbook(drive, p)) < 1e-7
 
 
@@ -168,6 +167,7 @@ def test_lane_zero_of_a_bank_takes_headings_and_its_searches_replay_them():
 
 
 @needs_gcc
+@pytest.mark.usefixtures("unoptimized")
 @pytest.mark.parametrize(
     ("model", "kind", "option"), [case for case in CASES if case[:2] != ("tilted12", "ukf")]
 )
@@ -181,6 +181,7 @@ def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: s
 
 
 @needs_gcc
+@pytest.mark.usefixtures("unoptimized")
 def test_c_lanes_give_the_estimates_of_a_bank(tmp_path: Path):
     p, drive = filter_of(nominal_interval=0.01), driven()
     write_texts(export_texts(p, "c99", lanes=3), tmp_path)

@@ -20,7 +20,7 @@ from sigmaswarm.filters.replay import run_replays
 from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.tuning.options import Option
-from sigmaswarm.tuning.prior import prior_costs
+from sigmaswarm.tuning.receiver import prior_costs
 from sigmaswarm.tuning.space import OPTIONS, search_space
 from support import make_drive
 

@@ -180,7 +180,7 @@ CASES = {
     ("kind", "case"),
     quickly(
         [*product(("ekf", "ukf"), CASES), *product(UNSCENTED[1:], ["gate"])],
-        lambda kind, case: kind == "ekf" or case in ("gate", "weighed"),
+        lambda kind, case: kind == "ekf" or (kind, case) in (("ukf", "weighed"), ("adaptive-ukf", "gate")),
     ),
 )
 def test_compiled_is_the_textbooks(kind: str, case: str):

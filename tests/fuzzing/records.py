@@ -47,7 +47,7 @@ from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import page
-from sigmaswarm.reports.study import save_study
+from sigmaswarm.reports.study_charts import save_study
 from support import make_drive
 
 DRIVE = make_drive(duration=40.0)

@@ -24,20 +24,22 @@ from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
 from sigmaswarm.learned.noise_filter import Settings, columns_of, require_supported, run
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
-from support import make_drive
+from support import make_drive, quickly, require, sparse
 
-pytest.importorskip("optax", reason="JAX and Optax are not installed (extra learned)")
+require("optax", "JAX and Optax are not installed (extra learned)")
 
 ALL = OPTIONS["all"] | {"velocity_noise": None}
 ONE_STEP = Schedule(0.01, epochs=1, batch=1, patience=5, seed=0)
 
 
 @pytest.mark.parametrize(
-    ("model", "option"), [("planar5", {"robust_dof": 4.0}), ("planar8", ALL)], ids=["robust", "all"]
+    ("model", "option"),
+    quickly([("planar5", {"robust_dof": 4.0}), ("planar8", ALL)], lambda model, _: model == "planar8"),
+    ids=["robust", "all"],
 )
 def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, option: dict[str, float]):
     """With scales of one and with those of a network, over a whole drive."""
-    p, replay = parameters(model, kind="ekf", **option), replay_of(equipped())
+    p, replay = parameters(model, kind="ekf", **option), replay_of(sparse(equipped()))
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 5, 2)
     for head in (0.0, 0.5):
         weights["head"] = head * np.random.default_rng(1).normal(size=(5, 2))
@@ -59,7 +61,7 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
 @pytest.mark.parametrize(
     ("p", "said"),
     [
-        (parameters("tilted12"), "not trained through tilted12"),
+        (parameters("tilted12"), "does not support tilted12"),
         (parameters("planar8", kind="adaptive-ukf"), "adapts its own noises"),
         (parameters("planar8", velocity_noise=0.1), "velocity_noise"),
     ],
@@ -163,25 +165,24 @@ def test_the_noise_network_learns_downhill():
     with exact():
         import jax
 
-        loss = jax.jit(noise_training.loss(p))
-        gradient = jax.jit(jax.grad(noise_training.loss(p)))(weights, batch)
+        loss = jax.jit(jax.value_and_grad(noise_training.loss(p)))
+        gradient = loss(weights, batch)[1]
         for name, at in (("head_bias", (1,)), ("input", (0, 1)), ("head", (1, 0))):
             ahead, behind = ({**weights, name: weights[name].copy()} for _ in range(2))
             ahead[name][at] += 1e-5
             behind[name][at] -= 1e-5
-            slope = (float(loss(ahead, batch)) - float(loss(behind, batch))) / 2e-5
+            slope = (float(loss(ahead, batch)[0]) - float(loss(behind, batch)[0])) / 2e-5
             assert float(gradient[name][at]) == pytest.approx(slope, rel=1e-4, abs=1e-9)
 
 
 def test_the_outage_network_learns_how_fast_the_car_is():
-    """On other parts of the same drives it does better than the mean; the same seed gives the same bits."""
+    """On other parts of the same drives it does better than the mean."""
     p = parameters("planar8", lateral_noise=0.05)
     tracks = outage_training.tracks_of(drives(), p)
     examples = outage_training.examples_of(tracks, ("ax", "ay", "gz"), 6.0)
     network, lesson = outage_training.lesson(examples, ("ax", "ay", "gz"), window=6.0, units=6, seed=3)
-    found, again = (fit(lesson, Schedule(0.01, 8, batch=128, patience=15, seed=3)) for _ in range(2))
+    found = fit(lesson, Schedule(0.01, 8, batch=128, patience=15, seed=3))
     assert found.best < found.losses[0, 1]
-    assert again.losses.tobytes() == found.losses.tobytes()
     network = replace(network, weights={**found.weights, **lesson.fixed})
     moved, variance = network.displacements(examples.arrays[0])
     assert moved.shape == variance.shape == examples.arrays[1].shape

@@ -93,10 +93,10 @@ def test_matlab():
 def test_comments_name_remarks_and_unknown_axes():
     text = text_of("kalibr")
     assert "# a remark\n" in text
-    assert "# gx is not known: the value of the other axes\n" in text
+    assert "# gx was not measured; it has the value of the other axes\n" in text
     assert "# az is not" not in text
     assert "ICM-20602" not in text
-    assert "# an axis without a measured bias has the random walk of an ICM-20602\n" in text_of(
+    assert "# axes without a measured bias have the random walk of an ICM-20602\n" in text_of(
         "kalibr", walk=0.0
     )
 
@@ -123,5 +123,5 @@ def test_what_can_not_be_written():
     with pytest.raises(InputError, match="'ardupilot'; choose one of sigmaswarm, kf-gins"):
         noise_texts(noise(), "ardupilot")  # type: ignore[arg-type]
     gyro = Noise("log", 100.0, noise().axes[-1:], (), ())
-    with pytest.raises(InputError, match="no axis of the accel was measured, which matlab needs"):
+    with pytest.raises(InputError, match="no axis of the accel was measured; matlab needs one"):
         noise_texts(gyro, "matlab")

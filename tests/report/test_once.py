@@ -11,8 +11,8 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.compiled import run
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_imu_only
 from sigmaswarm.scoring.targets import outage_replay, placements
 from support import make_drive
 

@@ -22,9 +22,8 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import run_filter, run_innovations
+from sigmaswarm.filters.run import run_filter, run_imu_only, run_innovations
 from sigmaswarm.records import load_record
 from sigmaswarm.reports.commands import DEFAULTS, STATED, tune_command
 from sigmaswarm.reports.evaluation import copy_tuning

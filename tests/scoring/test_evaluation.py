@@ -10,10 +10,9 @@ import sigmaswarm
 from sigmaswarm.cli.common import print_evaluation
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.run import run_filter
+from sigmaswarm.filters.run import run_filter, run_imu_only
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
@@ -103,7 +102,7 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     said = evaluate(drive, GOOD).record.drift_said("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
     of = f"{told.outages} outages in 8 placements"
-    few = ", all on the same short stretch: another one may give far more"
+    few = ", all on the same short stretch: another stretch may give far more"
     assert said == f"{of}; a single placement gives {low:.3g} to {high:.3g} m{few}"
     many = {name: {"outage_drift_m": told.model_copy(update={"outages": 8 * 5})}}
     assert few not in evaluation.record.model_copy(update={"drifts": many}).drift_said("outage_drift_m")

@@ -19,7 +19,7 @@ from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.remarks import partly_scored
 from sigmaswarm.scoring.score import score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows
-from sigmaswarm.scoring.truth_noise import HEADING_FLOOR, POSITION_FLOOR, share_known
+from sigmaswarm.scoring.truth import HEADING_FLOOR, POSITION_FLOOR, share_known
 
 SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
 

@@ -135,6 +135,38 @@ def test_real_receivers_whose_errors_last(name: str, white: bool):
     assert has_white_errors(read_drive(DRIVES / name)) == white
 
 
+def smoothing(stated: float, up: float = 3.0, name: str = "smoothing") -> Drive:
+    """Without truth; the fixes are those of `noisy` with 0.05 m, and the receiver states far more, which varies."""
+    return stating(noisy(make_drive(duration=60.0), 0.05, name), stated, up * stated)
+
+
+def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
+    lasting, used = smoothing(2.0), ("lateral", "standstill", "accuracy", "robust")
+    truth = make_drive(duration=60.0).truth
+
+    def chosen_for(drives: list[Drive], **options: str) -> tuple[str, ...]:
+        return with_filter(options, drives)[0]["use"]
+
+    assert chosen_for([lasting]) == (*used, "fix-error")
+    assert with_filter({}, [lasting])[1].endswith("correlated fix errors")
+    assert chosen_for([lasting, replace(lasting, truth=truth)]) == (*used, "fix-error")
+    assert chosen_for([replace(lasting, truth=truth)]) == used
+    assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")
+    assert chosen_for([stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used  # they show
+    assert chosen_for([smoothing(0.02)]) == used  # less than motion between fixes
+    assert chosen_for([lasting, stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used
+    assert chosen_for([smoothing(2.0, 1.1)]) == (*CAR, "fix-error")
+    assert chosen_for([noisy(make_drive(duration=60.0), 0.05)]) == (*CAR, "fix-error")  # unstated: 2.1 m
+    assert chosen_for([noisy(make_drive(duration=60.0), 0.05, stated=0.05)]) == CAR
+    assert chosen_for([noisy(make_drive(duration=60.0), 1.0)]) == CAR
+    assert chosen_for([six(lasting)], model="planar8") == used
+    assert chosen_for([lasting], model="planar5") == ()
+    for kind in ("fuzzy-ukf", "strong-tracking-ukf"):
+        assert "fix-error" not in chosen_for([lasting], kind=kind)
+    assert chosen_for([six(lasting)], kind="ukf", model="tilted12") == used
+    assert chosen_for([six(lasting)]) == (*used, "fix-error")
+
+
 def test_what_the_user_gives_stays():
     both = {"model": "planar5", "use": ("gate",)}
     assert with_filter(both, [six(PLAIN)]) == (both, "")

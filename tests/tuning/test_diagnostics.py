@@ -1,11 +1,12 @@
 """What is said of a filter that loses its way on the drives that it was tuned on."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
+from sigmaswarm import Drive, SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.presets import baseline
@@ -15,20 +16,24 @@ from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
 
 CONFIG = TuneConfig(model="planar8", kind="ekf", use=("lateral", "gate"), objective="innovation-t")
-DRIVE = simulate("urban", run=1, gps="white-1m", duration=150)
+
+
+@cache
+def town() -> Drive:
+    return simulate("urban", run=1, gps="white-1m", duration=150)
 
 
 def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
-    gps = DRIVE.gps
+    gps = town().gps
     off = (gps.time >= 60) & (gps.time < 100)
-    aside = replace(DRIVE, name="aside", gps=replace(gps, x=gps.x + 120.0 * off, y=gps.y + 160.0 * off))
-    problem = car_problem([DRIVE, aside], CONFIG)
+    aside = replace(town(), name="aside", gps=replace(gps, x=gps.x + 120.0 * off, y=gps.y + 160.0 * off))
+    problem = car_problem([town(), aside], CONFIG)
     rng, seen = np.random.default_rng(0), list[bool]()
     space = problem.space
     for point in space.low + rng.random((12, len(space.low))) * (space.high - space.low):
         p = problem.parameters(point)
         try:
-            lost = {drive.name: run_filter(drive, p).restarts for drive in (DRIVE, aside)}
+            lost = {drive.name: run_filter(drive, p).restarts for drive in (town(), aside)}
         except SigmaswarmError:
             continue
         said = [warning for warning in problem.warnings(point) if "the tuned filter diverged" in warning]
@@ -43,55 +48,55 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
 
 
 def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
-    good = tune([DRIVE], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
-    assert not [doubt for doubt in good.warnings if "DON'T" in doubt]
-    found = [drifts_of(PreparedDrive(DRIVE), good.parameters)]
+    good = tune([town()], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
+    assert not [doubt for doubt in good.warnings if "DO NOT" in doubt]
+    found = [drifts_of(PreparedDrive(town()), good.parameters)]
     assert drift_warnings(found) == []
     q = list(good.parameters.process_noise)
     q[4] = 1e-2  # as if the gyro told nothing: the next fix is forecast all the same
     bad = replace(good.parameters, process_noise=tuple(q), lateral_noise=None, standstill_noise=None)
-    (tuned, other) = drifts_of(PreparedDrive(DRIVE), bad)
+    (tuned, other) = drifts_of(PreparedDrive(town()), bad)
     assert tuned > found[0][0]
     (said,) = drift_warnings([(100.0, 20.0), (np.nan, np.nan)])
-    assert said.startswith("TO DO: DON'T USE IT; ")
+    assert said.startswith("TO DO: DO NOT USE IT; ")
     assert "or on more drives: over 30 s without fixes the tuned filter drifts 100 m" in said
     assert drift_warnings([(29.0, 20.0)]) == drift_warnings([]) == []
     assert not may_drift_far([(20.0, 20.0), (np.nan, np.nan)])
     assert not may_drift_far([])
     assert may_drift_far([(25.0, 20.0)])
-    assert np.isfinite(drifts_of(PreparedDrive(DRIVE), bad, most=2)).all()
+    assert np.isfinite(drifts_of(PreparedDrive(town()), bad, most=2)).all()
     assert [each.length_s for each in good.forecasts] == [1.0, 5.0, 30.0]
-    assert good.fixes_alone == MotionNoise.typical([noise_of(PreparedDrive(DRIVE))])
+    assert good.fixes_alone == MotionNoise.typical([noise_of(PreparedDrive(town()))])
     short = good.forecasts[1]
-    measured = drifts_of(PreparedDrive(DRIVE), good.parameters, 2, length=5.0, noise=good.fixes_alone)
+    measured = drifts_of(PreparedDrive(town()), good.parameters, 2, length=5.0, noise=good.fixes_alone)
     assert (short.tuned_m, short.untuned_m, short.fixes_alone_m) == pytest.approx(measured)
     assert "NOT BEATEN" in str(replace(short, fixes_alone_m=short.tuned_m))
     assert "NOT BEATEN" not in str(replace(short, fixes_alone_m=1.01 * short.tuned_m))
     assert f"drift without fixes: {good.forecasts[0]}" in repr(good)
-    whole = evaluate([DRIVE], bad)
+    whole = evaluate([town()], bad)
     assert (tuned, other) == pytest.approx(
         [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "untuned")]
     )
 
 
 def test_a_car_that_stands_has_no_drift():
-    imu, gps = DRIVE.imu, DRIVE.gps
+    imu, gps = town().imu, town().gps
     still = replace(
-        DRIVE,
+        town(),
         imu=replace(imu, ax=0.0 * imu.ax, ay=0.0 * imu.ay, gz=0.0 * imu.gz),
         gps=replace(gps, x=0.0 * gps.x, y=0.0 * gps.y),
     )
-    assert np.isnan(drifts_of(PreparedDrive(still), baseline(DRIVE))).all()
+    assert np.isnan(drifts_of(PreparedDrive(still), baseline(town()))).all()
 
 
 @needs_shared
 def test_a_search_that_ended_too_early_is_noticed():
     first = split_time(read_drive(DRIVES / "dresden"), 0.7)[0]
     early = tune([first], objective="innovation-t", model="planar8", particles=10, generations=2, seed=2)
-    assert [r for r in early.remarks if "DON'T USE IT" in r and "over 30 s without fixes" in r]
+    assert [r for r in early.remarks if "DO NOT USE IT" in r and "over 30 s without fixes" in r]
     for model in ("planar8", None):
         whole = tune([first], objective="innovation-t", seed=0, **({"model": model} if model else {}))
-        assert not [r for r in whole.remarks if "DON'T" in r]
+        assert not [r for r in whole.remarks if "DO NOT" in r]
 
 
 def test_it_names_three_drives_and_counts_the_others():

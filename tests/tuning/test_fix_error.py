@@ -10,7 +10,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.defaults import WITH_FIX_ERROR, objective_for
 from sigmaswarm.tuning.diagnostics import correlation_warnings
-from sigmaswarm.tuning.prior import prior_costs
+from sigmaswarm.tuning.receiver import prior_costs
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.space import search_space
 from support import make_drive

@@ -1,18 +1,24 @@
 """Process noise is inflated as far as the cost allows, and no farther."""
 
 from dataclasses import replace
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from sigmaswarm import run_batch, simulate, tune
+from sigmaswarm import Drive, run_batch, simulate, tune
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.inflation import STEP, inflated
 from sigmaswarm.tuning.space import search_space
 
-DRIVE = simulate("urban", duration=60.0, gps="white-1m")
+
+@cache
+def town() -> Drive:
+    return simulate("urban", duration=60.0, gps="white-1m")
+
+
 SEARCH = {"optimizer": "de", "particles": 8, "generations": 6, "objective": "truth-rmse"}
 
 
@@ -33,13 +39,13 @@ def raised(p: FilterParameters, factor: float) -> FilterParameters:
 
 
 def costs(*sets: FilterParameters) -> np.ndarray:
-    return run_batch([DRIVE], sets, objective=SEARCH["objective"]).costs
+    return run_batch([town()], sets, objective=SEARCH["objective"]).costs
 
 
 @EVERY_MODEL
 @pytest.mark.parametrize("inflation", [0.2, 1.0])
 def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: str):
-    plain, inflated_ = (tune([DRIVE], inflation=m, model=model, **SEARCH) for m in (0.0, inflation))
+    plain, inflated_ = (tune([town()], inflation=m, model=model, **SEARCH) for m in (0.0, inflation))
     assert plain.inflation_factor == 1.0
     assert inflated_.inflation_factor > 1.0
     assert plain.parameters.measurement_noise == inflated_.parameters.measurement_noise
@@ -69,18 +75,18 @@ def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: st
 )
 def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
     options = {**SEARCH, "inflation": 0.1, "model": model, "out": tmp_path / "t"}
-    tuning = tune([DRIVE], **options)
+    tuning = tune([town()], **options)
     assert tuning.to_dict()["result"]["inflation_factor"] == tuning.inflation_factor
     said = said.format(tuning.inflation_factor, tuning.inflation_factor**0.5)
     assert [remark for remark in tuning.remarks if remark.startswith(said)]
-    again = tune([DRIVE], resume=True, **options)
+    again = tune([town()], resume=True, **options)
     assert again.parameters == tuning.parameters
     assert not [remark for remark in tuning.remarks if "search longer" in remark]
 
 
 def test_twice_the_data_bear_half_the_rise():
     longer = simulate("urban", duration=120.0, gps="white-1m")
-    for drives in ([longer], [DRIVE, simulate("urban", duration=60.0, gps="white-1m", seed=1)]):
+    for drives in ([longer], [town(), simulate("urban", duration=60.0, gps="white-1m", seed=1)]):
         plain, inflated_ = (tune(drives, inflation=m, model="planar8", **SEARCH) for m in (0.0, 0.5))
         seconds = sum(drive.duration for drive in drives)
         share = 0.5 * 100.0 / seconds
@@ -96,7 +102,7 @@ def test_a_linear_search_has_no_factor():
     with pytest.raises(
         InputError, match="inflation multiplies all process noise by one factor, which needs scale"
     ):
-        tune([DRIVE], inflation=0.1, scale="linear", **SEARCH)
+        tune([town()], inflation=0.1, scale="linear", **SEARCH)
 
 
 LEAST = {"q_tilt": 2e-9, "q_gyro_bias_xy": 1e-12, "accel_bias_std": 0.005, "gyro_bias_std": 2e-4}

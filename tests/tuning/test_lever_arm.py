@@ -80,11 +80,11 @@ def found(urban: Drive) -> LeverArmEstimate:
 def test_an_urban_drive_shows_the_arm_without_truth_and_each_time_the_same(
     urban: Drive, found: LeverArmEstimate
 ):
-    assert found.observable
+    assert found.observable == (True, True)
     assert abs(found.forward - 2.1) < 0.2
     assert abs(found.left + 0.7) < 0.2
     assert str(found).startswith(
-        f"antenna {found.forward:.2f} m ahead and {-found.left:.2f} m right of the IMU, +-0."
+        f"antenna {found.forward:.2f} m ahead (+-{found.std[0]:.2f} m) and {-found.left:.2f} m right (+-0."
     )
     assert estimate_lever_arm(replace(urban, truth=None), within=0.25) == found
 
@@ -113,10 +113,25 @@ def test_what_the_turns_do_not_show_stays_as_it_is(urban: Drive):
     begin = sigmaswarm.simulate("cruise", gps="white-1m", seed=1)
     drive = replace(planted(begin, 1.0, 0.0), metadata={**begin.metadata, "gps_lever_arm_m": [0.7, 0.2]})
     found = estimate_lever_arm(drive, quiet(drive, "planar8"))
-    assert not found.observable
+    assert found.observable == (False, False)
     assert max(found.std) > 0.3
-    assert "do not determine the lever arm to 0.15 m" in str(found)
+    assert str(found).startswith("the turns of this log do not determine ")
+    assert " to 0.15 m, which needs " in str(found)
     assert found.applied(drive) is drive
+
+
+def test_each_axis_counts_by_itself(urban: Drive):
+    """The turns often show the axis across the road before the one along it."""
+    found = LeverArmEstimate(1.5, -0.6, std=(0.12, 0.06), stated=(0.7, 0.2), within=0.15)
+    assert found.observable == (False, True)
+    assert str(found) == (
+        "antenna 0.60 m right (+-0.06 m) of the IMU; drive.toml states 0.70 m ahead and 0.20 m left; the turns "
+        "of this log do not determine 1.50 m ahead (+-0.12 m) to 0.15 m, which needs 2.5 times as many; "
+        "drive.toml keeps its value"
+    )
+    copy = found.applied(replace(urban, metadata={**urban.metadata, "gps_lever_arm_m": [0.7, 0.2, 1.1]}))
+    assert copy.metadata["gps_lever_arm_m"] == [0.7, -0.6, 1.1]
+    assert found.to_dict()["observable"] == [False, True]
 
 
 def test_a_stated_arm_is_a_prior_with_its_standard_deviation(urban: Drive):

@@ -1,6 +1,7 @@
 """The prior on R: by hand, where it acts, and what it is for: receivers that smooth their fixes."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,10 +14,14 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
-from sigmaswarm.tuning.prior import prior_costs
+from sigmaswarm.tuning.receiver import prior_costs
 
 SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
-DRIVE = simulate("urban", duration=60.0, gps="white-1m")
+
+
+@cache
+def town() -> Drive:
+    return simulate("urban", duration=60.0, gps="white-1m")
 
 
 def without_statement(drive: Drive) -> Drive:
@@ -55,7 +60,7 @@ def parameters(r: tuple[float, float], scale: float | None = None) -> FilterPara
     scale=st.none() | st.floats(1e-3, 10.0),
 )
 def test_it_is_half_a_decade_of_a_log_normal_below_what_is_stated(r, std, scale):
-    drive = replace(without_statement(DRIVE), metadata={"gps_std_m": std})
+    drive = replace(without_statement(town()), metadata={"gps_std_m": std})
     by_hand = 0.0
     for each in r:
         variance = each + (scale or 0.0) * std**2
@@ -67,11 +72,14 @@ def test_it_is_half_a_decade_of_a_log_normal_below_what_is_stated(r, std, scale)
 
 
 def test_the_receivers_own_word_comes_first():
-    silent = without_statement(DRIVE)
+    silent = without_statement(town())
     assert receiver_std(silent) == pytest.approx((1.0, 1.0), rel=0.1)  # its fixes show it
     assert stated_std(silent) is None
-    assert receiver_std(smoothed(DRIVE)) == (UNSTATED_GPS_STD, UNSTATED_GPS_STD)
-    assert receiver_std(seldom(DRIVE)) == (UNSTATED_GPS_STD, UNSTATED_GPS_STD)  # what differs there is motion
+    assert receiver_std(smoothed(town())) == (UNSTATED_GPS_STD, UNSTATED_GPS_STD)
+    assert receiver_std(seldom(town())) == (
+        UNSTATED_GPS_STD,
+        UNSTATED_GPS_STD,
+    )  # what differs there is motion
     told = replace(silent, metadata={"gps_std_m": 0.3})
     assert receiver_std(told) == stated_std(told) == (0.3, 0.3)
     n = len(silent.gps)
@@ -80,7 +88,7 @@ def test_the_receivers_own_word_comes_first():
 
 
 def test_a_receiver_that_smooths_its_fixes_is_not_copied():
-    drive = smoothed(DRIVE)
+    drive = smoothed(town())
     copied, held = (
         tune(drive, objective="innovation-nll", prior=prior, inflation=0.0, **SEARCH) for prior in (0.0, 1.0)
     )
@@ -94,11 +102,11 @@ def test_a_receiver_that_smooths_its_fixes_is_not_copied():
 
 
 def test_what_it_adds_is_the_costs_difference():
-    tuning = tune(DRIVE, objective="innovation-t", inflation=0.0, **SEARCH)
-    plain = run_batch([DRIVE], [tuning.parameters], objective="innovation-t").costs[0]
+    tuning = tune(town(), objective="innovation-t", inflation=0.0, **SEARCH)
+    plain = run_batch([town()], [tuning.parameters], objective="innovation-t").costs[0]
     assert tuning.config.prior == 1.0
     assert "the prior of R" in tuning.to_dict()["result"]["objective_meaning"]
-    assert tuning.cost == plain + prior_costs([tuning.parameters], np.array([receiver_std(DRIVE)]))[0, 0]
+    assert tuning.cost == plain + prior_costs([tuning.parameters], np.array([receiver_std(town())]))[0, 0]
 
 
 @pytest.mark.parametrize(
@@ -121,12 +129,12 @@ def test_it_stands_where_truth_has_no_say(asked, prior, inflation):
 
 def test_metres_and_nats_do_not_add_up():
     with pytest.raises(InputError, match="prior = 1: is in nats, but truth-rmse is not"):
-        tune(DRIVE, objective="truth-rmse", prior=1.0, **SEARCH)
+        tune(town(), objective="truth-rmse", prior=1.0, **SEARCH)
 
 
 def test_a_validation_is_no_matter_of_what_a_receiver_states():
     far = replace(simulate("urban", duration=60.0, gps="white-1m", seed=4), metadata={"gps_std_m": 20.0})
-    tuning = tune(DRIVE, objective="innovation-nll", validation=far, inflation=0.0, **SEARCH)
+    tuning = tune(town(), objective="innovation-nll", validation=far, inflation=0.0, **SEARCH)
     assert tuning.validation is not None
     assert (
         tuning.validation.cost == run_batch([far], [tuning.parameters], objective="innovation-nll").costs[0]

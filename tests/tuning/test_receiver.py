@@ -1,6 +1,7 @@
 """A tuned R beside what the fixes say of themselves: whoever copies the fixes is told so."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,8 +14,18 @@ from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.receiver import FixNoise, accuracy_warnings, fix_noise, noise_warnings
 from sigmaswarm.tuning.tune import tune
 
-DRIVE = simulate("urban", duration=60.0, gps="white-1m")
-BLIND = replace(DRIVE, truth=None, metadata={}, gps=replace(DRIVE.gps, std_x=None, std_y=None))
+
+@cache
+def town() -> Drive:
+    return simulate("urban", duration=60.0, gps="white-1m")
+
+
+@cache
+def unstated() -> Drive:
+    """Without truth, and without what the receiver states."""
+    return replace(town(), truth=None, metadata={}, gps=replace(town().gps, std_x=None, std_y=None))
+
+
 NONE = float("nan")
 
 
@@ -60,32 +71,32 @@ def test_a_stated_accuracy_that_plays_no_part_is_named(scale: float | None, said
 
 
 def test_a_drive_tells_what_is_stated_and_how_the_fixes_scatter():
-    found = fix_noise(stating(BLIND, 3.0))
+    found = fix_noise(stating(unstated(), 3.0))
     assert found.stated == 3.0
     assert found.scatter == pytest.approx(1.0, rel=0.2)  # white noise of 1 m
-    assert np.isnan(fix_noise(BLIND).stated)
-    assert fix_noise(replace(BLIND, metadata={"gps_std_m": 2.0})).stated == 2.0
+    assert np.isnan(fix_noise(unstated()).stated)
+    assert fix_noise(replace(unstated(), metadata={"gps_std_m": 2.0})).stated == 2.0
 
 
 def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():
-    blind = tune(stating(BLIND, 30.0), model="planar5", particles=2, generations=1)
-    assert blind.remarks[0].startswith("TO DO: DON'T USE IT")  # two random filters are no search
+    blind = tune(stating(unstated(), 30.0), model="planar5", particles=2, generations=1)
+    assert blind.remarks[0].startswith("TO DO: DO NOT USE IT")  # two random filters are no search
     assert "the receiver states 30 m" in blind.remarks[1]
     assert blind.to_dict()["result"]["warnings"] == list(blind.warnings)
-    seen = tune(stating(DRIVE, 30.0), particles=2, generations=1)
+    seen = tune(stating(town(), 30.0), particles=2, generations=1)
     assert not [doubt for doubt in seen.warnings if "the receiver states" in doubt]
 
 
 def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():
     """Errors that last don't scatter: a receiver's 3 m must not be mended into 0.05 m."""
-    time = DRIVE.gps.time
-    truth = DRIVE.truth
+    time = town().gps.time
+    truth = town().truth
     assert truth is not None
     x, y = (np.interp(time, truth.time, column) + 2.0 for column in (truth.x, truth.y))
-    smooth = stating(replace(BLIND, gps=replace(BLIND.gps, x=x, y=y)), 3.0)
+    smooth = stating(replace(unstated(), gps=replace(unstated().gps, x=x, y=y)), 3.0)
     assert "gps-noise" not in diagnose(smooth).codes
     assert "gps-correlated" in diagnose(smooth).codes
-    assert "gps-noise" in diagnose(stating(BLIND, 30.0)).codes  # white noise shows whole
+    assert "gps-noise" in diagnose(stating(unstated(), 30.0)).codes  # white noise shows whole
 
 
 def test_of_a_long_drive_the_middle_is_looked_at(monkeypatch: pytest.MonkeyPatch):
@@ -99,7 +110,7 @@ def test_of_a_long_drive_the_middle_is_looked_at(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_scatter_of_a_drive_is_computed_once(monkeypatch: pytest.MonkeyPatch):
-    drive = replace(BLIND, gps=replace(BLIND.gps, x=BLIND.gps.x + 1.0))
+    drive = replace(unstated(), gps=replace(unstated().gps, x=unstated().gps.x + 1.0))
     diagnose(drive)
     with monkeypatch.context() as patch:
         patch.setattr(evidence, "_gather", lambda _: pytest.fail("computed again"))

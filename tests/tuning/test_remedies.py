@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,19 +15,24 @@ from sigmaswarm.tuning.receiver import FixNoise, accuracy_warnings, fix_noise, n
 from sigmaswarm.wording import TO_DO
 from support import quickly
 
-DRIVE = simulate("urban", run=2, duration=90.0, gps="white-1m")
+
+@cache
+def town() -> Drive:
+    return simulate("urban", run=2, duration=90.0, gps="white-1m")
+
+
 FEW = {"trials": 1, "particles": 12, "generations": 10}
 
 
 def smooth(std: float | None = None) -> Drive:
     """Fixes with errors of 0.3 m that last 10 s, without truth; ``std``: what drive.toml states, m."""
-    time, rng = DRIVE.gps.time, np.random.default_rng(3)
+    time, rng = town().gps.time, np.random.default_rng(3)
     stay = np.exp(-np.median(np.diff(time)) / 10.0)
     pushes = 0.3 * np.sqrt(1 - stay**2) * rng.standard_normal((2, len(time)))
     error = lfilter([1.0], [1.0, -stay], pushes)
-    x, y = np.array([np.interp(time, DRIVE.truth.time, v) for v in (DRIVE.truth.x, DRIVE.truth.y)]) + error
-    gps = type(DRIVE.gps)(DRIVE.gps.time, x, y)
-    return replace(DRIVE, truth=None, gps=gps, metadata={} if std is None else {"gps_std_m": std})
+    x, y = np.array([np.interp(time, town().truth.time, v) for v in (town().truth.x, town().truth.y)]) + error
+    gps = type(town().gps)(town().gps.time, x, y)
+    return replace(town(), truth=None, gps=gps, metadata={} if std is None else {"gps_std_m": std})
 
 
 def to_dos(tuning: Tuning[Any], about: str) -> list[str]:
@@ -37,7 +43,7 @@ def test_gps_std_m_brings_the_nis_of_a_smooth_receiver_up():
     plain, stated = (tune(smooth(std), model="planar8", use=["lateral"], **FEW) for std in (None, 0.3))
     assert "write gps_std_m into drive.toml" in to_dos(plain, "gps_std_m")[0]
     assert not to_dos(stated, "gps_std_m")
-    nis = [evaluate(smooth(), t.parameters).consistency[DRIVE.name].mean_nis for t in (plain, stated)]
+    nis = [evaluate(smooth(), t.parameters).consistency[town().name].mean_nis for t in (plain, stated)]
     r = [np.sqrt(np.mean(t.parameters.measurement_noise)) for t in (plain, stated)]
     assert 1.0 < r[0] < 4.0 and 0.15 < r[1] < 0.6, r
     assert nis[1] > 2 * nis[0], nis
@@ -55,7 +61,7 @@ def test_a_deviation_in_drive_toml_or_the_accuracy_answers_an_r_that_copies_the_
 
 
 def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
-    drive = replace(DRIVE, truth=None)
+    drive = replace(town(), truth=None)
     std = np.random.default_rng(1).uniform(1.0, 3.0, len(drive.gps))
     drive = replace(drive, gps=replace(drive.gps, std_x=std, std_y=std))
     options = {"model": "planar8", **FEW}
@@ -74,12 +80,12 @@ def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
 )  # fmt: skip
 def test_nees_in_the_objective_sets_the_scale_of_the_covariances(objective: str, better: str):
     options = {"model": "planar8", "use": ["lateral"], **FEW}
-    free = tune(DRIVE, objective=objective, **options)
+    free = tune(town(), objective=objective, **options)
     assert f"tune with '{better}'" in to_dos(free, "scale of the covariances")[0]
-    bound = tune(DRIVE, objective=better, **options)
+    bound = tune(town(), objective=better, **options)
     assert not to_dos(bound, "scale of the covariances")
     off = [
-        abs(np.log(evaluate(DRIVE, t.parameters).consistency[DRIVE.name].mean_nees / 2))
+        abs(np.log(evaluate(town(), t.parameters).consistency[town().name].mean_nees / 2))
         for t in (free, bound)
     ]
     assert off[1] < off[0]
@@ -87,11 +93,11 @@ def test_nees_in_the_objective_sets_the_scale_of_the_covariances(objective: str,
 
 def test_the_lateral_constraint_determines_the_heading():
     options = {"model": "planar8", "objective": "innovation-t", **FEW}
-    without = tune(DRIVE, use=[], **options)
+    without = tune(town(), use=[], **options)
     assert "--use lateral" in to_dos(without, "heading")[0]
-    with_it = tune(DRIVE, use=["lateral"], **options)
+    with_it = tune(town(), use=["lateral"], **options)
     assert not to_dos(with_it, "heading")
-    off = [evaluate(DRIVE, t.parameters).mean("tuned", "heading_rmse_deg") for t in (without, with_it)]
+    off = [evaluate(town(), t.parameters).mean("tuned", "heading_rmse_deg") for t in (without, with_it)]
     assert off[1] < off[0]
 
 
@@ -103,7 +109,7 @@ def test_states_for_errors_that_last_whiten_the_innovations():
     mended = tune(smooth(0.3), use=use, **options)
     assert not to_dos(mended, "correlated")
     lag = [
-        evaluate(smooth(), t.parameters).consistency[DRIVE.name].autocorrelation[0] for t in (plain, mended)
+        evaluate(smooth(), t.parameters).consistency[town().name].autocorrelation[0] for t in (plain, mended)
     ]
     assert abs(lag[1]) < lag[0]
 
@@ -116,7 +122,7 @@ def test_a_log_that_begins_in_reverse_is_cut_as_the_doctor_says():
     part = split_time(whole, at=at)[1]
     assert "reverse-start" not in diagnose(part).codes
     assert to_dos(tune(whole), "diverged")
-    assert not to_dos(tune(part), "DON'T USE IT")
+    assert not to_dos(tune(part), "DO NOT USE IT")
 
 
 def test_no_remedy_of_a_tuning_without_options_speaks_of_leaving_them_out():

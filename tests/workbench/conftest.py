@@ -1,25 +1,28 @@
 """A workbench server, and a browser that looks at it."""
 
 import json
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-pytest.importorskip("nicegui", reason="NiceGUI is not installed (extra workbench)")
+from processes import Process
+from support import require
+
+require("nicegui", "NiceGUI is not installed (extra workbench)")
 
 SERVER = """
-import os, sys, threading
+import os, threading, time
 timer = threading.Timer(240.0, os._exit, (1,))  # however its test ends
 timer.daemon = True
 timer.start()
-sys.argv[0] = "sigmaswarm"
 from sigmaswarm.cli import main
+if PAUSE:
+    from sigmaswarm.tuning.search import Search
+    generation = Search._generation
+    Search._generation = lambda *given: time.sleep(PAUSE) or generation(*given)
 main()
 """
 SMALL = {"model": "planar5", "particles": 8, "generations": 4}
@@ -27,35 +30,22 @@ SMALL = {"model": "planar5", "particles": 8, "generations": 4}
 
 
 class Served:
-    """A server in a process of its own, which is ended by its number."""
+    """A server in a process of its own, which is ended by its number; ``pause``: s before each generation."""
 
-    def __init__(self, folder: Path, *logs: Path, **choices: Any) -> None:
+    def __init__(self, folder: Path, *logs: Path, pause: float = 0.0, **choices: Any) -> None:
         folder.mkdir(exist_ok=True)
         self.folder, saved = folder, folder / "workbench.json"
         if not saved.exists():
             saved.write_text(json.dumps({"options": SMALL, **choices}))
-        command = [
-            sys.executable,
-            "-c",
-            SERVER,
-            "workbench",
-            *map(str, logs),
-            "--out",
-            str(folder),
-            "--no-browser",
-        ]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
-        self.url = self.process.stdout.readline().removeprefix("workbench: ").strip()
+        arguments = ["workbench", *logs, "--out", folder, "--no-browser"]
+        self.process = Process(SERVER.replace("PAUSE", str(pause)), arguments)
+        self.url = self.process.line().removeprefix("workbench: ").strip()
         self.port = int(self.url.split(":")[2].partition("/")[0])
 
     def end(self, how: signal.Signals = signal.SIGINT) -> int:
         if self.process.poll() is None:
-            os.kill(self.process.pid, how)
-        code = self.process.wait(30)
-        if self.process.stdout:
-            self.process.stdout.close()
-        return code
+            self.process.kill(how)
+        return self.process.wait(30)
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ from support import make_drive
 from workbench.conftest import SMALL
 from workbench.test_road import DURATION, drop, expect, odd_csv
 
-plots = pytest.importorskip("sigmaswarm.workbench.plots")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
 
 
@@ -147,6 +146,8 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
 
 def test_envelope_keeps_all_peaks():
     """An hour of 100 Hz is a few points per pixel, and no peak is lost."""
+    from sigmaswarm.workbench import plots
+
     time = np.arange(360_000) / 100.0
     values = np.sin(time)
     values[123_456] = 50.0

@@ -46,24 +46,24 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
     sigmaswarm report evaluation
     sigmaswarm run tuned drives/friday --out estimate.csv
 
-Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out DRIVE` makes a drive from it.
+Another log format? `sigmaswarm import LOG --show` shows its content; `--out DRIVE` converts it to a drive.
 
-In the browser: `sigmaswarm workbench LOG` does all of this.
+`sigmaswarm workbench LOG` does all of this in the browser.
 
-No drives? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` runs the paper's experiment in small.""",
+No drives? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` runs a small form of the paper's experiment.
+""",
     help_flags=("--help", "-h", HELP_ALL),
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
 PLAIN = Parameter(negative=(), consume_multiple=1)
-WITH_MORE = (tune, compare, simulate, import_)
-"""Commands whose short help omits options."""
 for command in (
     doctor, noise, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
     record_carla, plot, demo, import_, workbench,
 ):  # fmt: skip
     name = command.__name__.strip("_").replace("_", "-")
-    more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if command in WITH_MORE else None
+    shortened = command in (tune, compare, simulate, import_)  # their help omits options
+    more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if shortened else None
     app.command(command, name=name, default_parameter=PLAIN, help_epilogue=more)
 
 
@@ -95,9 +95,7 @@ def main() -> NoReturn:
     Exit codes: 0 success, 1 the doctor found serious faults, 2 wrong input, 3 unforeseen error, 130 interrupted.
     """
     warnings.showwarning = _show_warning
-    logging.getLogger("matplotlib").setLevel(
-        logging.ERROR
-    )  # it reports its cache folder when there is no home
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it reports its cache folder
     terminal.prepare()
     terminal.tell_of_compiling()
     code = _run()
@@ -122,13 +120,9 @@ def _run() -> int:
         said = _missing_out(error) or _other_name(error) or terminal.one_line(error).removesuffix(".")
         return _told(2, f"{said}{hint}")
     except KeyboardInterrupt:
-        saved = (
-            "; repeat the command with --resume to continue"
-            if {"tune", "compare", "simulate", "study"} & set(sys.argv[1:2])
-            else ""
-        )
+        resumable = sys.argv[1:2] in (["tune"], ["compare"], ["simulate"], ["study"])
         print(file=sys.stderr)
-        return _told(130, f"interrupted{saved}")
+        return _told(130, "interrupted" + "; repeat the command with --resume to continue" * resumable)
     except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
         terminal.mute()
     except OSError as error:  # no permission, a network drive that is gone
@@ -168,7 +162,7 @@ def _missing_out(error: Exception) -> str | None:
 
 
 def _other_name(error: Exception) -> str | None:
-    """Suggest our option for a name that other libraries give it."""
+    """Suggest the option for the name that other libraries use."""
     if not isinstance(error, UnknownOptionError):
         return None
     from sigmaswarm.tuning.config import SYNONYMS

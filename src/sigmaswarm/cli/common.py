@@ -65,7 +65,7 @@ def read_datasets(
     Drives that are not ``trusted`` are checked for serious faults. ``gaps`` prints warnings about gaps.
     """
     from sigmaswarm.cli.findings import warn_of_serious
-    from sigmaswarm.cli.progress import progress_bar
+    from sigmaswarm.cli.terminal import progress_bar
     from sigmaswarm.datasets.cluster import Cluster
     from sigmaswarm.datasets.dataset import LocalDataset
     from sigmaswarm.datasets.remote import remote_datasets
@@ -88,12 +88,11 @@ def read_datasets(
 
 
 def tuned_as_recorded(tuning: Path) -> bool:
-    """Read from a tuning if the filter was tuned without preprocessing."""
+    """Check whether a tuning was made without preprocessing."""
     from sigmaswarm.records import load_record
-    from sigmaswarm.tuning.record import FILE, TuningConfigRecord
+    from sigmaswarm.tuning.record import TuningConfigRecord, tuning_file
 
-    file = tuning / FILE if tuning.is_dir() else tuning
-    return load_record(TuningConfigRecord, file).config.get("as_recorded", False) is True
+    return load_record(TuningConfigRecord, tuning_file(tuning)).config.get("as_recorded", False) is True
 
 
 def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, say
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
-from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sigmaswarm.experiments.comparison import Comparison
 
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
-"""Options of the comparison, and those that do not apply to it."""
+"""Options of a tuning that the comparison varies, or that do not apply to it."""
 SHOWN = ("objective", "particles", "generations", "model")
 
 
@@ -39,8 +39,8 @@ def compare(
     """Compare optimizers with the same budget on the same drives.
 
     OUT gets comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and all tunings. The result holds for these drives: the intervals are those of other
-    seeds, not of other drives.
+    comparison.png, times.csv and all tunings. The result is valid for these drives: the intervals cover other
+    seeds, not other drives.
 
     Examples:
 

@@ -39,18 +39,18 @@ def convert(
     from sigmaswarm.drives.urls import is_url
 
     if len(drives) < 2:
-        raise InputError("convert takes drives and, last, a folder for the converted drives")
+        raise InputError("convert needs drives and, as the last argument, a folder for the converted drives")
     *given, last = drives
     if is_url(last):
-        raise InputError(f"{last}: drives are written to folders; name one")
+        raise InputError(f"{last}: is a URL; name a folder for the converted drives")
     out, written = Path(last), list[str]()
     if any((out / table).exists() for table in TABLES):
-        raise InputError(f"{last}: is a drive; give, as last argument, a folder for the converted drives")
+        raise InputError(f"{last}: is a drive; give a folder for the converted drives as the last argument")
     for place in all_drive_locations(given):
         drive = read_known(place)
         if drive.name in written:
             raise InputError(
-                f"{place}: a second drive is called {drive.name}; convert it into another folder"
+                f"{place}: another drive is also named {drive.name}; convert it to another folder"
             )
         written.append(drive.name)
         sigmaswarm.write_drive(drive, out / drive.name, form=to)

@@ -45,9 +45,8 @@ def doctor(
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm for all drives; --fix writes it if its 95% interval is within this many meters.
+        Estimate one lever arm for all drives; --fix writes each axis whose 95% interval is within this many meters.
     """
-
     read = _read(drives)
     if fix is not None:
         _check_names(read, fix)
@@ -65,7 +64,7 @@ def doctor(
             sigmaswarm.write_drive(copy, folder)
             codes = dict.fromkeys(f.code for f in diagnosis.findings if f.repair)
             mended = [code for code in codes if code not in copy.metadata.get("withheld", ())]
-            mended += ["lever-arm"] if arm and arm.observable else []
+            mended += ["lever-arm"] if arm and any(arm.observable) else []
             diagnosis = sigmaswarm.diagnose(copy)
             found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if mended and not json:
@@ -85,7 +84,6 @@ def doctor(
 
 def _read(paths: list[Path]) -> "list[Drive]":
     """Read the drives without the warnings of reading, since the diagnosis checks more."""
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)
@@ -106,7 +104,6 @@ def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "Leve
 
 def _check_names(drives: "list[Drive]", out: Path) -> None:
     """Refuse, before anything is written, copies that would replace each other or another folder."""
-
     names = [drive.name for drive in drives]
     for name in names:
         if names.count(name) > 1:

@@ -66,7 +66,13 @@ class EvaluateOptions:
 
 
 def evaluate(
-    tuning: Annotated[Path, Parameter(name="TUNING")],
+    tuning: Annotated[
+        Path,
+        Parameter(
+            name="TUNING",
+            help="A tuning.toml, or the folder that contains it; also a folder of `sigmaswarm learn`.",
+        ),
+    ],
     drives: Places,
     /,
     *,
@@ -74,9 +80,9 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    It is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that the tuning
-    never saw. All methods start at the same time from the same state. Without truth the scores are the drift over
-    outages, against the hidden fixes, and the consistency of the innovations.
+    The filter is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that
+    the tuning never saw. All methods start at the same time from the same state. Without truth the scores are the
+    drift over outages, against the hidden fixes, and the consistency of the innovations.
 
     Examples:
 
@@ -88,22 +94,15 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --smooth --out evaluation
         sigmaswarm evaluate tuned drives/friday --swarm
         sigmaswarm evaluate tuned drives/friday --json
-
-    Parameters
-    ----------
-    tuning
-        A tuning.toml, or the folder that contains it; also a folder of `sigmaswarm learn`.
-    options
-        The options of the command line.
     """
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.records import load_record
     from sigmaswarm.reports.evaluation import save_evaluation
-    from sigmaswarm.tuning.record import FILE, TuningRecord
+    from sigmaswarm.tuning.record import TuningRecord, tuning_file
 
     learned, out = load_learned(tuning), options.out
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    record = load_record(TuningRecord, tuning / FILE if tuning.is_dir() else tuning)
+    record = load_record(TuningRecord, tuning_file(tuning))
     result = _evaluated(tuning, parameters, drives, options, learned, record)
     _warn_of_training_drives(result)
     written = save_evaluation(result, out, tuning, learned) if out else []
@@ -129,7 +128,7 @@ def _evaluated(
 ) -> "Evaluation":
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
-    from sigmaswarm.tuning.record import FILE, seen_by
+    from sigmaswarm.tuning.record import seen_by, tuning_file
 
     if not 0 < options.outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {options.outage_length:g})")
@@ -143,7 +142,7 @@ def _evaluated(
             outage_length=options.outage_length,
             outage_seed=options.outage_seed,
             as_recorded=options.as_recorded or tuned_as_recorded(tuning),
-            seen=[*seen_by(tuning / FILE if tuning.is_dir() else tuning), *seen_in(tuning)] or None,
+            seen=[*seen_by(tuning_file(tuning)), *seen_in(tuning)] or None,
             smooth=options.smooth,
             swarm=options.swarm,
             more={learned.kind: run} if learned and run else {},
@@ -153,7 +152,6 @@ def _evaluated(
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Warn of drives that the tuning has seen: scores on them are too good."""
-
     for name, found in evaluation.drives.items():
         drive = found.record
         if drive.seen_s:

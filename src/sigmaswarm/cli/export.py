@@ -52,7 +52,7 @@ class ExportOptions:
 
 
 def export(
-    tuning: Annotated[Path, Parameter(name="TUNING")],
+    tuning: Annotated[Path, Parameter(name="TUNING", help="A tuning.toml, or the folder that contains it.")],
     /,
     *,
     options: Annotated[ExportOptions, FIELDS],
@@ -68,13 +68,6 @@ def export(
         sigmaswarm export tuned --to c99 --out filter-c --check drives
         sigmaswarm export tuned --to robot_localization --out filter-ros
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
-
-    Parameters
-    ----------
-    tuning
-        A tuning.toml, or the folder that contains it.
-    options
-        The options of the command line.
     """
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts
@@ -112,17 +105,17 @@ def export(
 def _accuracy(
     parameters: "sigmaswarm.FilterParameters", drives: "Sequence[Drive]", tuning: Path, against: Path | None
 ) -> str:
-    """The section of README.md on the accuracy on drives."""
+    """Return the section of README.md on the accuracy on drives."""
     from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
-    from sigmaswarm.tuning.record import FILE, seen_by
+    from sigmaswarm.tuning.record import seen_by, tuning_file
 
-    seen = seen_by(tuning / FILE if tuning.is_dir() else tuning) or None
+    seen = seen_by(tuning_file(tuning)) or None
     return accuracy_section(evaluate(drives, parameters, against=against, seen=seen))
 
 
 def _found(checked: "Checked", lanes: int) -> str:
-    """One line on a drive."""
+    """Describe the differences on a drive in one line."""
     library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
     line = (
         f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in every state "

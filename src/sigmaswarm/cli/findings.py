@@ -61,8 +61,8 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
         if diagnosis.serious:
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
-                f"{folder}: the doctor finds SERIOUS faults, which a filter would learn ({codes}); "
-                f"{mending(diagnosis, folder)[0]}, or silence this with --trust-log"
+                f"{folder}: the doctor finds SERIOUS faults, which distort the result ({codes}); "
+                f"{mending(diagnosis, folder)[0]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
 

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
 from sigmaswarm.cli.findings import cutting, mending, print_diagnosis
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json
-from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import shown
 
@@ -64,9 +64,9 @@ class ImportOptions:
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
     mag_topic
-        Topic or table of a magnetometer in the IMU's axes, which gives the fixes a heading; or map mag.mx, mag.my.
+        Topic or table of a magnetometer in the IMU's axes, which gives a heading; or map mag.mx, mag.my.
     declination
-        Magnetic north east of true north, deg; by default found from the course, with the sensor's turn.
+        Magnetic declination, deg east of true north; by default estimated from the course, with the sensor's rotation.
     receive_times
         Use the times at which messages were received, not their headers' stamps.
     part
@@ -142,7 +142,10 @@ class ImportOptions:
 
 
 def import_(
-    source: Annotated[Path, Parameter(name="SOURCE")],
+    source: Annotated[
+        Path,
+        Parameter(name="SOURCE", help="The log, a file or a folder, with the IMU and often everything else."),
+    ],
     /,
     *,
     options: Annotated[ImportOptions, FIELDS] = ImportOptions(),
@@ -158,28 +161,19 @@ def import_(
         sigmaswarm import monday.mcap --out drives/monday --imu-topic /imu/data --mount 90
         sigmaswarm import imu.csv --out drives/monday --gps track.ubx --truth rtk.pos
         sigmaswarm import log.csv --out drives/monday --time "stamp*1e-3" --map "ax=-acc_y*9.80665" "gz=radians(gyro_z)"
-
-    Parameters
-    ----------
-    source
-        The log, a file or a folder, with the IMU and often everything else.
-    options
-        The options of the command line.
     """
-
     request, heading = _request(source, options), options.heading_from_north
     if heading is not None and not abs(heading) <= 360:
         raise InputError(f"--heading-from-north {heading:g} is not an angle; give degrees, 0 to 360")
     if options.show:
         _show(request, options)
     elif options.out is None:
-        raise InputError("--out is missing: name the drive's folder to be made, or use --show to look first")
+        raise InputError("--out is missing: name the drive's folder, or look at the log with --show")
     else:
         _import(request, options.out, options)
 
 
 def _request(source: Path, options: ImportOptions) -> "Request":
-
     from sigmaswarm.importing.convert import Request
     from sigmaswarm.importing.limits import Limits
     from sigmaswarm.importing.recipe import Recipe
@@ -222,7 +216,6 @@ def _request(source: Path, options: ImportOptions) -> "Request":
 
 def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     """Import and write; print the assumptions."""
-
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
@@ -252,9 +245,7 @@ def _next_steps(diagnosis: "Diagnosis", out: Path) -> Iterator[str]:
         return
     if diagnosis.serious:
         command, mended = mending(diagnosis, out)
-        go_on = (
-            f"continue with {mended}, not with {out}" if mended else "correct in the log what it can't repair"
-        )
+        go_on = f"continue with {mended}, not with {out}" if mended else "correct the other faults in the log"
         following, ready = f"{command}    (then {go_on})", mended or out
     yield f"next: {following}"
     yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned"
@@ -291,7 +282,6 @@ def _told(imported: "Imported", out: Path) -> Iterator[str]:
 
 
 def _show(request: "Request", options: ImportOptions) -> None:
-
     from sigmaswarm.importing.look import look
 
     seen = look(request)
@@ -306,14 +296,13 @@ def _show(request: "Request", options: ImportOptions) -> None:
 
 
 def _print_look(seen: "Look", options: ImportOptions) -> None:
-
     console = stdout()
     for glance in seen.tables:
         rows = f", {glance.rows} rows" if glance.rows is not None else ""
         rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
         console.print(f"{shown(glance.table)}: {shown(glance.kind)}{rows}{rate}", style="bold")
         say(*_columns(glance))
-    say("(each column's lowest value, median and highest, over the first rows)")
+    say("(lowest, median and highest value of each column in the first rows)")
     planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
@@ -327,7 +316,7 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
         evidence = f"({shown(seen.evidence, 1000)}{times}; it is applied only on request)"
         say(shown(seen.proposal, 4000), evidence)
     if seen.unread:
-        console.print("\nWhat neither reads:", style="bold")
+        console.print("\nColumns that neither the recipe nor the proposal uses:", style="bold")
     for table, columns in (seen.unread or {}).items():
         more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
         say(f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}")
@@ -336,22 +325,20 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
 
 
 def _command(proposal: str, options: ImportOptions) -> str:
-    """The command that makes the drive: the given one, with the drive's folder and the proposed options."""
+    """Return the given command with the drive's folder and the proposed options."""
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
-    return " ".join(
-        [shown(shlex.join(["sigmaswarm", *typed, *out]), 4000), proposal and shown(proposal, 4000)]
-    ).rstrip()
+    return f"{shown(shlex.join(['sigmaswarm', *typed, *out]), 4000)} {shown(proposal, 4000)}".rstrip()
 
 
 def _columns(glance: "Glance") -> Iterator[str]:
     """A line per column with values other than 0: lowest, median and highest, or an example."""
-    told = [r for r in glance.ranges if r.low or r.high or r.low is None]
-    width = max((len(shown(r.column)) for r in told), default=0)
-    for r in told:
+    varying = [r for r in glance.ranges if r.low or r.high or r.low is None]
+    width = max((len(shown(r.column)) for r in varying), default=0)
+    for r in varying:
         ends = f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
         yield f"  {shown(r.column):{width}} {shown(r.example) if r.low is None and r.example else ends}"
-    if left := len(glance.ranges) - len(told):
+    if left := len(glance.ranges) - len(varying):
         yield f"  and {left} columns that are 0"
 
 

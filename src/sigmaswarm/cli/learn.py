@@ -11,7 +11,7 @@ from cyclopts import Parameter
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, read_drives, say
 from sigmaswarm.cli.options import FIELDS, Seed
-from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.filters.names import NetworkName
 
 if TYPE_CHECKING:
@@ -47,9 +47,11 @@ class LearnOptions:
 
 
 def learn(
-    network: Annotated[NetworkName, Parameter(name="NETWORK")],
-    tuning: Annotated[Path, Parameter(name="TUNING")],
-    drives: Annotated[list[str], Parameter(name="DRIVE")],
+    network: Annotated[NetworkName, Parameter(name="NETWORK", help="outage-lstm or noise-gru.")],
+    tuning: Annotated[Path, Parameter(name="TUNING", help="A tuning.toml, or its folder.")],
+    drives: Annotated[
+        list[str], Parameter(name="DRIVE", help="Drive folders to learn from, or folders of drive folders.")
+    ],
     /,
     *,
     options: Annotated[LearnOptions, FIELDS],
@@ -67,19 +69,7 @@ def learn(
         sigmaswarm learn outage-lstm tuned drives/training --out learned --validation drives/monday --search 8
         sigmaswarm learn noise-gru tuned drives/training --out learned --seed 1
         sigmaswarm learn noise-gru tuned drives/training --out learned --resume
-
-    Parameters
-    ----------
-    network
-        outage-lstm or noise-gru.
-    tuning
-        A tuning.toml, or its folder.
-    drives
-        Drive folders to learn from, or folders of drive folders.
-    options
-        The options of the command line.
     """
-
     record = _learn(network, tuning, drives, options)
     if options.json:
         print_json(record.model_dump(mode="json"))
@@ -90,19 +80,16 @@ def learn(
 def _learn(network: NetworkName, tuning: Path, drives: list[str], options: LearnOptions) -> "LearnedRecord":
     from sigmaswarm.learned.learn import LearnConfig
     from sigmaswarm.learned.learn import learn as train
-    from sigmaswarm.tuning.record import FILE
+    from sigmaswarm.tuning.record import tuning_file
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read, held_back = read_drives(drives), read_drives(options.validation or [])
-    counted, waiting = (
-        "epochs at most, loss {task.fields[loss]}, remaining",
-        "smoothing the drives",
-    )
-    with progress_bar("learning", counted, waiting, loss="-") as show:
+    counted = "epochs at most, loss {task.fields[loss]}, remaining"
+    with progress_bar("learning", counted, "smoothing the drives", loss="-") as show:
         learned = train(
             LearnConfig(network, parameters, read, held_back, options.search, options.seed),
             options.out,
-            tuning=tuning / FILE if tuning.is_dir() else tuning,
+            tuning=tuning_file(tuning),
             resume=options.resume,
             progress=lambda now: show(now.done, now.total, loss=f"{now.loss:.3f}"),
         )

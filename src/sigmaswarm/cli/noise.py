@@ -47,14 +47,17 @@ class NoiseOptions:
 
 
 def noise(
-    log: Annotated[Path | None, Parameter(name="LOG")] = None,
+    log: Annotated[
+        Path | None, Parameter(name="LOG", help="A drive's folder, or any log that import reads.")
+    ] = None,
     /,
     *,
     options: Annotated[NoiseOptions, FIELDS] = NoiseOptions(),
 ) -> None:
     """Measure the noise of an IMU at rest, in the units of filters that need it.
 
-    A log needs no fixes. An hour at rest shows all noises; the standstills of a drive show the white noise.
+    The log needs no fixes. An hour at rest determines all noise terms; the standstills of a drive determine the white
+    noise only.
 
     Examples:
 
@@ -62,13 +65,6 @@ def noise(
         sigmaswarm noise static.bag --imu-topic /imu/data --to kalibr --out noise
         sigmaswarm noise drives/friday --to sigmaswarm kf-gins
         sigmaswarm noise --tuned tuned --to kf-gins
-
-    Parameters
-    ----------
-    log
-        A drive's folder, or any log that import reads.
-    options
-        The options of the command line.
     """
     from sigmaswarm.exports.imu_noise import noise_texts
     from sigmaswarm.exports.targets import write_texts

@@ -36,7 +36,7 @@ class _MoreOptions(Group):
 
 MORE = Parameter(group=_MoreOptions("More options"))
 """Marks an option that the short help leaves out."""
-FIELDS = Parameter(name="*")
+FIELDS = Parameter(name="*", help="The options of the command line.")
 """Marks a record whose fields are the options of a command."""
 AT_LEAST_1 = Parameter(validator=validators.Number(gte=1))
 AT_LEAST_0 = Parameter(validator=validators.Number(gte=0))

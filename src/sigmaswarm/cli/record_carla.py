@@ -82,18 +82,7 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
 
         sigmaswarm record-carla --out drives --maneuver brake --environment clear --runs 1
         sigmaswarm record-carla --out drives --host 192.168.0.7 --map Town06 --brake-sweep
-
-    Parameters
-    ----------
-    options
-        The options of the command line.
-
-    Raises
-    ------
-    InputError
-        An option or a file is unusable.
     """
-
     arguments: list[str] = []
     for name, value in vars(options).items():
         option = f"--{name.replace('_', '-')}"
@@ -103,17 +92,17 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
             arguments += [option] if value else []
         else:
             arguments.append(f"{option}={value}")
-    # A separate process: the client may kill it, and this one reports that.
+    # In a separate process, since the client may kill it; this one reports that.
     process = subprocess.Popen([sys.executable, "-m", "sigmaswarm_carla", *arguments])
     while True:
         try:
             code = process.wait()
             break
         except KeyboardInterrupt:
-            continue  # the recorder has heard it too, and puts the server in order first
+            continue  # the recorder gets the signal, too, and first restores the server
     if code < 0:
         raise SigmaswarmError(
-            f"the CARLA client was killed by signal {-code}; complete drives are in {options.out}: continue with "
-            "--resume"
+            f"the CARLA client was killed by signal {-code}; complete drives are in {options.out}; continue "
+            "with --resume"
         )
     sys.exit(code)

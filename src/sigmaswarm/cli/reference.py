@@ -10,7 +10,7 @@ from cyclopts import Parameter
 import sigmaswarm
 from sigmaswarm.cli.common import numbers_of, print_json, read_known, say, stdout
 from sigmaswarm.cli.options import FIELDS, Hyphened, Json
-from sigmaswarm.cli.progress import tuning_progress
+from sigmaswarm.cli.terminal import tuning_progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,9 @@ class ReferenceOptions:
 
 
 def reference(
-    drive: Annotated[Path, Parameter(name="DRIVE")],
+    drive: Annotated[
+        Path, Parameter(name="DRIVE", help="The drive folder, with the IMU and the cheap receiver's fixes.")
+    ],
     /,
     *,
     options: Annotated[ReferenceOptions, FIELDS],
@@ -64,13 +66,6 @@ def reference(
         sigmaswarm reference drives/monday --fixes rtk.pos --out drives/monday-rtk --lever-arm 0.9,-0.4,1.2
         sigmaswarm tune drives/monday-rtk --out tuned
         sigmaswarm reference drives/monday --fixes drives/rtk --out drives/monday-rtk --accuracy 0.3 --offset -18
-
-    Parameters
-    ----------
-    drive
-        The drive folder, with the IMU and the cheap receiver's fixes.
-    options
-        The options of the command line.
     """
     from sigmaswarm.drives.writer import require_replaceable, write_drive
 
@@ -91,7 +86,7 @@ def reference(
     for note in about["notes"]:
         stdout().print(f"note: {note}", markup=False)
     say(
-        f"took {about['fixes_taken']} of {about['fixes_given']} fixes; the truth is known to {options.accuracy:g} m "
+        f"used {about['fixes_taken']} of {about['fixes_given']} fixes; the truth is known to {options.accuracy:g} m "
         f"over {about['share']:.0%} of the drive"
     )
     if about["stretched"] > 1:

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from sigmaswarm import Drive
     from sigmaswarm.filters.run import Run
 
-LATE_START = 5.0
-"""s without an estimate at the start of every drive that begins while driving."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
@@ -58,8 +55,14 @@ class RunOptions:
 
 
 def run(
-    tuning: Annotated[Path, Parameter(name="TUNING")],
-    drive: Annotated[Path, Parameter(name="DRIVE")],
+    tuning: Annotated[
+        Path,
+        Parameter(
+            name="TUNING",
+            help="A tuning.toml or its folder. A network in it helps the filter, except with --smooth or --bank.",
+        ),
+    ],
+    drive: Annotated[Path, Parameter(name="DRIVE", help="A drive folder.")],
     /,
     *,
     options: Annotated[RunOptions, FIELDS],
@@ -80,17 +83,7 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.ros2 --merge friday.mcap
         sigmaswarm run tuned drives/friday --out smoothed.csv --smooth
         sigmaswarm run tuned drives/friday --out estimate.csv --bank
-
-    Parameters
-    ----------
-    tuning
-        A tuning.toml or its folder. A network of `sigmaswarm learn` helps the filter, except with --smooth or --bank.
-    drive
-        A drive folder.
-    options
-        The options of the command line.
     """
-
     read, summary, fixes = _run(tuning, drive, options)
     if options.json:
         print_json(summary)
@@ -136,10 +129,9 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         check_fixes_target(before, target["origin"])
     as_recorded = options.as_recorded or tuned_as_recorded(tuning)
     replay = replay_of(read, as_recorded=as_recorded)
-    if options.bank:
-        _check_bank_files(out, (truth, before))
     found: Run
     if options.bank:
+        _check_bank_files(out, (truth, before))
         found = BankRun(replay, parameters, recover=True, as_recorded=as_recorded)
     elif learned is not None:
         found = learned.run(replay, parameters, recover=True)
@@ -148,9 +140,8 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     shown = None
-    if (
-        out.suffix == BAG and not options.bank and learned is None
-    ):  # known before the pieces: the bag is in order
+    # Known before the pieces, since the bag is in order of time.
+    if out.suffix == BAG and not options.bank and learned is None:
         shown = Recording(replay, parameters, recover=True).finished().innovations
     pieces = estimates_of(found)
     more: dict[str, Any] = {"merge": options.merge, "innovations": shown, "name": read.name}
@@ -179,7 +170,7 @@ def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         say(*(f"the filter bank: {sentence}" for sentence in summary["said"]))
         say(f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
-    if earlier > LATE_START:
+    if earlier > 5.0:  # s, which every drive that begins in motion takes
         rest = f"wrote the {fixes} earlier fixes to {options.before}"
         rest = rest if options.before else "--before NAME.csv writes the fixes"
         say(f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; {rest}")
@@ -192,7 +183,6 @@ def _bank_files(out: Path) -> tuple[Path, Path]:
 
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
     """Refuse, before any work, files that can't be written or would replace another one."""
-
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
             what = "is a folder" if file.is_dir() else "is also the file of another option"
@@ -214,7 +204,6 @@ def _save_bank(run: Any, out: Path) -> dict[str, Any]:
 
 def _place(text: str) -> tuple[float, float, float]:
     """Latitude and longitude (deg), and altitude (m, 0 by default)."""
-
     try:
         latitude, longitude, *altitude = (float(part) for part in text.split(","))
         if abs(latitude) <= 90 and abs(longitude) <= 180 and len(altitude) < 2:

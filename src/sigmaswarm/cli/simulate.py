@@ -8,14 +8,12 @@ from typing import Annotated, Any
 import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_json, say
 from sigmaswarm.cli.options import AT_LEAST_1, FIELDS, MORE, Cluster, Json, Seed, Workers
-from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import counted
 
 JITTER = 0.002
 """s, standard deviation of a sample's time with --jitter."""
-VIBRATION = 1.0
-"""Vibration level of two recordings of real cars."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,16 +104,6 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
         sigmaswarm simulate --out town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration
         sigmaswarm simulate --out wet --maneuver brake turns --environment rain slippery --imu mpu-6050 --runs 5
         sigmaswarm simulate --out hills --maneuver urban --environment clear --runs 8 --terrain hilly --vibration
-
-    Parameters
-    ----------
-    options
-        The options of the command line.
-
-    Raises
-    ------
-    InputError
-        An option or a file is unusable.
     """
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
     from sigmaswarm.simulation.conditions import simulated_on
@@ -125,7 +113,7 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     maneuvers = list(dict.fromkeys(options.maneuver or PAPER_MANEUVERS))
     environments = list(dict.fromkeys(options.environment or ENVIRONMENTS))
     made_with: dict[str, Any] = {name: getattr(options, name) for name in OF_A_DRIVE}
-    made_with |= {"jitter": JITTER * options.jitter, "vibration": VIBRATION * options.vibration}
+    made_with |= {"jitter": JITTER * options.jitter, "vibration": float(options.vibration)}
     names = [drive_name(m, e, run) for m in maneuvers for e in environments for run in range(runs)]
     kept = made_with["leave_out"] = _kept(out, names, options.resume, made_with)
 
@@ -154,7 +142,6 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
     """Return the names of existing drives to keep; refuse any other existing file before any work."""
-
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
         raise InputError(f"{out}: {there} is a file; name another folder")
@@ -171,7 +158,6 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
 
 def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
     """Refuse to continue a folder whose drives were made with other options."""
-
     from sigmaswarm.records import read_content
     from sigmaswarm.simulation.journey import URBAN_DURATION
 

@@ -38,7 +38,6 @@ def split(
     at
         Time of the split on the drive's clock, s. Two times leave out the part between them.
     """
-
     from sigmaswarm.drives.alignment import NoStart, find_start
 
     if at is not None and train_fraction is not None:

@@ -8,7 +8,7 @@ from cyclopts import Parameter, validators
 
 from sigmaswarm.cli.common import cluster_at, print_json, say
 from sigmaswarm.cli.options import AT_LEAST_0, FIELDS, Count
-from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.cli.terminal import progress_bar
 
 if TYPE_CHECKING:
     from sigmaswarm.experiments.study.config import StudyConfig
@@ -79,10 +79,6 @@ class StudyOptions:
     json: bool = False
 
 
-OF_THE_RUN = ("out", "config", "quick", "workers", "cluster", "resume", "json")
-"""Options that are not part of a study's configuration."""
-
-
 def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     """Run the paper's experiment.
 
@@ -107,20 +103,10 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
         sigmaswarm study --out whole --no-racing
         sigmaswarm study --out mine --drives drives --trials 10
         sigmaswarm study --out rivals --rivals --runs 4 --trials 5
-
-    Parameters
-    ----------
-    options
-        The options of the command line.
-
-    Raises
-    ------
-    InputError
-        An option or a file is unusable.
     """
     from sigmaswarm.experiments.study.study import run_study
     from sigmaswarm.reports.folders import save_page
-    from sigmaswarm.reports.study import save_study
+    from sigmaswarm.reports.study_charts import save_study
 
     out, config = options.out, _config(options)
     counted = "generations and epochs, remaining" if config.rivals else "generations, remaining"
@@ -145,10 +131,11 @@ def _config(options: StudyOptions) -> "StudyConfig":
     """Change the configuration of a file, of the study that is resumed, or of the paper by the options given."""
     from sigmaswarm.experiments.study.config import QUICK, read_config
 
+    of_the_run = ("out", "config", "quick", "workers", "cluster", "resume", "json")
     changes = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in vars(options).items()
-        if name not in OF_THE_RUN and value is not None and (value is not False or name == "racing")
+        if name not in of_the_run and value is not None and (value is not False or name == "racing")
     }
     started = options.out / "study.toml"
     file = options.config or (started if options.resume and started.exists() else None)
@@ -157,12 +144,13 @@ def _config(options: StudyOptions) -> "StudyConfig":
 
 def _print(done: "Study", out: Path, page: Path) -> None:
     from sigmaswarm.experiments.study.config import BY_DEFAULT
+    from sigmaswarm.experiments.study.design import tuning_name
     from sigmaswarm.reports.study_tables import objectives_compared, runtime_table, study_tables
 
     shown = ("table-", "optimum", "rivals", "elsewhere-", "learning-")
     tables = [table for name, table in study_tables(done.results).items() if name.startswith(shown)]
     say(*(f"{t.to_markdown()}\n" for t in (*tables, runtime_table(done.results, done.record.live))))
-    name, _ = done.best_of("honest", BY_DEFAULT, 0)
+    name = tuning_name("honest", BY_DEFAULT, done.design.group_of(0))
     say(
         f"{objectives_compared(done.results)}\n",
         f"results: {out / 'results.json'}, {out / 'scores.csv'}",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import sigmaswarm
 from sigmaswarm.cli.common import MOST_SENTENCES, cluster_at, print_json, read_datasets, say
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
-from sigmaswarm.cli.progress import tuning_progress
+from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.config import DECIDED_LATER, RENAMED, TuneConfig
 from sigmaswarm.wording import TO_DO, counted
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstLook
 
-MOST_LOOKED_AT = 20
-"""Number of other tunings, the newest first, among which one to compare with is searched."""
 SHOWN = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
@@ -72,7 +70,6 @@ def tune(
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
-
     asked = {"out": out, "resume": resume, "paper": paper, "start": start}
     with cluster_at(cluster) as client:
         groups = read_datasets(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
@@ -167,7 +164,7 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
 
     files = out.resolve().parent.glob(f"*/{FILE}")  # an evaluation holds a copy of its tuning's
     others = [f for f in files if not f.parent.samefile(out) and not (f.parent / SCORES_FILE).exists()]
-    for file in sorted(others, key=lambda file: file.stat().st_mtime, reverse=True)[:MOST_LOOKED_AT]:
+    for file in sorted(others, key=lambda file: file.stat().st_mtime, reverse=True)[:20]:
         try:
             data = load_record(TuningRecord, file).data
         except InputError:
@@ -199,6 +196,6 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
     train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
     return [
         _evaluate(out),
-        f"one log?  this filter has seen all of it: sigmaswarm split {quote(str(folder))} --out parts",
+        f"one log?  this filter was tuned on all of it: sigmaswarm split {quote(str(folder))} --out parts",
         f"          then tune on {train}, and evaluate on {test}",
     ]

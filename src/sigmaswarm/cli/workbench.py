@@ -31,7 +31,7 @@ def workbench(
     Parameters
     ----------
     logs
-        Logs to open; others are dropped into the page.
+        Logs to open; more can be dropped into the page.
     out
         Folder for drives, tunings, evaluations and exports; created if missing.
     port

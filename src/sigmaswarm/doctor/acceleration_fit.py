@@ -5,7 +5,8 @@ Within a window of some seconds the path is that of the IMU, integrated from an 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
 observed ``late`` s later. theta is known from course and gyro; M (2, 2) and ``late`` are the same in all
-windows, p0, v0 and b (tilt, slope, bias) belong to each. For a good log M is the identity.
+windows, p0, v0 and b (tilt, slope, bias) belong to each; b lies about a mean of all windows, which is fitted too. For a
+good log M is the identity.
 """
 
 from dataclasses import dataclass
@@ -42,6 +43,7 @@ class AccelerationFit:
     matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
     covariance: Array  # (5, 5), of M's rows, one after the other, and of `late`
     late: float  # s, by which the fixes are late
+    bias_std: Array  # (2,) m/s2, deviation of the mean bias; steady circles do not distinguish it from M
     bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
     rows: NDArray[np.intp]  # (k, n), the fixes of each window
     residual: Complex  # (k, n) m, east + i north
@@ -89,7 +91,7 @@ def fit_acceleration(
     drive: Drive, course: Course, rate: Array, tried: Array = LATENESS
 ) -> AccelerationFit | None:
     """Fit; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are values of ``late`` to begin with, s."""
-    rows = _windows(drive, course)
+    rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
         return None
     fit = _Fit(drive, course, rate, rows)
@@ -109,14 +111,14 @@ def fit_acceleration(
     fit.learn(found, late)
     covariance = found.covariance * (1 + FEW / len(rows))
     matrix = found.solution[:4].reshape(2, 2)
-    return AccelerationFit(matrix, covariance, late, fit.bias, rows, found.residual[:, :-1])
+    bias_std = np.sqrt(np.diag(covariance)[5:])
+    return AccelerationFit(matrix, covariance[:5, :5], late, bias_std, fit.bias, rows, found.residual[:, :-1])
 
 
-def _windows(drive: Drive, course: Course) -> NDArray[np.intp]:
-    """Windows in which the car moves and the IMU has no gap."""
+def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
+    """Indices (w, n) of the fixes of windows in which the car moves and the IMU, sampled at ``imu`` s, has no gap."""
     interval = float(np.median(np.diff(course.time)))
-    imu = drive.imu.time
-    length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, WINDOW))
+    length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
     gaps = imu[:-1][np.diff(imu) > 0.3]
     before, after = np.searchsorted(gaps, [course.time[rows[:, 0]] - 1, course.time[rows[:, -1]] + 1])
@@ -130,12 +132,12 @@ class _Fit:
         self._drive, self._course, self._rate, self._rows = drive, course, rate, rows
         self._noise = max(white_noise(course.position), LEAST_NOISE)
         self._matrix = np.zeros((2, 2))
-        self._usual = np.zeros(2)  # bias of most windows, m/s2
+        self._usual = np.zeros(2)  # mean bias, m/s2
         self._spread = BIAS_SPREAD[1]
         self.bias = np.zeros((len(rows), 2))
 
     def at(self, late: float, rounds: int = 4) -> Regression:
-        """The shared unknowns are M, row by row, and the correction of ``late``."""
+        """The shared unknowns are M, row by row, and the corrections of ``late`` and of the mean bias."""
         position, columns, own = self._terms(late)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
         # One more row a window: its bias lies about where the others' lie.
@@ -146,13 +148,15 @@ class _Fit:
     def learn(self, found: Regression, late: float) -> None:
         """Store M, and the bias of each window, given M and ``late``."""
         self._matrix = found.solution[:4].reshape(2, 2)
+        self._usual = self._usual + found.solution[5:]
         position, columns, own = self._terms(late)
-        rest = position - sum((s * c for s, c in zip(found.solution, columns, strict=True)), 0 * position)
+        rest = position - sum(
+            (s * c for s, c in zip(found.solution[:5], columns, strict=False)), 0 * position
+        )
         root = np.sqrt(found.weight[:, :-1])
         a = np.stack([root * c for c in own], axis=-1)
         extra = np.einsum("wkn,wn->wk", np.linalg.pinv(a), root * rest)[:, 2]
         self.bias = np.column_stack([extra.real, extra.imag]) + self._usual
-        self._usual = np.median(self.bias, axis=0)
         spread = 1.5 * np.median(np.abs(self.bias - self._usual))
         self._spread = float(np.clip(spread, *BIAS_SPREAD))
 
@@ -173,4 +177,4 @@ class _Fit:
         t = (t - t.mean(axis=1, keepdims=True)) / (t[:, -1:] - t[:, :1])
         lever = complex(*self._drive.lever_arm) * np.interp(at, imu.time, direction)[rows]
         own = [np.ones_like(b), t + 0j, b - b.mean(axis=1, keepdims=True)]
-        return course.position[rows] - lever - usual * b, [x, y, 1j * x, 1j * y, -speed], own
+        return course.position[rows] - lever - usual * b, [x, y, 1j * x, 1j * y, -speed, b, 1j * b], own

@@ -1,8 +1,9 @@
-"""The mounting of the IMU: one rotation, from gravity, from turning and from acceleration along the course.
+"""The mounting of the IMU: one rotation, from gravity, from turning and from the direction of travel.
 
 Roll and pitch of the sensor follow from the direction of the specific force, minus the vehicle's own motion, and from
-the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. Each round
-rotates the recorded axes by the result of the last one, until the rotation is zero.
+the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. The direction
+of travel gives yaw and pitch more exactly, once they are about known. Each round rotates the recorded axes by the
+result of the last one, until the rotation is zero.
 """
 
 import math
@@ -14,6 +15,7 @@ import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.fixes import Course
+from sigmaswarm.doctor.travel import direction_of_travel
 from sigmaswarm.doctor.verdicts import CLEARLY, DEGREE, FAMILIAR, SCALE
 from sigmaswarm.doctor.windows import integral, smoothed, windows_of
 from sigmaswarm.doctor.yaw_fit import LATENESS as YAW_LATENESS
@@ -33,6 +35,8 @@ OTHER_WAY = 25.0
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
 """rad: lowest uncertainty of the turning axis (springs) and of gravity (roads, biases)."""
 YAW_FLOOR = math.radians(0.8)
+TRAVEL_FLOOR = math.radians(0.8)
+"""rad: lowest uncertainty of the direction of travel (slip, suspension)."""
 ALIKE = 0.025
 """Tolerance of an entry of M, for slip and for tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
@@ -211,7 +215,19 @@ def _round(drive: Drive, course: Course, last: _Round | None) -> _Round | None:
     tilt, tilt_std, spread = _tilt(drive, fit, yaw)
     std = np.append(tilt_std, math.hypot(YAW_FLOOR, yaw_std))
     lateral = _lateral(drive, course, fit, rate, yaw)
+    gyro = _scaled(drive.imu, "g", math.copysign(1.0, yaw_fit.gain))
+    if travel := direction_of_travel(turned(gyro, about_z(yaw)), course, fit.late):
+        (left, up), (left_std, up_std) = travel[0], np.hypot(TRAVEL_FLOOR, travel[1])
+        tilt[0], std[1] = _mean((tilt[0], std[1]), (-up, up_std))
+        off, std[2] = _mean((0.0, std[2]), (-left, left_std))
+        yaw += off
     return _Round(yaw_fit, fit.late, yaw, margin, mirrored, tilt, std, spread, lateral)
+
+
+def _mean(*estimates: tuple[float, float]) -> tuple[float, float]:
+    """Mean and deviation of independent estimates with their deviations."""
+    weight = np.array([1 / std**2 for _, std in estimates])
+    return float(weight @ [value for value, _ in estimates] / weight.sum()), 1 / math.sqrt(weight.sum())
 
 
 def _misfits(fit: AccelerationFit, side: float) -> Array:
@@ -233,7 +249,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)
     spread = 1.4826 * np.median(np.abs(leak - gravity), axis=0)
-    known = np.hypot(TILT_FLOOR[1], 2 * spread / math.sqrt(len(leak)))
+    known = np.hypot(TILT_FLOOR[1], 2 * spread / math.sqrt(len(leak))) + fit.bias_std / GRAVITY
     axis, axis_std = _axis_of_turning(drive)
     weight = np.array([1 / known**2, 1 / np.full(2, np.max(axis_std)) ** 2])
     tilt = (weight[0] * gravity + weight[1] * (about_z(yaw)[:2, :2] @ axis)) / weight.sum(axis=0)

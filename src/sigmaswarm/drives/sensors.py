@@ -61,6 +61,8 @@ class Sensors:
         See `stated_spread`.
     white : bool
         See `has_white_errors`.
+    lasting : bool
+        See `has_lasting_errors`.
     driven : float
         Time from 20 m of distance to the end of the log, s.
     receiver_std : (float, float)
@@ -80,6 +82,7 @@ class Sensors:
     driven: float
     receiver_std: tuple[float, float]
     heading: bool = False
+    lasting: bool = False
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
@@ -102,6 +105,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
         receiver_std=receiver_std(drive),
         heading=gps.heading is not None,
+        lasting=has_lasting_errors(drive),
     )
 
 
@@ -201,6 +205,17 @@ def has_white_errors(drive: Drive) -> bool:
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
     return shown > WHITE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
+
+
+def has_lasting_errors(drive: Drive) -> bool:
+    """Return whether the receiver's errors, see `receiver_std`, would show from fix to fix if white, and do not.
+
+    They are correlated then. Where a white error of the stated deviation is small next to the motion between fixes, as
+    with RTK, nothing is known.
+    """
+    gps, std = drive.gps, receiver_std(drive)
+    least, moved = WHITE * max(std), motion_in_noise(float(np.median(np.diff(gps.time))))
+    return white_noise(gps.x + 1j * gps.y) <= least and least > 3 * moved
 
 
 def motion_in_noise(interval: float) -> float:

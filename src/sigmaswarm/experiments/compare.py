@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
@@ -35,8 +35,7 @@ from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import objective_for, with_filter
-from sigmaswarm.tuning.optimizers import OPTIMIZERS
-from sigmaswarm.tuning.options import SEEDS, CompareOptions
+from sigmaswarm.tuning.options import SEEDS, CompareOptions, OptimizerName
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
@@ -93,7 +92,7 @@ def compare(
     out : path, optional
         Folder of all runs; a killed comparison can be resumed.
     resume : bool
-        Continue with the content of ``out``; the result is the same as without interruption, but for the times.
+        Continue with the content of ``out``; the result is the same as without interruption, except for the times.
     cluster : distributed.Client, optional
         A Dask cluster whose workers read the drives, given as paths or URLs too, and do the work; ``workers`` is
         then the number of tunings at a time. The result does not depend on it.
@@ -191,7 +190,7 @@ class _Grid:
                     problem, config, folder=opened, progress=lambda _: report(0), diagnose=False
                 )
                 outcome = _outcome(tuning, self.test)
-                if fresh:  # of an interrupted run the time is unknown
+                if fresh:  # the time of an interrupted run is unknown
                     line = f'"{rival.name}",{rival.scale},{seed},{time.thread_time() - start:.3f}\n'
                     with lock:
                         write_whole(times, times.read_text() + line)
@@ -244,8 +243,8 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
 
 def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
     optimizer, _, settings = name.partition(":")
-    if optimizer not in OPTIMIZERS:
-        raise InputError(f"no optimizer is called {optimizer!r}; choose from {', '.join(OPTIMIZERS)}")
+    if optimizer not in (known := get_args(OptimizerName)):
+        raise InputError(f"no optimizer is called {optimizer!r}; choose from {', '.join(known)}")
     own: dict[str, Any] = {}
     for setting in settings.split(",") if settings else []:
         key, _, value = setting.partition("=")

@@ -31,15 +31,9 @@ COMPARED = {
 
 @dataclass(frozen=True)
 class Contender:
-    """One row of a comparison.
+    """One row of a comparison: an optimizer with its settings, as ``pso:polish=300``, and a scale.
 
-    Attributes
-    ----------
-    name : str
-        The optimizer's name and its settings, as ``pso:polish=300``.
-    scale : str
-    config : TuneConfig
-        Of the tunings, but for the seed.
+    ``config`` is that of the tunings, without the seed.
     """
 
     name: str
@@ -96,13 +90,7 @@ class Outcome:
 
     @classmethod
     def read(cls, file: Path) -> "Outcome":
-        """Read run.json.
-
-        Raises
-        ------
-        InputError
-            If the file can't be read.
-        """
+        """Read run.json."""
         remedy = "delete it to redo this run"
         found = load_record(cls, file, remedy, missing="repeat the comparison")
         if not 0 < len(found.history_evaluations) == len(found.history_steps) == len(found.history_best):

@@ -115,7 +115,7 @@ def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: A
 
 def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) -> dict[int, Future[R]]:
     try:
-        with warnings.catch_warnings():  # of a fork with threads, which hold no lock that it needs
+        with warnings.catch_warnings():  # of a fork with threads: they hold no lock that the child needs
             warnings.simplefilter("ignore", DeprecationWarning)
             return {k: pool.submit(run, k) for k in order}
     except OSError as error:

@@ -42,7 +42,7 @@ def _mean_known(values: Array, axis: int) -> Array:
 
 
 def spread(values: Array) -> float:
-    """Return the standard deviation; NaN of fewer than two values, or with one that is not finite."""
+    """Return the standard deviation; NaN for fewer than two values, or if any is not finite."""
     return float(np.std(values, ddof=1)) if len(values) > 1 and np.isfinite(values).all() else math.nan
 
 

@@ -8,7 +8,7 @@ from sigmaswarm.filters.models import THETA
 
 
 def tilts_of(n: int) -> tuple[int, ...]:
-    """The indices of roll and pitch in a state of n numbers; none for planar models."""
+    """Indices of roll and pitch in a state of n numbers; none for planar models."""
     return tilted.ATTITUDE[:2] if n == tilted.N else ()
 
 
@@ -31,16 +31,10 @@ def rotations(mean: Array) -> Array:
 
 
 def body_velocity(mean: Array) -> tuple[Array, Array]:
-    """Velocity along the body's axes forward and left, m/s, of means (k, n), and its Jacobian.
+    """Velocity forward and left along the body axes, (k, 2) m/s, of means (k, n), and its Jacobian (k, 2, 3 or 5).
 
-    It is R' (vx, vy, vz) with the vz that keeps the car on its road, the plane of its x and y axes, so the velocity
-    along z is 0.
-
-    Returns
-    -------
-    velocity : ndarray, shape (k, 2)
-    jacobian : ndarray, shape (k, 2, 3 or 5)
-        With respect to vx, vy, theta and, of a tilted model, roll and pitch.
+    It is R' (vx, vy, vz); vz is such that the velocity along the body's z axis is 0. The Jacobian is with respect to
+    vx, vy, theta and, for a tilted model, roll and pitch.
     """
     c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
     ahead, left = c * vx + s * vy, c * vy - s * vx  # in the plane

@@ -1,22 +1,29 @@
-"""The filter as a C99 library: one header, one source file, and a program that replays a drive through it."""
+"""The filter as a C99 library, with a program that replays a drive through it."""
 
 import math
-from collections.abc import Iterable
 from operator import itemgetter
 
 import numpy as np
 
 from sigmaswarm.drives import standstill
-from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c_emitter import STATES
 from sigmaswarm.exports.c_kernels import kernels_of
 from sigmaswarm.exports.c_rules import rules_of
-from sigmaswarm.exports.features import PARAMETERS, defined, features_of, in_range, listed, plain, values_of
+from sigmaswarm.exports.features import (
+    PARAMETERS,
+    defined,
+    features_of,
+    fill,
+    in_range,
+    listed,
+    plain,
+    values_of,
+)
 from sigmaswarm.exports.lanes import Lanes
-from sigmaswarm.exports.template import fill
 from sigmaswarm.filters import divergence, schedule
 from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.models import MODELS
@@ -41,24 +48,19 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""s: shortest interval of an IMU; a second of faster samples would take megabytes."""
-_FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
-
-
+"""s: shortest interval of an IMU; the history of one second would otherwise take megabytes."""
 ALONE = Lanes()
 
 
 def c99(
     parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
 ) -> dict[str, str]:
-    """Return headers, sources and the replay program, by file name; Q refers to steps of ``interval`` s.
-
-    ``as_recorded``: see `PreparedDrive`.
+    """Return the files by name; Q refers to steps of ``interval`` s, and ``as_recorded`` is that of `PreparedDrive`.
 
     Raises
     ------
     InputError
-        If a number of the filter cannot be written in C, or the IMU would be too fast.
+        If a number of the filter cannot be written in C, or the IMU is too fast.
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(
@@ -69,10 +71,13 @@ def c99(
     kinds = ("ekf",) if model.tilts else model.kinds
     if parameters.kind not in kinds:
         raise InputError(f"{parameters.model} has no {parameters.kind} in C; use kind {' or '.join(kinds)}")
-    features = features_of(parameters)
-    fits = all(fits_float(p) for p in lanes.filters(parameters))
-    features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
-    features["USE_EXP"] = features["USE_LANES"] or features["USE_FIX_ERROR"]
+    features, several = features_of(parameters), lanes.n > 1
+    features |= {
+        "USE_DOUBLE": not all(fits_float(p) for p in lanes.filters(parameters)),
+        "USE_AS_RECORDED": as_recorded,
+        "USE_LANES": several,
+        "USE_EXP": several or features["USE_FIX_ERROR"],
+    }
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     values |= kernels_of(parameters, features, values)
     values["RULES"] = rules_of(features)
@@ -85,30 +90,18 @@ def c99(
 def replay_rows(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> str:
-    """A drive as the rows that replay.c reads: those of `replay_events`, as text."""
+    """Rows of a drive for replay.c: those of `replay_events`, as text."""
     events = replay_events(drive, model, as_recorded=as_recorded, heading=heading)
-    return "".join(_row(name, numbers) + "\n" for name, numbers in events)
+    return "".join(",".join([name, *(repr(float(z)) for z in numbers)]) + "\n" for name, numbers in events)
 
 
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Inputs of a filter from a drive, in the order of time: its start, then samples, fixes and readings.
+    """Inputs of a filter from a drive, in the order of time.
 
-    Parameters
-    ----------
-    drive : Drive
-    model : {"planar5", "planar8", "tilted12"}
-        The model, for the axes of the IMU and of the lever arm.
-    as_recorded : bool
-        See `PreparedDrive`.
-    heading : bool
-        Whether the filter uses the headings of fixes.
-
-    Returns
-    -------
-    list of (str, list of float)
-        First ``start``, then ``imu``, ``fix`` and ``odometer``; their numbers are those of replay.c's rows.
+    The first one is ``start``; ``imu``, ``fix`` and ``odometer`` follow. Their numbers are those of replay.c's rows:
+    ``model`` sets the axes of the IMU and of the lever arm, and with ``heading`` fixes have headings.
 
     Raises
     ------
@@ -124,7 +117,9 @@ def replay_events(
     if MODELS[model].tilts is not None:
         start = [*start, drive.antenna_height]
         axes += ["az", "gx", "gy"]
-    start += _gyro(initial)
+    seen = initial.gyro
+    assert seen is not None  # every alignment estimates the gyro bias
+    start += [*seen.bias, *seen.variance, seen.taken, *seen.turns]  # as InsGpsGyro
     events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)]  # a fix before the sample of its time
     if drive.odometer is not None:
         readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
@@ -135,17 +130,11 @@ def replay_events(
     return [("start", start), *((name, numbers) for *_, name, numbers in ordered)]
 
 
-def _gyro(initial: InitialState) -> list[float]:
-    """Gyro bias at a start, in the order of InsGpsGyro."""
-    seen = initial.gyro
-    assert seen is not None  # an alignment says it
-    return [*seen.bias, *seen.variance, seen.taken, *seen.turns]
-
-
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
-    """Time and position (s, m); velocity (m/s) and stated deviations (m), east and north, where the log has them.
+    """Time, s, and position, m; velocity, m/s, and standard deviations, m, east and north, where the log has them.
 
-    With ``heading`` all of them, nan for no velocity and 0 for no deviation, and heading and its deviation (rad).
+    With ``heading`` all columns are there, NaN without a velocity and 0 without a standard deviation; the heading and
+    its standard deviation, rad, follow.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]
@@ -163,12 +152,8 @@ def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
     return np.column_stack(columns).tolist()
 
 
-def _row(name: str, numbers: Iterable[float]) -> str:
-    return ",".join([name, *(repr(float(number)) for number in numbers)])
-
-
 def _sigma_points(p: FilterParameters) -> tuple[float, float]:
-    """alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, which place and weigh the sigma points."""
+    """alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, for the sigma points and their weights."""
     of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
     square = p.alpha**2 if p.alpha < 1e150 else math.inf
     n = len(FILTERS[p.kernel].states)
@@ -178,7 +163,7 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
 
 
 def fits_float(p: FilterParameters) -> bool:
-    """Return True if C's float holds all numbers of a filter."""
+    """Return True if all numbers of a filter are in the range of C's float."""
     numbers: list[float | None] = [*p.process_noise, *p.measurement_noise]
     numbers += [*p.bias_std, *p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [getattr(p, name) for name in PARAMETERS if name not in ("alpha", "beta", "kappa")]
@@ -186,7 +171,7 @@ def fits_float(p: FilterParameters) -> bool:
     if p.kind != "ekf":
         gamma_squared, spread = _sigma_points(p)
         numbers += [gamma_squared, spread, 8.0 / gamma_squared]
-    low, high = _FLOAT_RANGE
+    low, high = 2.0**-126, (2 - 2.0**-23) * 2.0**127
     return all(v is None or v == 0 or low <= abs(v) <= high for v in numbers)
 
 

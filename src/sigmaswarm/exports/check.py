@@ -1,4 +1,4 @@
-"""Build an exported C filter on this machine, call it through its Python module, and compare it with `run_filter`."""
+"""Build an exported C filter, call it through its Python module, and compare it with `run_filter`."""
 
 import importlib.util
 import os
@@ -23,21 +23,15 @@ from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.geodesy import wrap_angle
 
 COMPILERS = ("cc", "gcc", "clang")
+OPTIMIZE = "-O2"
 _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The largest differences of a run in C from `run_filter`; NaN where one of them failed.
+    """The largest differences between a run in C and `run_filter`; NaN where one of them failed.
 
-    Attributes
-    ----------
-    state : float
-        Of any state, relative to max(1, |x|).
-    position : float
-        m
-    heading : float
-        rad
+    They are of any state, relative to max(1, |x|), of the position, m, and of the heading, rad.
     """
 
     state: float
@@ -47,7 +41,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """Results of the exported C on a drive: in double, and in float (None where float cannot hold the filter)."""
+    """Results on a drive: in double, and in float (None where the filter is beyond the range of float)."""
 
     drive: str
     double: Difference
@@ -63,37 +57,28 @@ def check_export(
     lanes: int = 1,
     seed: int = 0,
 ) -> list[Checked]:
-    """Build an exported C library as shared objects next to it, and run it over drives.
+    """Build the exported C library of ``folder`` as shared objects in this folder, and run it over drives.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of `export_filter` for ``c99``; libins_gps.so and libins_gps_float.so are written into it.
-    parameters : FilterParameters
-        The filter that was exported.
-    drives : sequence of Drive
-    as_recorded : bool
-        See `PreparedDrive`; as the filter was exported.
-    lanes, seed
-        As the filter was exported. Several lanes are compared with a `LiveFilterBank` without searches.
+    The other arguments are those of `export_texts`. Several lanes are compared with a `LiveFilterBank` without
+    searches.
 
     Raises
     ------
     InputError
-        If there is no C compiler, or it refuses; or if a drive lacks an input of the filter.
+        If there is no C compiler, the build fails, or a drive lacks an input of the filter.
     AlignmentError
         If a drive never moves far enough for a start.
     """
-    side_by_side = Lanes(lanes, seed)
+    all_lanes = Lanes(lanes, seed)
     built = [_shared_object(folder, "libins_gps.so")]
-    if all(fits_float(p) for p in side_by_side.filters(parameters)):
+    if all(fits_float(p) for p in all_lanes.filters(parameters)):
         built.append(_shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT"))
     checked: list[Checked] = []
-    # They may be rebuilt there, and a process loads a path only once.
+    # A process loads a path only once, so a library that is built again needs another path.
     with tempfile.TemporaryDirectory() as loaded:
         libraries = [Path(shutil.copy(each, loaded)) for each in built]
         for drive in drives:
-            ours = _of_library(drive, parameters, side_by_side, as_recorded=as_recorded)
+            ours = _of_library(drive, parameters, all_lanes, as_recorded=as_recorded)
             uses_heading = parameters.heading_noise is not None
             events = replay_events(drive, parameters.model, as_recorded=as_recorded, heading=uses_heading)
             runs = [_replay(folder, library, parameters, events) for library in libraries]
@@ -118,8 +103,18 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
         raise InputError(
             f"no C compiler was found ({', '.join(COMPILERS)}); install one, or name it in the variable CC"
         )
-    command = [*compiler.split(), "-std=c99", "-O2", "-shared", "-fPIC", *flags]
-    command += [*_SOURCES, "-lm", "-o", name]
+    command = [
+        *compiler.split(),
+        "-std=c99",
+        OPTIMIZE,
+        "-shared",
+        "-fPIC",
+        *flags,
+        *_SOURCES,
+        "-lm",
+        "-o",
+        name,
+    ]
     try:
         built = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     except OSError as error:
@@ -135,7 +130,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
 def _replay(
     folder: Path, library: Path, parameters: FilterParameters, events: Sequence[tuple[str, list[float]]]
 ) -> Array:
-    """The means (k, n) after each sample after the start, by the module that was exported with the filter."""
+    """Means (k, n) after each sample since the start, from the Python module that was exported with the filter."""
     spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -1,8 +1,13 @@
-"""Values of the templates of exported filters: the parts that a filter uses, and its numbers."""
+"""Templates of exported files, the parts of them that a filter uses, and its numbers.
+
+``@NAME@`` is replaced by a value. Between a line ``#if FEATURE`` and its ``#else`` or ``#endif``, lines stay only if
+the feature is used. Other ``#if`` lines belong to the C preprocessor and stay.
+"""
 
 import math
 import re
 from collections.abc import Iterable, Mapping
+from importlib.resources import files
 from types import ModuleType
 
 from sigmaswarm.drives import alignment, gyro_seen, standstill, timeline
@@ -15,7 +20,7 @@ from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
-    """Flags of the template parts that a filter needs."""
+    """Return flags of the template parts that a filter needs."""
     measured = schedule.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     has_tilts = MODELS[p.model].tilts is not None
@@ -55,25 +60,25 @@ PARAMETERS = (
     *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof", "fix_error"),
     *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
 )
-"""Features that have the same name in templates and in a filter."""
+"""Parameters that have the same name in templates and in `FilterParameters`."""
 NUMBERS = {
-    "LATENCY": "s: how much older than its time a fix is",
+    "LATENCY": "s: age of a fix at its time stamp",
     "QUARTER_GAMMA": "gamma / 4, gamma^2 = alpha^2 (n + kappa)",
     "SHORTENS": "-8 / gamma^2",
     "SPREAD": "alpha^2 (n + kappa - 1) + beta",
     **{f"{sensor.upper()}_BIAS_STD": f"{of.unit}, at the start" for sensor, of in SENSORS.items()},
     "TILT_STD": "rad, of roll and pitch at the start",
     "GRAVITY": "m/s2",
-    "FORGETTING": "how much of the past is kept from fix to fix",
-    "WIDTH_RATIO": 'where "large" is wholly true of the size of the innovations, within -1 and 1',
-    "WIDTH_TREND": 'where "rises" is wholly true of their trend, within -1 and 1',
+    "FORGETTING": "forgetting factor per fix",
+    "WIDTH_RATIO": 'ratio at which "large" has membership 1',
+    "WIDTH_TREND": 'trend at which "rises" has membership 1',
     "GAIN_R": "largest factor of R",
     "GAIN_Q": "largest factor of Q",
     "LARGEST_RATIO": "limit of NIS / 2 in these rules",
     "SLOWER": "ratio of the two time constants of the trend",
-    "GATE": "largest normalized innovation squared of a fix that is used",
+    "GATE": "largest normalized innovation squared (NIS) of a fix that is used",
     "MOST_REJECTED": "after so many rejected fixes the next one is used: a diverged filter recovers",
-    "ACCURACY_SCALE": "times the stated variance of a fix is added to its R",
+    "ACCURACY_SCALE": "the stated variance of a fix times this is added to its R",
     "FIX_ERROR": "g: variance of the correlated fix error over the stated one",
     "FIX_ERROR_RATE": "nominal interval over its time constant",
     "FIX_VAR": "m2, of a fix that states no deviation",
@@ -91,7 +96,7 @@ NUMBERS = {
     "STANDSTILL_INTERVAL": "s between two standstill updates",
     "STANDSTILL_RATE_NOISE": "rad2/s2: the gyro around its bias",
     "PER_ODOMETER_SCALE": "true speed over a reading",
-    "ODOMETER_LATENCY": "s: how much older than its time a reading is",
+    "ODOMETER_LATENCY": "s: age of a reading at its time stamp",
     "EVIDENCE_LASTS": "s in which evidence fades to 1/e",
     "EVIDENCE_COUNTS": "fix errors are correlated: each counts as this share of an independent one",
     "LARGEST_NIS": "limit of a fix's NIS in the evidence",
@@ -106,26 +111,24 @@ def defined(text: str, numbers: Mapping[str, str], form: str) -> str:
     return text.replace("@NUMBERS@", "\n".join(form.format(n, numbers[n], NUMBERS[n]) for n in used))
 
 
-CONSTANTS: tuple[tuple[ModuleType, str, str], ...] = (
-    (alignment, "", "REFITS"),
-    (divergence, "", "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD"),
-    (fuzzy, "", "LARGEST_RATIO SLOWER"),
-    (gyro_seen, "", "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS"),
-    (live, "", "LEAP AGREES"),
-    (schedule, "", "LATERAL_INTERVAL STANDSTILL_INTERVAL STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED"),
-    (standstill, "", "BLOCK N_MEMORY"),
-    (student, "", "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN"),
-    (tilted, "", "GRAVITY"),
-    (timeline, "", "CORNERING"),
-)
-"""Constants of the library that templates name: module, prefix in the templates, names."""
+CONSTANTS: Mapping[ModuleType, str] = {
+    alignment: "REFITS",
+    divergence: "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD",
+    fuzzy: "LARGEST_RATIO SLOWER",
+    gyro_seen: "CONTRADICTS STRANGE STRANGE_STD YAW_STD TURN_SHARE LEAN_STD MOST_BIAS",
+    live: "LEAP AGREES",
+    schedule: "LATERAL_INTERVAL STANDSTILL_INTERVAL STANDSTILL_RATE_NOISE SLIP_GATE MOST_REJECTED",
+    standstill: "BLOCK N_MEMORY",
+    student: "ITERATIONS OUTLIERS OUTLYING OUTLIERS_SPAN",
+    tilted: "GRAVITY",
+    timeline: "CORNERING",
+}
+"""Names of the library's constants in templates, by module."""
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
-    """A filter's parameters and the library's constants as text; ``interval`` (s) is that of Q."""
-    constants = {
-        prefix + name: getattr(module, name) for module, prefix, names in CONSTANTS for name in names.split()
-    }
+    """Return a filter's parameters and the library's constants as text; Q refers to steps of ``interval`` s."""
+    constants = {name: getattr(module, name) for module, names in CONSTANTS.items() for name in names.split()}
     states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
     texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}", "MODEL": p.model}
     texts |= {"BELIEF_STATES": states, "N": states if p.fix_error is None else f"({states})"}
@@ -147,13 +150,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def in_range(value: float, of: str) -> float:
-    """Check a number that is computed from a filter's parameters.
-
-    Raises
-    ------
-    InputError
-        If it is beyond the range of floating point; ``of`` states its origin.
-    """
+    """Return a finite number; raise `InputError` for another one, with ``of`` as its description."""
     if not math.isfinite(value):
         raise InputError(
             f"the filter can't be exported: {of} is beyond the range of numbers; tune it again or correct it"
@@ -162,7 +159,7 @@ def in_range(value: float, of: str) -> float:
 
 
 def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
-    """Numbers as text that keeps every bit; None is left out."""
+    """Return numbers as text that keeps every bit; None is left out."""
     return {
         name: str(value) if isinstance(value, int) else repr(float(value))
         for name, value in numbers.items()
@@ -171,5 +168,37 @@ def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
 
 
 def listed(numbers: Iterable[float], form: str = "{}") -> str:
-    """Numbers with commas in between."""
+    """Return numbers separated by commas."""
     return ", ".join(form.format(repr(float(number))) for number in numbers)
+
+
+_DIRECTIVE = re.compile(r"#\s*(if\w*|else|endif)\b\s*(.*)")
+
+
+def fill(name: str, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
+    """Return a template with the parts for ``features``, and with ``values``; a missing value raises `KeyError`."""
+    text = files("sigmaswarm.exports").joinpath("templates", name).read_text(encoding="utf-8")
+    return re.sub(r"@([A-Z][A-Z_0-9]*)@", lambda place: values[place[1]], _chosen(text, features))
+
+
+def _chosen(text: str, features: Mapping[str, bool]) -> str:
+    """Return the lines of used features."""
+    lines: list[str] = []
+    open_parts: list[bool | None] = []  # True if a part is used; None: it belongs to the C preprocessor
+    for line in text.splitlines():
+        directive = _DIRECTIVE.match(line)
+        ours = True
+        if directive is None:
+            ours = False
+        elif directive[1] == "else":
+            part = open_parts[-1]
+            ours = part is not None
+            open_parts[-1] = None if part is None else not part
+        elif directive[1] == "endif":
+            ours = open_parts.pop() is not None
+        else:
+            open_parts.append(features.get(directive[2]))
+            ours = open_parts[-1] is not None
+        if not ours and False not in open_parts:
+            lines.append(line)
+    return "\n".join(lines) + "\n"

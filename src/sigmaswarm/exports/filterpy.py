@@ -1,7 +1,7 @@
 """The filter as a Python script that needs only NumPy and FilterPy.
 
-FilterPy has neither the start nor standstills, geodesy and the models. The script contains the library's own source of
-these, so that both are the same.
+The script contains the library's source of everything that FilterPy lacks: alignment, standstills, geodesy and models.
+So the script and the library give the same results.
 """
 
 import ast
@@ -11,8 +11,7 @@ from types import ModuleType
 from sigmaswarm import geodesy
 from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill, tables
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import defined, features_of, listed, values_of
-from sigmaswarm.exports.template import fill
+from sigmaswarm.exports.features import defined, features_of, fill, listed, values_of
 from sigmaswarm.filters import models, schedule
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook import ekf
@@ -21,11 +20,11 @@ FILE = "run_filter.py"
 
 
 def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
-    """The script, by file name; ``interval`` (s) is that of Q, ``as_recorded`` as in `PreparedDrive`."""
+    """Return the script by file name; Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`."""
     p = parameters
     if p.odometer_noise is not None:
         raise InputError(
-            "the script for FilterPy reads no odometer; export the filter as C99, or tune one without odometer"
+            "the script for FilterPy does not read an odometer; export the filter as C99, or tune it without odometer"
         )
     features = features_of(p)
     model = models.MODELS[p.model]
@@ -62,9 +61,9 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:
-    """The source of a module's constants, functions and classes: all of them, or those that ``names`` names.
+    """Return the source of a module's constants, functions and classes: all of them, or those in ``names``.
 
-    Imports, Numba's decorators and typing's overloads are left out; the order is the module's.
+    Imports, Numba's decorators and overloads for type checkers are left out.
     """
     text = inspect.getsource(module)
     lines = text.splitlines()

@@ -1,6 +1,6 @@
 """A layout for Foxglove that shows an exported bag: the track on a map, and plots of the filter's consistency.
 
-The fields are those of layouts that Foxglove exports: docs.foxglove.dev, "Layouts".
+Source of the fields: layouts that Foxglove exports (docs.foxglove.dev, "Layouts").
 """
 
 from collections.abc import Collection, Mapping
@@ -16,11 +16,11 @@ PLOTS: Mapping[str, tuple[str, ...]] = {
     "Standard deviations: x, y (m), heading (rad)": ("sigma.vector.x", "sigma.vector.y", "sigma.vector.z"),
     "Forward speed, m/s": ("odometry.twist.twist.linear.x",),
 }
-"""Titles, and paths within /sigmaswarm."""
+"""Paths of messages below /sigmaswarm, by the title of the plot."""
 
 
 def layout(topics: Collection[str]) -> dict[str, Any]:
-    """Return a layout with the panels whose topics are there, to be imported in Foxglove."""
+    """Return a layout for Foxglove, with the panels for the given topics."""
     panels: dict[str, dict[str, Any]] = {}
     if (fix := "/sigmaswarm/fix") in topics:
         panels["map!track"] = {"followTopic": fix, "layer": "map", "disabledTopics": [], "zoomLevel": 16}

@@ -1,10 +1,11 @@
 """The noise of an IMU in the files and units of other packages, and in drive.toml.
 
-Biases are written as each package models them: as a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, ours).
+Each package gets the biases in its own model: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
 """
 
 from collections.abc import Callable, Sequence
-from typing import Literal, get_args
+from operator import attrgetter
+from typing import Literal
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.robot_localization import yaml_number
@@ -21,7 +22,7 @@ from sigmaswarm.noise.records import (
 )
 
 NoiseTarget = Literal["sigmaswarm", "kf-gins", "kalibr", "robot_localization", "matlab"]
-"""Packages in whose format the noise can be written."""
+"""Packages with a writer."""
 
 
 def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
@@ -31,51 +32,42 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     ----------
     noise : Noise
     target : {"sigmaswarm", "kf-gins", "kalibr", "robot_localization", "matlab"}
-        sigmaswarm: keys of drive.toml, from which `baseline` starts. kf-gins: ``imunoise`` of its YAML file. kalibr:
+        sigmaswarm: keys of drive.toml, which `baseline` reads. kf-gins: ``imunoise`` of its YAML file. kalibr:
         imu.yaml, with VINS's keys. robot_localization: covariances of sensor_msgs/Imu. matlab: parameters of imuSensor.
 
     Raises
     ------
     InputError
-        The target is unknown, or a sensor was not measured.
+        If the target is unknown, or a sensor was not measured.
     """
-    if target not in get_args(NoiseTarget):
-        raise InputError(
-            f"no package of noises is called {target!r}; choose one of {', '.join(get_args(NoiseTarget))}"
-        )
+    if target not in _WRITERS:
+        raise InputError(f"there is no noise target {target!r}; choose one of {', '.join(_WRITERS)}")
     known = {a.axis for a in noise.axes}
     for sensor, (axes, _) in SENSORS.items():
         if not known & set(axes.split()):
-            raise InputError(f"{noise.name}: no axis of the {sensor} was measured, which {target} needs")
+            raise InputError(
+                f"{noise.name}: no axis of the {sensor} was measured; {target} needs one, so choose another log"
+            )
     file, written = _WRITERS[target]
     sign = "%" if target == "matlab" else "#"
     lines = [f"Noise of the IMU of {noise.name}, {noise.rate:.6g} Hz, by sigmaswarm", *noise.remarks]
     lines += [
-        f"{axis} is not known: the value of the other axes"
+        f"{axis} was not measured; it has the value of the other axes"
         for axes, _ in SENSORS.values()
         for axis in axes.split()
         if axis not in known
     ]
     if not all(axis.bias(noise.longest)[0] for axis in noise.axes):
-        lines.append("an axis without a measured bias has the random walk of an ICM-20602")
+        lines.append("axes without a measured bias have the random walk of an ICM-20602")
     comments = [f"{sign} {' '.join(line.split())}" for line in lines]
     return {file: "\n".join([*comments, *written(noise), ""])}
 
 
-def _white(axis: AxisNoise) -> float:
-    return axis.white.value
-
-
-def _instability(axis: AxisNoise) -> float:
-    return axis.instability.value
-
-
-def _walk(axis: AxisNoise) -> float:
-    return axis.walk.value
+_white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return the bias as a random walk, unit/sqrt(s); that of a usual sensor where a filter has no bias."""
+    """Return the random walk of an axis' bias, unit/sqrt(s); that of a usual sensor where no bias was measured."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)
@@ -103,25 +95,25 @@ def _drive(noise: Noise) -> list[str]:
     return lines
 
 
-_RANDOM_WALKS = (("gyro", DEG_PER_SQRT_HOUR), ("accel", MPS_PER_SQRT_HOUR))
-_BIASES = (("gyro", DEG_PER_HOUR), ("accel", MGAL))
-
-
 def _kf_gins(noise: Noise) -> list[str]:
     times = [axis.bias(noise.longest)[1] for axis in noise.axes]
-    time = sum(times) / len(times)  # the file has one for all: the walks stay as they are
-    arw, vrw = ([scale * v for v in noise.of(s, _white)] for s, scale in _RANDOM_WALKS)
+    time = sum(times) / len(times)  # the file has one correlation time; the random walks are kept
+    white, bias = (DEG_PER_SQRT_HOUR, MPS_PER_SQRT_HOUR), (DEG_PER_HOUR, MGAL)
+    arw, vrw = (
+        [scale * v for v in noise.of(s, _white)] for s, scale in zip(("gyro", "accel"), white, strict=True)
+    )
     gyro, accel = (
-        [scale * (time / 2) ** 0.5 * walk for walk in noise.of(s, _walk_of(noise, s))] for s, scale in _BIASES
+        [scale * (time / 2) ** 0.5 * walk for walk in noise.of(s, _walk_of(noise, s))]
+        for s, scale in zip(("gyro", "accel"), bias, strict=True)
     )
     return [
-        "imunoise:  # axes forward, right, down: the signs of the axes do not matter",
+        "imunoise:  # axes forward, right, down; the signs of the axes do not matter",
         f"  arw: {_listed(arw)}  # deg/sqrt(h)",
         f"  vrw: {_listed(vrw)}  # m/s/sqrt(h)",
         f"  gbstd: {_listed(gyro)}  # deg/h",
         f"  abstd: {_listed(accel)}  # mGal",
-        "  gsstd: [1000.0, 1000.0, 1000.0]  # ppm, its example's: a log at rest does not show the scale",
-        "  asstd: [1000.0, 1000.0, 1000.0]  # ppm, the same",
+        "  gsstd: [1000.0, 1000.0, 1000.0]  # ppm, from KF-GINS's example: a log at rest does not show the scale",
+        "  asstd: [1000.0, 1000.0, 1000.0]  # ppm, from the same example",
         f"  corrtime: {_number(time / HOUR)}  # h",
     ]
 
@@ -136,8 +128,8 @@ def _kalibr(noise: Noise) -> list[str]:
         f"gyroscope_random_walk: {walk['gyro']}  # rad/s^2/sqrt(Hz)",
         f"update_rate: {_number(noise.rate)}  # Hz",
         "rostopic: /imu/data  # set your topic",
-        "# VINS-Mono and VINS-Fusion: the same densities under their names. Their integration takes them for",
-        f"# deviations of a sample, which are {noise.rate**0.5:.4g} times larger, the square root of the rate.",
+        "# VINS-Mono and VINS-Fusion: the same densities under other names. Their integration uses them as standard",
+        f"# deviations of a sample, which are {noise.rate**0.5:.4g} times larger: the square root of the rate.",
         f"acc_n: {white['accel']}",
         f"acc_w: {walk['accel']}",
         f"gyr_n: {white['gyro']}",
@@ -161,9 +153,12 @@ def _matlab(noise: Noise) -> list[str]:
     lines = [f"imu = imuSensor('accel-gyro', 'SampleRate', {_number(noise.rate)});"]
     for sensor, name in (("accel", "Accelerometer"), ("gyro", "Gyroscope")):
         unit = SENSORS[sensor][1]
-        white, flicker, walk = (_listed(noise.of(sensor, value)) for value in (_white, _instability, _walk))
+        white, flicker, walk = (
+            _listed(noise.of(sensor, attrgetter(f"{part}.value")))
+            for part in ("white", "instability", "walk")
+        )
         lines += [
-            f"imu.{name} = {sensor}params( ...  % two-sided densities: NoiseType is double-sided, where it exists",
+            f"imu.{name} = {sensor}params( ...  % two-sided densities: set NoiseType to double-sided where it exists",
             f"    'NoiseDensity', {white}, ...  % {unit}/sqrt(Hz)",
             f"    'BiasInstability', {flicker}, ...  % {unit}",
             f"    'RandomWalk', {walk});  % {unit}/sqrt(s)",
@@ -178,4 +173,4 @@ _WRITERS: dict[NoiseTarget, tuple[str, Callable[[Noise], list[str]]]] = {
     "robot_localization": ("imu_covariances.yaml", _robot_localization),
     "matlab": ("imu_noise.m", _matlab),
 }
-"""File and writer of each target."""
+"""File name and writer of each target."""

@@ -1,4 +1,4 @@
-"""Table of the parameters in which the lanes of an exported filter bank differ."""
+"""Table of the parameters that differ between the lanes of an exported filter bank."""
 
 from dataclasses import dataclass
 
@@ -17,12 +17,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 class Lanes:
     """Number of filters of a bank, and the seed of their random parameters.
 
-    The filters are the first ones of a `LiveFilterBank` with that seed, without searches.
-
-    Raises
-    ------
-    InputError
-        If the number is out of range.
+    The filters are the first ones of a `LiveFilterBank` with this seed, without searches.
     """
 
     n: int = 1
@@ -30,10 +25,12 @@ class Lanes:
 
     def __post_init__(self) -> None:
         if not 1 <= self.n <= LANES:
-            raise InputError(f"lanes = {self.n}: a filter bank has 2 to {LANES}; 1 is the filter alone")
+            raise InputError(
+                f"lanes = {self.n}: out of range; give 2 to {LANES} for a filter bank, or 1 for the filter alone"
+            )
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
-        """Parameters of each lane; the first one is the tuning."""
+        """Return the parameters of each lane; the first one is the tuning."""
         spread = Spread(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 
@@ -41,7 +38,7 @@ class Lanes:
         return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
     def values(self, tuning: FilterParameters) -> dict[str, str]:
-        """The template's values: numbers of a filter alone, or columns of the table of lanes."""
+        """Return values for the template: the numbers of a single filter, or columns of the table of lanes."""
         filters = self.filters(tuning)
         biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # at the start
         if self.n == 1:
@@ -73,7 +70,7 @@ _NUMBERS = ("accuracy_scale", *NOISE_OF.values(), "rear_axle", "tire_slip")
 
 
 def _numbers(p: FilterParameters) -> dict[str, float]:
-    """The numbers in which columns may differ, if the filter has them."""
+    """Return the scalar parameters that may differ between lanes, if the filter has them."""
     biases = zip(SENSORS, p.bias_std, strict=True) if MODELS[p.model].sensors else ()
     numbers: dict[str, float | None] = {f"{sensor}_bias_std": std for sensor, std in biases}
     numbers |= {name: getattr(p, name) for name in _NUMBERS}
@@ -84,7 +81,7 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
 
 
 def _row(p: FilterParameters, penalty: float) -> str:
-    """A lane, in C."""
+    """Return a lane as C initializer."""
     fields = [
         f".process_noise = {{{listed(p.process_noise, 'R({})')}}}",
         f".measurement_noise = {{{listed(p.measurement_noise, 'R({})')}}}",

@@ -1,6 +1,6 @@
 """Tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
-A clock that counts from 1970 is recognized by its size. Times are written for such a clock alone, in UTC.
+Times that count from 1970 are recognized by their size, and written in UTC; other times are not written as dates.
 """
 
 import json
@@ -18,19 +18,19 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.files import finite, write_whole
 
 _UNIX_TIMES = (1e9, 2.5e11)
-"""s: times between them count from 1970 (years 2001 to 9892), not from a start."""
+"""s: times in this range count from 1970 (years 2001 to 9892)."""
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 (section 2.2) does not allow, not even escaped; JSON does not allow half a surrogate pair."""
 
 
 _EASTMOST = 179.999999999
-"""deg: GPX has no longitude of 180; this is 0.1 mm off."""
+"""deg: the largest longitude in GPX, which excludes 180; the error is 0.1 mm."""
 
 
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
-    """One line, cut at the antimeridian (RFC 7946, 3.1.9); places (n, 2) are latitude and longitude, deg.
+    """Write one line, cut at the antimeridian (RFC 7946, 3.1.9); places (n, 2) are latitude and longitude, deg.
 
-    ``coordTimes`` has the format of togeojson: a list, and for a line in parts a list of lists.
+    ``coordTimes`` has the format of togeojson: a list, or for a line in parts a list of lists.
     """
     parts = cut(time, places)
     lines: list[Any] = [[[round(lon, 9), round(lat, 9)] for lat, lon in part.tolist()] for _, part in parts]
@@ -45,7 +45,7 @@ def geojson(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def gpx(time: Array, places: Array, path: Path, name: str) -> None:
-    """One track; a new segment where it crosses the antimeridian."""
+    """Write one track, with a new segment where it crosses the antimeridian."""
     lines = ['<gpx version="1.1" creator="sigmaswarm" xmlns="http://www.topografix.com/GPX/1/1">']
     start = f"<trk><name>{_escaped(name)}</name><trkseg>"
     for t, part in cut(time, places):
@@ -60,7 +60,7 @@ def gpx(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """One line on the ground, or several where it crosses the antimeridian; with dates a gx:Track, which has times."""
+    """Write a line, or several where it crosses the antimeridian; with dates a gx:Track, which has times."""
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return
@@ -76,7 +76,7 @@ def kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Google's extension of KML 2.2: all times of a track, then all places."""
+    """Write all times of a track, then all places: Google's extension of KML 2.2."""
     lines = [
         '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>',
         f"<Placemark><name>{_escaped(name)}</name><gx:MultiTrack>",
@@ -88,9 +88,9 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
-    """A track in parts that do not cross the antimeridian: times (k,) s and places (k, 2) deg of each.
+    """Cut a track at the antimeridian: return times (k,), s, and places (k, 2), deg, of each part.
 
-    A part ends on the antimeridian and the next one begins there, between the two adjacent points.
+    A part ends on the antimeridian and the next one begins there, between two points of the track.
     """
     turned = np.unwrap(places[:, 1], period=360.0)
     if (turned == places[:, 1]).all():
@@ -121,7 +121,7 @@ def _escaped(text: str) -> str:
 
 
 def _stamps(time: Array) -> list[str]:
-    """Times in UTC, or none where the clock has no date."""
+    """Return times in UTC, or none where the clock has no date."""
     if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [
@@ -131,4 +131,4 @@ def _stamps(time: Array) -> list[str]:
 
 
 MAPS: dict[str, Callable[[Array, Array, Path, str], None]] = {".geojson": geojson, ".gpx": gpx, ".kml": kml}
-"""By the file's ending: from times (n,) s and places (n, 2) deg to a file, with the track's name in it."""
+"""Writers by the ending of the file, of times (n,), s, places (n, 2), deg, and the name of the track."""

@@ -1,14 +1,13 @@
-"""Configuration of ROS's robot_localization: of its own tuned model, or what transfers of another filter.
+"""Configuration of ROS's robot_localization: of its own tuned model, or of the settings that another filter shares.
 
-Its filters add ``process_noise_covariance`` times the time step (predict), so ours, per nominal interval, is
-divided by that interval; its gate is a Mahalanobis distance, the root of ours (filter_base.cpp); its state has 15
-elements. Read from https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
+Its filters add ``process_noise_covariance`` times the time step, so Q per nominal interval is divided by that
+interval. Its gate is a Mahalanobis distance, the square root of a NIS. Its state has 15 elements. Source:
+https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel, filter_base.cpp.
 """
 
 import math
 
-from sigmaswarm.exports.features import features_of, in_range, values_of
-from sigmaswarm.exports.template import fill
+from sigmaswarm.exports.features import features_of, fill, in_range, values_of
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.robot_yaml import PLACES
@@ -24,25 +23,22 @@ DEFAULT_PROCESS_NOISE = (
     *(0.01, 0.01, 0.02),
     *(0.01, 0.01, 0.015),
 )
-"""Its defaults, per second: x, y, z; roll, pitch, yaw; their rates; accelerations (filter_base.cpp, reset)."""
-_X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
+"""Its defaults per second: of x, y, z; of roll, pitch, yaw; of the rates of both; of the accelerations (reset)."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Variances at the start: of states that stay at 0; smallest of x and y, m2."""
+"""Variances at the start: of states that stay at 0; least of x and y, m2."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
-"""Measures in README.md."""
+"""Measures in the README.md of the export."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md explains."""
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
-    """The parameter file, by file name; ``interval`` (s) is that of Q.
-
-    ROS's filter has no preprocessing to switch off.
+    """Return the files by name; Q refers to steps of ``interval`` s. ROS's filter has no preprocessing to switch off.
 
     Raises
     ------
     InputError
-        If a number of the filter is beyond the range of floating point once it is per second.
+        If a variance per second is beyond the range of floating point.
     """
     p, (r_east, r_north) = parameters, parameters.measurement_noise
     if MODELS[p.model].measures_imu:
@@ -51,59 +47,56 @@ def robot_localization(parameters: FilterParameters, interval: float, _: bool = 
         "R_EAST": r_east,
         "R_NORTH": r_north,
         "R_UP": in_range(r_east + r_north, "the sum of measurement_noise"),
-        "FREQUENCY": in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval"),
-        "REJECTION_THRESHOLD": math.sqrt(p.gate or 0.0),
     }
-    values = values_of(p, interval) | {name: yaml_number(value) for name, value in numbers.items()}
+    values = values_of(p, interval) | _shared(p, interval)
+    values |= {name: yaml_number(value) for name, value in numbers.items()}
     values["NODE"] = "ekf_filter_node" if p.kind == "ekf" else "ukf_filter_node"
     values["PROCESS_NOISE"] = _diagonal(process_noise(p, interval))
+    return {FILE: fill(f"{FILE}.in", features_of(p), values)}
+
+
+def _shared(p: FilterParameters, interval: float) -> dict[str, str]:
     return {
-        FILE: fill("robot_localization.yaml.in", features_of(p) | {"USE_LATENCY": p.latency != 0}, values)
+        "FREQUENCY": yaml_number(in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval")),
+        "REJECTION_THRESHOLD": yaml_number(math.sqrt(p.gate or 0.0)),
     }
 
 
 def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Files for the model robot-localization, which is the same filter."""
+    """Return the files for the model robot-localization, which is the same filter."""
     of = "process_noise / nominal_interval"
     noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
     for place, variance, unknown in zip(PLACES, p.process_noise, first, strict=True):
         noise[place], start[place] = in_range(variance / interval, of), unknown
-    (r_gyro, r_accel, *_), (r_x, r_y) = p.imu_noise, p.measurement_noise
-    lateral = yaml_number(p.lateral_noise or 1.0)
+    (r_x, r_y), lateral = p.measurement_noise, yaml_number(p.lateral_noise or 1.0)
     stated = (
         "" if p.accuracy_scale is None else f"{p.accuracy_scale:.6g} times the receiver's variance, plus "
     )
-    values = {
+    numbers = {
+        **dict(zip(("R_GYRO", "R_ACCEL"), p.imu_noise, strict=False)),
+        "R_ODOMETER": p.odometer_noise or 1.0,
+        "R_HEADING": p.heading_noise or 1.0,
+        "GYRO_THRESHOLD": math.sqrt(p.imu_gate[0]),
+        "ACCEL_THRESHOLD": math.sqrt(p.imu_gate[1]),
+    }
+    values = _shared(p, interval) | {
+        **{name: yaml_number(value) for name, value in numbers.items()},
         "VERSION": __version__,
-        "FREQUENCY": yaml_number(in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval")),
-        "REJECTION_THRESHOLD": yaml_number(math.sqrt(p.gate or 0.0)),
         "REMOVE_GRAVITY": "false",
         "INITIAL_COVARIANCE": _diagonal(start),
         "PROCESS_NOISE": _diagonal(noise),
         "TWIST_COVARIANCE": ", ".join(lateral if k % 7 == 0 else "0.0" for k in range(36)),
-        "R_GYRO": yaml_number(r_gyro),
-        "R_ACCEL": yaml_number(r_accel),
         "R_LATERAL": lateral,
-        "R_ODOMETER": yaml_number(p.odometer_noise or 1.0),
-        "R_HEADING": yaml_number(p.heading_noise or 1.0),
-        "GYRO_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[0])),
-        "ACCEL_THRESHOLD": yaml_number(math.sqrt(p.imu_gate[1])),
         "FIX_COVARIANCE": f"{stated}{r_x!r} and {r_y!r} m2",
     }
-    used = {
-        "USE_GATE": p.gate is not None,
-        "USE_IMU_GATE": math.isfinite(max(p.imu_gate)),
-        "USE_LATERAL": p.lateral_noise is not None,
-        "USE_ODOMETER": p.odometer_noise is not None,
-        "USE_HEADING": p.heading_noise is not None,
-    }
+    used = features_of(p) | {"USE_IMU_GATE": math.isfinite(max(p.imu_gate))}
     names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
     return {file: fill(template, used, values) for file, template in names.items()}
 
 
 def accuracy_section(evaluation: Evaluation) -> str:
-    """The section of README.md on the accuracy of the tuning on drives, from an evaluation."""
+    """Return the section of README.md on the accuracy of the tuning on drives, from an evaluation."""
     known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", UNTUNED))]
     heads = " | ".join(evaluation.measures[m].heading for m in known)
     lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
@@ -123,7 +116,7 @@ def accuracy_section(evaluation: Evaluation) -> str:
     ]
     seen = [name for name, found in evaluation.drives.items() if found.record.seen_s]
     if seen:
-        said.append(f"The tuning has seen {', '.join(seen)}: these values are too good.")
+        said.append(f"The filter was tuned on {', '.join(seen)}, so these errors are too small.")
     drives = ", ".join(evaluation.drives)
     return "\n".join([f"\n## Accuracy on {drives}\n", *lines, "", *said, ""])
 
@@ -132,29 +125,29 @@ def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> st
     """A sentence on the error of ekf.yaml relative to another filter's."""
     tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
     if not tuned or not theirs:
-        return f"The errors of ekf.yaml and of {name} can't be compared: one of them failed."
+        return f"The errors of ekf.yaml and of {name} can't be compared: one of these filters failed."
     title = evaluation.measures[measure].title
     if other == OWN and theirs < tuned:
         return (
-            f"With the {name.removeprefix('other ')}, you would gain {1 - theirs / tuned:.0%} more: its {title} is "
-            f"{theirs:.3g} m instead of {tuned:.3g} m."
+            f"The {title} of the {name.removeprefix('other ')} is {1 - theirs / tuned:.0%} lower: {theirs:.3g} m "
+            f"instead of {tuned:.3g} m."
         )
     change = 1 - tuned / theirs
     return f"The {title} of ekf.yaml is {abs(change):.0%} {'lower' if change >= 0 else 'HIGHER'} than with {name}."
 
 
 def process_noise(p: FilterParameters, interval: float) -> list[float]:
-    """The diagonal in robot_localization's order, variances per second."""
+    """Return the diagonal of Q in robot_localization's order, variances per second."""
     of = "process_noise / nominal_interval"
     x, y, vx, vy, theta = (in_range(variance / interval, of) for variance in p.process_noise[:5])
     diagonal = list(DEFAULT_PROCESS_NOISE)
-    diagonal[_X], diagonal[_Y], diagonal[_YAW] = x, y, theta
-    diagonal[_VX] = diagonal[_VY] = in_range((vx + vy) / 2, of)
+    diagonal[0], diagonal[1], diagonal[5] = x, y, theta
+    diagonal[6] = diagonal[7] = in_range((vx + vy) / 2, of)
     return diagonal
 
 
 def yaml_number(value: float) -> str:
-    """A number in a form that every YAML reader recognizes: some read 1e-05, without a dot, as text."""
+    """Return a number that every YAML reader recognizes: some read 1e-05, without a dot, as text."""
     text = repr(float(value))
     return text if "." in text else text.replace("e", ".0e")
 

@@ -1,7 +1,7 @@
 """An estimate as a ROS 2 bag with a layout for Foxglove, optionally with the topics of a recorded bag; needs rosbags.
 
-The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``, east-north-up; its twist in
-``base_link``, forward and left along the road, as REP-105 and the message ask.
+The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. As REP-105 and the message require, its pose is in ``map``,
+east-north-up, and its twist in ``base_link``, forward and left.
 """
 
 import heapq
@@ -33,11 +33,11 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
     f"/sigmaswarm/{name}" for name in ("innovation", "innovation_sigma", "nis")
 )
 INTERVAL = 0.1
-"""s between two messages of SIGMA and of FIX."""
+"""s between two messages of SIGMA or FIX."""
 NOT_ESTIMATED = 1e6
-"""Variance of quantities that a filter does not estimate: height, rates, and in the plane roll and pitch."""
+"""Variance of quantities that a filter does not estimate: height, rates, and roll and pitch of a planar model."""
 RawMessage = tuple[int, Any, Any]
-"""Time in ns, rosbags' connection of the bag that is written, and the message's bytes."""
+"""Time in ns, rosbags' connection in the new bag, and the bytes of the message."""
 Message = tuple[int, str, Any]
 """Time in ns, topic, and the message."""
 
@@ -54,32 +54,14 @@ def ros2(
 ) -> None:
     """Write a bag, which is a folder, with MCAP storage and a layout of its topics for Foxglove.
 
-    Parameters
-    ----------
-    pieces : iterable of Estimate
-    span : (float, float)
-        Times of the first and the last estimate, s.
-    path : Path
-        Not there yet.
-    time_origin : float
-        s on the bag's clock at which the estimate's times are 0.
-    origin : (latitude deg, longitude deg, altitude m), optional
-        Position of x = y = 0, for the estimate as sensor_msgs/NavSatFix.
-    innovations : Innovations, optional
-        Of the filter at each fix, for topics of innovations, their standard deviations and the NIS.
-    merge : Path, optional
-        A ROS 2 bag whose messages are copied unchanged into this one in the order of their times.
+    The parameters are those of `write_pieces`; ``path`` must not exist. Topics of ``merge`` with an unknown type are
+    left out, with a warning.
 
     Raises
     ------
     InputError
         If rosbags is not installed, a time is before 0, or ``merge`` is not a bag of these times, is damaged, or has
-        the topic already. Nothing is left behind then.
-
-    Warns
-    -----
-    SigmaswarmWarning
-        For topics that could not be copied.
+        the topic already. No file remains then.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -88,7 +70,9 @@ def ros2(
         raise InputError(f"{path}: a bag needs rosbags; install it with: pip install rosbags") from None
     first, last = (end + time_origin for end in span)
     if first < 0:
-        raise InputError(f"{path}: a bag has no times before 0 (is {first:g} s); shift the drive's times")
+        raise InputError(
+            f"{path}: a bag has no times before 0 (start is {first:g} s); shift the drive's times"
+        )
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (
         _reader(merge, first, last) if merge else nullcontext() as recorded,
@@ -112,13 +96,7 @@ def ros2(
 
 @contextmanager
 def _reader(path: Path, first: float, last: float) -> Generator[Any]:
-    """Open a ROS 2 bag (a folder, or a .db3 or .mcap file) that was recorded from ``first`` to ``last``, s.
-
-    Raises
-    ------
-    InputError
-        If it is not a bag, is damaged, was recorded at another time, or has the topic of the estimate already.
-    """
+    """Open a ROS 2 bag (a folder, or a .db3 or .mcap file) that was recorded from ``first`` to ``last``, s."""
     highlevel, typesys = library("rosbags.highlevel", "ros"), library("rosbags.typesys", "ros")
     if not path.exists():
         raise InputError(f"{path}: no such bag; name the one that the drive was imported from")
@@ -138,7 +116,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     except Exception as error:  # the library raises anything on damaged bytes
         if "rofile" in str(error):
             raise InputError(
-                f"{path}: is an MCAP file that ROS 2 did not write; its messages can't be copied into a ROS 2 bag, so "
+                f"{path}: is an MCAP file that ROS 2 did not write, so a ROS 2 bag can't contain its messages; "
                 "leave --merge out"
             ) from None
         raise broken(path, error) from None
@@ -157,9 +135,9 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
 
 
 def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
-    """Add the topics of a bag to one that is written; return its messages by time, read one by one.
+    """Add the topics of a bag to the new bag; return their messages by time, read one by one.
 
-    A topic whose type neither the bag nor the latest ROS defines is left out, with a warning.
+    A topic is left out, with a warning, if neither the bag nor the latest ROS defines its type.
     """
     added: dict[tuple[str, str], Any] = {}
     for old in reader.connections:
@@ -168,7 +146,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
             continue
         if old.msgtype not in reader.typestore.fielddefs:
             warnings.warn(
-                f"{path}: {old.topic} left out: nothing defines its type {old.msgtype}",
+                f"{path}: {old.topic} is left out: its type {old.msgtype} is not defined",
                 SigmaswarmWarning,
                 stacklevel=2,
             )
@@ -199,7 +177,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
 def _serialized(
     messages: Iterable[Message], store: Any, writer: Any, added: dict[str, Any]
 ) -> Iterator[RawMessage]:
-    """Messages as bytes; a topic is added to the bag with its first one."""
+    """Yield messages as bytes; add a topic to the bag before its first message."""
     for nanoseconds, topic, message in messages:
         kind = message.__msgtype__
         if topic not in added:
@@ -215,26 +193,26 @@ class Made:
     time_origin: float
 
     def message(self, name: str, *fields: Any) -> Any:
-        """A message of a type, such as std_msgs/Header, of its fields in order."""
+        """Make a message of a type, such as std_msgs/Header, from its fields in order."""
         return self.types[name.replace("/", "/msg/")](*fields)
 
     def nanoseconds(self, time: float) -> int:
-        """Time on the bag's clock."""
-        return round(float(time) * 1e9) + round(self.time_origin * 1e9)  # apart, so that no digit is lost
+        """Return a time on the bag's clock; both parts are rounded separately, so that no digit is lost."""
+        return round(float(time) * 1e9) + round(self.time_origin * 1e9)
 
     def header(self, nanoseconds: int) -> Any:
-        """The header of a message in the map."""
+        """Make the header of a message in the frame map."""
         stamp = self.message("builtin_interfaces/Time", nanoseconds // 10**9, nanoseconds % 10**9)
         return self.message("std_msgs/Header", stamp, "map")
 
     def vector(self, nanoseconds: int, x: float, y: float, z: float = 0.0) -> Any:
-        """A Vector3Stamped."""
+        """Make a Vector3Stamped."""
         vector = self.message("geometry_msgs/Vector3", float(x), float(y), float(z))
         return self.message("geometry_msgs/Vector3Stamped", self.header(nanoseconds), vector)
 
 
 def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> Iterator[Message]:
-    """The estimates; ten times per second their standard deviations, x, y (m) and heading (rad), and NavSatFix."""
+    """Yield the estimates, and ten times per second the std of x, y, m, and heading, rad, and a NavSatFix."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)
@@ -256,10 +234,10 @@ def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> 
 
 
 def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
-    """Innovations of the fixes, m east and north, their standard deviations, m, and the NIS."""
+    """Yield the innovations of the fixes, m east and north, their standard deviations, m, and the NIS."""
     if found is None:
         return
-    sound = definite(found.covariance)  # a filter that failed
+    sound = definite(found.covariance)  # not where the filter has failed
     found = Innovations(found.time[sound], found.innovation[sound], found.covariance[sound])
     sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     for t, nu, std, nis in zip(found.time, found.innovation, sigma, found.nis, strict=True):
@@ -270,27 +248,26 @@ def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
 
 
 def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin) -> Any:
-    """The position in degrees; its height is the origin's, since filters in the plane estimate none."""
+    """Make a NavSatFix; its height is the origin's, since no model estimates the height."""
     lat, lon, alt = map(float, enu_to_geodetic(np.array([[mean[0], mean[1], 0.0]]), origin)[0])
     covariance = NOT_ESTIMATED * np.eye(3)
     covariance[:2, :2] = pose[:2, :2]
     status = made.message("sensor_msgs/NavSatStatus", 0, 1)
-    known = 3
-    return made.message(
-        "sensor_msgs/NavSatFix", made.header(nanoseconds), status, lat, lon, alt, covariance.ravel(), known
-    )
+    fields = status, lat, lon, alt, covariance.ravel(), 3  # COVARIANCE_TYPE_KNOWN
+    return made.message("sensor_msgs/NavSatFix", made.header(nanoseconds), *fields)
 
 
 def _pose_of(n: int) -> dict[int, int]:
-    """The states of the pose, and their rows in a message's covariance: x, y, z and rotations about fixed axes.
+    """Return the states of the pose, and their rows in a message's covariance.
 
-    Such rotations about x, y and z are what roll, pitch and theta are: R = Rz(theta) Ry(pitch) Rx(roll).
+    These rows are x, y, z and rotations about the fixed axes x, y and z. Roll, pitch and theta are such rotations:
+    R = Rz(theta) Ry(pitch) Rx(roll).
     """
     return {0: 0, 1: 1} | dict(zip(tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
 
 
 def _odometry(made: Made, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array) -> Any:
-    """The message; covariances are 6 x 6: x, y, z and the rotations about them."""
+    """Make the message; covariances are 6 x 6: x, y, z and the rotations about these axes."""
     still = made.message("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
     moves = made.message("geometry_msgs/Vector3", *map(float, velocity), 0.0)
     position = made.message("geometry_msgs/Point", *map(float, mean[:2]), 0.0)

@@ -1,4 +1,4 @@
-"""The targets of an export: one function each, from parameters to texts of files."""
+"""The targets of an export: one function each, which returns the texts of files for a filter."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,15 +16,14 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
 Alias = Literal["robot-localization"]
-"""Another name of a target, which is that of its model."""
+"""Another name of the target robot_localization: the name of its model."""
 
 TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
     "filterpy": filterpy,
     "c99": c99,
     "robot_localization": robot_localization,
 }
-"""From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
-name."""
+"""Functions of the parameters, the nominal interval, s, and ``as_recorded``, which return texts by file name."""
 
 
 def export_texts(
@@ -45,24 +44,20 @@ def export_texts(
     target : {"filterpy", "c99", "robot_localization"}
         robot-localization is another name of the last.
     replay : Drive, optional
-        c99: also write this drive as replay.csv, the input of the program that replays.
+        c99: also write this drive as replay.csv, the input of the replay program.
     as_recorded : bool
-        filterpy, c99: use stale fixes, treat IMU gaps as ordinary steps.
+        filterpy, c99: use stale fixes, and treat gaps in the IMU as ordinary steps.
     lanes : int
-        c99: number of filters with different parameters, whose mixture is the estimate: a `LiveFilterBank`
+        c99: number of filters with different parameters. Their mixture is the estimate, as of a `LiveFilterBank`
         without searches.
     seed : int
-        Of the parameters in which the lanes differ.
-
-    Returns
-    -------
-    dict of str to str
+        c99: seed of the parameters of the lanes.
 
     Raises
     ------
     InputError
-        If the target is unknown or does not support the model, the parameters lack the interval of Q, a variance
-        is unusable, or the target does not accept a given ``replay`` or ``lanes``.
+        If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters lack the
+        nominal interval; or if a variance is not positive.
     """
     if target == "robot-localization":
         target = "robot_localization"
@@ -85,18 +80,17 @@ def export_texts(
 def _checked(parameters: FilterParameters, target: Target) -> float:
     """Check that a target can take a filter, and return the IMU interval (s) that Q refers to."""
     if target not in TARGETS:
-        raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
+        raise InputError(f"there is no export target {target!r}; choose one of {', '.join(TARGETS)}")
     if MODELS[parameters.model].tilts and target != "c99":
         raise InputError(
-            f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
+            f"{target} does not support {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export "
+            "planar8"
         )
-    if parameters.fix_error is not None and target != "c99":
+    absent = ["fix-error"] if parameters.fix_error is not None and target != "c99" else []
+    absent += ["heading"] if parameters.heading_noise is not None and target == "filterpy" else []
+    if absent:
         raise InputError(
-            f"{target} has no fix-error; tune without it for this target, or run it with LiveFilter"
-        )
-    if parameters.heading_noise is not None and target == "filterpy":
-        raise InputError(
-            "filterpy has no heading; tune without it for this target, or run it with LiveFilter"
+            f"{target} has no {absent[0]}; tune without it for this target, or run the filter with LiveFilter"
         )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)
@@ -107,7 +101,7 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
         )
     if min(parameters.process_noise) < 0 or min(parameters.measurement_noise) <= 0:
         raise InputError(
-            "a variance of the filter is not positive, so it would fail; tune it again or correct it"
+            "a variance of the filter is not positive, so the filter would fail; correct it, or tune the filter again"
         )
     return parameters.nominal_interval
 

@@ -1,4 +1,4 @@
-"""Estimates as files: one writer per format, which the file's ending names."""
+"""Estimates as files: one writer per format, chosen by the ending of the file."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -18,51 +18,10 @@ from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.geodesy import Origin, enu_to_geodetic
 
 
-def write_estimate(
-    estimate: Estimate,
-    path: str | Path,
-    *,
-    origin: Origin | None = None,
-    time_origin: float = 0.0,
-    innovations: Innovations | None = None,
-    merge: str | Path | None = None,
-    name: str | None = None,
-) -> None:
-    """Write an estimate in the form that the file's ending names.
-
-    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise, and
-    tilted12's roll and pitch.
-    ``.mat``: for MATLAB: t, the states by name, and covariance (n, states, states).
-    ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
-    ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row; it has no times.
-    ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry and, with an origin, as
-    sensor_msgs/NavSatFix, its standard deviations, innovations and NIS, and a layout for Foxglove.
-    ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
-
-    Parameters
-    ----------
-    estimate : Estimate
-    path : str or Path
-    origin : (latitude deg, longitude deg, altitude m), optional
-        Where x = y = 0 is on the earth; the last three formats need it.
-    time_origin : float
-        s at which the estimate's times are 0 on the clock of its log, see `time_origin_of`; for bags and maps, whose
-        times are on that clock.
-    innovations : Innovations, optional
-        .ros2: those of the filter.
-    merge : str or Path, optional
-        .ros2: a ROS 2 bag whose messages are copied unchanged into the new one.
-    name : str, optional
-        Name of the track in a map, such as the drive's; by default the file's.
-
-    Raises
-    ------
-    InputError
-        If the ending is another, the folder does not exist, a needed origin is not given, or ``merge`` can't be used.
-    """
+def write_estimate(estimate: Estimate, path: str | Path, **options: Any) -> None:
+    """Write an estimate to a file; ``options`` are those of `write_pieces`."""
     span = (float(estimate.time[0]), float(estimate.time[-1]))
-    options: dict[str, Any] = {"innovations": innovations, "merge": merge, "name": name}
-    write_pieces([estimate], span, path, origin=origin, time_origin=time_origin, **options)
+    write_pieces([estimate], span, path, **options)
 
 
 def write_pieces(
@@ -76,14 +35,45 @@ def write_pieces(
     merge: str | Path | None = None,
     name: str | None = None,
 ) -> None:
-    """Write an estimate that comes in pieces over ``span`` (s); the bytes do not depend on the pieces.
+    """Write an estimate in the format of the file's ending; the bytes do not depend on the pieces.
 
-    .csv, .tum, .kitti and .ros2 hold one piece at a time, maps all times and places, .mat everything. If a piece can't
-    be computed, nothing is written. Otherwise as `write_estimate`.
+    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise, and
+    tilted12's roll and pitch.
+    ``.mat``, for MATLAB: t, the states by name, and covariance (n, states, states).
+    ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
+    ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row; it has no times.
+    ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry; with an origin also as
+    sensor_msgs/NavSatFix; standard deviations, innovations, NIS, and a layout for Foxglove.
+    ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
+
+    Maps and .mat need all pieces in memory, the other formats one at a time. If a piece can't be computed, no file is
+    written.
+
+    Parameters
+    ----------
+    pieces : iterable of Estimate
+    span : (float, float)
+        Times of the first and the last estimate, s.
+    path : str or Path
+    origin : (latitude deg, longitude deg, altitude m), optional
+        Position of x = y = 0; maps need it.
+    time_origin : float
+        s on the clock of the log at which the estimate's times are 0, for bags and maps: see `time_origin_of`.
+    innovations : Innovations, optional
+        .ros2: innovations of the filter.
+    merge : str or Path, optional
+        .ros2: a ROS 2 bag; its messages are copied unchanged into the new one.
+    name : str, optional
+        Name of the track in a map; by default that of the file.
+
+    Raises
+    ------
+    InputError
+        If the ending is unknown, the folder does not exist, a map has no origin, or ``merge`` can't be used.
     """
     path = Path(path)
     check_target(path, origin, merge)
-    if path.suffix in MAPS and origin is not None:  # which has been checked
+    if path.suffix in MAPS and origin is not None:
         rows = [np.column_stack([piece.time, piece.mean[:, :2]]) for piece in pieces]
         time, east, north = np.concatenate(rows).T
         MAPS[path.suffix](time + time_origin, _degrees(east, north, origin), path, name or path.stem)
@@ -107,14 +97,10 @@ def write_fixes(
     origin: Origin | None = None,
     time_origin: float = 0.0,
 ) -> int:
-    """Write the fixes before ``until`` (s), all that is known before a filter starts; return their number.
+    """Write the fixes before the start of a filter, ``until`` (s), and return their number.
 
-    ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a track of its own, named as fixes of the drive.
-
-    Raises
-    ------
-    InputError
-        As `write_estimate`; other formats hold poses, which fixes are not.
+    ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a separate track. The other formats contain poses, so
+    they raise `InputError`.
     """
     path = Path(path)
     check_fixes_target(path, origin)
@@ -129,21 +115,23 @@ def write_fixes(
 
 
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
-    """Raise `InputError` where `write_fixes` could not write, before any work is done."""
+    """Raise `InputError` where `write_fixes` could not write."""
     if path.suffix not in (endings := (".csv", *MAPS)):
-        raise InputError(f"{path}: fixes are not poses; end the name in {', '.join(endings)}")
+        raise InputError(
+            f"{path}: this format contains poses, and fixes are not poses; end the name in {', '.join(endings)}"
+        )
     check_target(path, origin)
 
 
 def time_origin_of(drive: Drive) -> float:
-    """Return the time on the log's clock, s, at which a drive's times are 0, as its import set it; else 0."""
+    """Return the time on the log's clock, s, at which a drive's times are 0: as its import stated it, else 0."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0
 
 
 def check_target(path: Path, origin: Origin | None = None, merge: str | Path | None = None) -> None:
-    """Raise `InputError` where `write_estimate` could not write, before any work is done."""
+    """Raise `InputError` where `write_estimate` could not write."""
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
@@ -165,13 +153,7 @@ def check_target(path: Path, origin: Origin | None = None, merge: str | Path | N
 
 
 def true_trajectory(drive: Drive) -> Estimate:
-    """A drive's truth in the form of an estimate.
-
-    Raises
-    ------
-    InputError
-        If the drive has no truth.
-    """
+    """Return a drive's truth as an estimate; raise `InputError` if it has none."""
     truth = drive.truth
     if truth is None:
         raise InputError(f"{drive.name}: has no truth.csv; leave --truth out")
@@ -185,7 +167,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
-    """Write a MATLAB file; its format has an array's size before its numbers, so all pieces stay in memory."""
+    """Write a MATLAB file. Its format states the size of an array first, so all pieces stay in memory."""
     from scipy.io import savemat
 
     parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]
@@ -212,7 +194,7 @@ def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 _LATEST_ORIGIN = 1e12
 """s: largest time origin of a log."""
 BAG = ".ros2"
-"""A folder, written by `ros2`, which needs more than an estimate."""
+"""Ending of a folder that `ros2` writes."""
 _WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {
     ".csv": _csv,
     ".mat": _mat,

@@ -1,7 +1,8 @@
-"""A start that is dated back: the filter runs over the fixes of the alignment again, up to the time of the start.
+"""A start that is dated back: tilts and accelerometer biases from the fixes before it.
 
-The alignment (`drives.alignment`) is a fit in the plane, without tilts and accelerometer biases, without standstills
-and the lateral constraint. A filter that runs over the same fixes, and those before them, uses them all.
+An alignment (`drives.alignment`) is a fit in the plane: it determines position, velocity, heading and the gyro's bias
+about up, but no tilts and no accelerometer biases. A filter that runs over the same fixes, and those before them,
+estimates these. It has no more information on the others, and would be too sure of them.
 """
 
 from dataclasses import replace
@@ -9,32 +10,32 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.compiled.layout import state_rows
 from sigmaswarm.filters.compiled.run import new_place
+from sigmaswarm.filters.fix_error import FILTERS, STATES
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.models import require_driven_by_imu
+from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import sound_lanes, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import run_steps, start_replays
 from sigmaswarm.filters.run import replay_of
-from sigmaswarm.filters.smoothing import smooth
+from sigmaswarm.filters.schedule import start_of
 
 LONGEST = 60.0
 """s before the start from which fixes are used."""
 PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])
-"""Standard deviations of the prior at the first of these fixes, m, m/s, rad: about those of an alignment. With 0.1 rad
-colorado-1's heading error after the start grew up to threefold."""
+"""Standard deviations of the prior at the first of these fixes, m, m/s, rad: about those of an alignment."""
 
 
 def dated_back(
     drive: Drive | PreparedDrive, parameters: FilterParameters, *, longest: float = LONGEST
 ) -> InitialState:
-    """Filter over the fixes before the start again, for a better start at the same time.
+    """Estimate the states that an alignment lacks, for a better start at the same time.
 
-    Two passes, since the filter linearizes: the first is smoothed back to the earliest of these fixes, the second
-    starts from there with the same prior covariance. Only data before the start are used.
+    The filter runs from the first of the fixes before the start up to it. Its roll, pitch and biases, except that of
+    the gyro about up, complete the alignment's start. Only data before the start are used.
 
     Parameters
     ----------
@@ -46,8 +47,8 @@ def dated_back(
     Returns
     -------
     InitialState
-        All states of the model, for ``initial`` of `run_filter` and `smooth`. The alignment's start where a pass fails
-        or no earlier fix is usable.
+        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. The alignment's start
+        where the filter fails, has no such states, or no earlier fix is usable.
 
     Raises
     ------
@@ -59,20 +60,28 @@ def dated_back(
     found, gps = ready.initial, ready.drive.gps
     before = (gps.time > max(found.time - longest, ready.drive.imu.time[0])) & (gps.time < found.time)
     fixes = np.flatnonzero(before & ~ready.frozen & np.isfinite(gps.x + gps.y))
-    if len(fixes) < 2:
+    model = FILTERS[parameters.kernel]
+    lacking = [
+        i
+        for i, state in enumerate(model.states)
+        if i > THETA and i != model.gyro_bias and state not in STATES
+    ]
+    if len(fixes) < 2 or not lacking:
         return found
-    first = _prior(ready.drive, found, int(fixes[0]))
-    smoothed = smooth(_past(ready, first, found.time), parameters, recover=False)
-    if smoothed.failure:
+    past = _past(ready, _prior(ready.drive, found, int(fixes[0])), found.time)
+    ended = _ended(past, parameters, found.time)
+    if ended is None:
         return found
-    again = replace(first, mean=smoothed.initial.mean[:5])
-    return _ended(_past(ready, again, found.time, more=1), parameters, found)
+    mean, covariance = start_of(found, parameters)
+    block = np.ix_(lacking, lacking)
+    mean[lacking], covariance[block] = ended[0][lacking], ended[1][block]
+    return InitialState(mean, covariance, found.time)
 
 
-def _past(ready: PreparedDrive, start: InitialState, until: float, more: int = 0) -> PreparedDrive:
-    """The drive up to a time and ``more`` IMU samples, with another start."""
+def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDrive:
+    """The drive up to the first IMU sample after a time, with another start."""
     drive, imu = ready.drive, ready.drive.imu
-    last = int(np.searchsorted(imu.time, until, side="right")) + more
+    last = int(np.searchsorted(imu.time, until, side="right")) + 1
     past = replace(
         drive, imu=imu.select(slice(last)), gps=drive.gps.select(drive.gps.time <= until), truth=None
     )
@@ -97,14 +106,13 @@ def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
     return InitialState(mean, np.diag(PRIOR_STD**2), time, gyro)
 
 
-def _ended(ready: PreparedDrive, parameters: FilterParameters, found: InitialState) -> InitialState:
-    """Run to the fix of the start; the alignment's start where the filter fails."""
+def _ended(ready: PreparedDrive, parameters: FilterParameters, until: float) -> tuple[Array, Array] | None:
+    """Run to a time; mean (n,) and covariance (n, n) of all states there, None where the filter fails."""
     replay, array = replay_of(ready), KernelArray([parameters])
     rows = start_replays([replay], array)[0]
-    line = replay.timeline
-    stop = int(np.searchsorted(line.end, found.time, side="right"))
+    stop = int(np.searchsorted(replay.timeline.end, until, side="right"))
     run_steps(replay, array, rows, new_place(), stop)
-    mean, covariance = unpack_states(rows[state_rows(parameters.kernel), :1], parameters.kernel)
     if not sound_lanes(rows[np.newaxis], parameters.kernel)[0, 0]:
-        return found
-    return InitialState(mean[0], covariance[0], found.time)
+        return None
+    mean, covariance = unpack_states(rows[state_rows(parameters.kernel), :1], parameters.kernel)
+    return mean[0], covariance[0]

@@ -1,12 +1,12 @@
-"""Divergence of a filter: how it is detected, and where the filter is reset to.
+"""Detection of a diverged filter, and its reset.
 
-The fixes of the last seconds determine position, speed and heading by themselves (`drives.alignment`). A filter that
-contradicts them for a long time, and by far more than its covariance allows, has diverged: it is reset to such an
-alignment. A run and a live filter use the same rule.
+The fixes of the last seconds determine position, speed and heading by themselves (`drives.alignment`). A filter has
+diverged if it contradicts them for a long time, and by far more than its covariance allows. It is reset to such an
+alignment. Runs and live filters use the same rule.
 
-The thresholds are from nine recordings, each run by filters tuned on it and on others. A sound filter's heading is
-20 deg off the alignments for 8 s at most (fixes drift sideways in a city), and its position is 20 m and 5 sigma off the
-fixes for 6 s. For a diverged filter both last 18 s and more.
+The thresholds come from nine recordings, each run with filters that were tuned on it and on others. The heading of a
+sound filter differs by 20 deg from the alignments for at most 8 s (fixes drift sideways in a city). Its position
+differs by 20 m and 5 sigma from the fixes for at most 6 s. For a diverged filter both last at least 18 s.
 """
 
 import math
@@ -26,19 +26,19 @@ from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0
-"""s of contradiction without a break; errors of fixes in a city, and the recovery of a robust filter, last less."""
+"""s of uninterrupted contradiction; errors of fixes in a city, and the recovery of a robust filter, are shorter."""
 FEWEST_CHECKS = 5
 """Least number of checks in that time."""
 MANY_SIGMAS = 5.0
-"""Standard deviations, as filter and fixes state them, by which the two contradict each other."""
+"""Least difference for a divergence, in standard deviations of filter and fixes together."""
 HEADING_OFF = np.radians(20.0)
-"""rad between the headings of the filter and of an alignment: least difference for a divergence."""
+"""rad: least difference between the headings of the filter and of an alignment for a divergence."""
 POSITION_OFF = 20.0
-"""m between the filter's prediction and a fix: the same."""
+"""m: least difference between a fix and the filter's prediction for a divergence."""
 SUSPECT = np.radians(10.0)
-"""rad between the filter's heading and a rough course from which an alignment is computed."""
+"""rad between the filter's heading and a rough course: an alignment is computed if the difference is larger."""
 SPEED_STD = 10.0
-"""m/s per axis: standard deviation of the velocity while only fixes are known."""
+"""m/s per axis: standard deviation of the velocity while the estimate is the last fix."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +48,9 @@ class CheckTimes:
     Attributes
     ----------
     step : ndarray of int, shape (l,)
-        The steps of the time line after which it is: each ends at an IMU sample.
+        Indices of the steps of the time line before the checks; each step ends at an IMU sample.
     fix : ndarray of int, shape (l,)
-        The last fix before, by its number on the time line.
+        Indices of the last fix before each check.
     """
 
     step: NDArray[np.intp]
@@ -60,7 +60,7 @@ class CheckTimes:
 def check_times(line: Timeline) -> CheckTimes:
     """Find the first IMU sample after new fixes in each `LOOK_INTERVAL`.
 
-    A sample that ends a long silence is left out: a live filter takes it only with the next one.
+    A sample after a long gap is left out, since a live filter accepts it only with the next sample.
     """
     sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.absorbs)
     before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
@@ -87,9 +87,9 @@ class Check:
     fix_variance : (2,) m2
     lever : (2,) m forward and left from the IMU to the antenna
     latency : s
-    since : function that returns the steps from the fix to the moment, (k, 4) s, m/s2, m/s2, rad/s, with ax, ay, gz
-    heading : function that returns a rough heading at the moment from the log alone, rad, or NaN
-    align : function that returns the alignment that ends at the fix, or None; costly
+    since : function that returns the steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
+    heading : function that returns a rough heading at the check from the log alone, rad, or NaN
+    align : function that returns the alignment that ends at the fix, or None; slow
     """
 
     time: float
@@ -106,10 +106,10 @@ class Check:
 
     @property
     def position_contradicts(self) -> bool:
-        """Return True if the fix is far off its prediction."""
+        """True if the fix is far from its prediction."""
         x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
-        east, north = self.fix.tolist()  # plain numbers: nearly always it ends here
+        east, north = self.fix.tolist()  # Python numbers are faster here
         c, s = math.cos(theta), math.sin(theta)
         forward, left = self.lever[:2].tolist()
         east -= x - back * vx + c * forward - s * left
@@ -120,12 +120,12 @@ class Check:
         covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
         try:
             return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
-        except np.linalg.LinAlgError:  # a fix and a filter that are both certain
+        except np.linalg.LinAlgError:  # both variances are 0
             return True
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """True if the heading is far off that of the alignment; None where there is no alignment."""
+        """True if the heading is far from that of the alignment; None without an alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -168,7 +168,8 @@ class DivergenceMonitor:
     restarts : list of float
         s: times of the resets.
     lost : bool
-        The filter has diverged, and there is no alignment to reset it to: the estimate is the last fix, see `at_fix`.
+        True while the filter has diverged and there is no alignment for a reset: the estimate is the last fix, see
+        `at_fix`.
     """
 
     def __init__(self) -> None:
@@ -177,19 +178,19 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: Check) -> InitialState | None:
-        """Return the state for a reset after a check; None where it continues, or is ``lost``."""
-        if not np.isfinite(check.mean).all():  # it has failed, which is reported elsewhere
+        """Return the state for a reset after a check; None where the filter continues, or is ``lost``."""
+        if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]
 
     def take_all(
         self, times: Sequence[float], check_at: Callable[[int], Check]
     ) -> tuple[int | None, InitialState | None]:
-        """Check a filter at some times; return the first at which it has diverged, and the state for a reset there.
+        """Check a filter at some times, s; return the index of the first divergence, and the state for a reset there.
 
-        ``check_at`` gives the check at the k-th of the times, s. If the filter is ``lost``, only the first is computed.
+        ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is made.
         """
-        with np.errstate(all="ignore"):  # values that are not finite contradict nothing
+        with np.errstate(all="ignore"):  # values that are not finite do not count as a contradiction
             first = 0 if self.lost else self._first_diverged(times, check_at)
             if first is None:
                 return None, None
@@ -208,7 +209,7 @@ class DivergenceMonitor:
 
 
 def said_of_restarts(drive: str, times: Sequence[float]) -> str:
-    """Sentence on the resets of a filter on a drive, without its subject."""
+    """Return the predicate of a sentence on the resets of a filter on a drive."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
     often = f"{len(times)} times" if len(times) > 1 else "once"
     return f"diverged on {drive} and was reset {often}, at t = {at} s"
@@ -221,10 +222,10 @@ class _Contradiction:
         self._since, self._now, self._checks = 0.0, 0.0, 0
 
     def first_lasting(self, times: Sequence[float], contradicts: Callable[[int], bool | None]) -> int | None:
-        """Find the first check at which the contradiction has lasted; None where it has not.
+        """Find the first check at which the contradiction has lasted `DIVERGED_AFTER`; else return None.
 
         ``contradicts`` is slow. So it is called backwards from the next check at which the contradiction could have
-        lasted, until one without contradiction; earlier ones do not matter.
+        lasted, until a check without contradiction; earlier checks have no effect.
         """
         begin = 0
         while begin < len(times):
@@ -241,7 +242,7 @@ class _Contradiction:
         return None
 
     def _soonest(self, times: Sequence[float]) -> int:
-        """The first check at which the contradiction could have lasted; else the last check."""
+        """Return the first check at which the contradiction could have lasted; else the last check."""
         since = self._since if self._checks else times[0]
         lasting = (
             t - since >= DIVERGED_AFTER and self._checks + k + 1 >= FEWEST_CHECKS for k, t in enumerate(times)
@@ -259,18 +260,18 @@ class _Contradiction:
 
 
 def steps_since(samples: Array, time: float) -> Array:
-    """Steps from a moment to the last sample, (k, 4), as `Check.since`, of samples (m, 4 or more)."""
+    """Return the steps from a time to the last sample, (k, 4), as `Check.since`, from samples (m, 4 or more)."""
     steps = samples[samples[:, 0] >= time, :4]
     steps[:, 0] = np.diff(steps[:, 0], prepend=time)
     return steps
 
 
 _ABSURD = 1e12
-"""m, m/s2 or rad/s: squares of larger numbers make a fit fail, and LAPACK reports them on the terminal."""
+"""m, m/s2 or rad/s: with larger numbers a fit fails, and LAPACK prints a message on the terminal."""
 
 
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align by the last seconds of a stream: samples (k, 4 or 6) time, ax, ay, gz, gx, gy; fixes (m, 3) s, m, m.
+    """Align with the last seconds of a stream: samples (k, 4 or 6): time, ax, ay, gz, gx, gy; fixes (m, 3): s, m, m.
 
     ``gyro_bias``: known bias about the up axis, rad/s.
     """
@@ -292,7 +293,7 @@ def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> 
 
 
 def at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
-    """State of a car that can't be aligned: at a fix (2,) m with a variance (2,) m2, of unknown speed and heading."""
+    """Return the state at a fix (2,), m, with a variance (2,), m2, and with unknown speed and heading."""
     c, s = np.cos(theta), np.sin(theta)
     turned = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])
     mean = np.array([*(fix - turned), 0.0, 0.0, theta])

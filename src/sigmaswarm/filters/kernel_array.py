@@ -50,16 +50,16 @@ class Sums:
 
     Attributes
     ----------
-    squared_position : m2, over targets, each times its weight
-    squared_heading : rad2, over targets whose heading is compared, likewise
-    nees : sum of e^T P^-1 e of the position over targets; P with the variances of the reference
-    squared_fix : m2, residuals of the fixes after their update
-    squared_forecast : m2, innovations of the hidden fixes
-    nis : sum of nu^T S^-1 nu over the fixes, hidden ones included
-    log_tail : sum of ln(1 + NIS / c) over the fixes, hidden ones included, with c of `innovation-t`
+    squared_position : weighted sum of squared position errors over the targets, m2
+    squared_heading : weighted sum of squared heading errors over the targets with a heading, rad2
+    nees : sum of e^T P^-1 e of the position over the targets; P includes the variances of the reference
+    squared_fix : sum of squared residuals of the fixes after their update, m2
+    squared_forecast : sum of squared innovations of the hidden fixes, m2
+    nis : sum of nu^T S^-1 nu over all fixes, also the hidden ones
+    log_tail : sum of ln(1 + NIS / c) over all fixes, with c of `innovation-t`
     forecast_t : sum of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
-    log_determinant : sum of ln det S over the fixes, hidden ones included
-    failed : bool: the covariance lost its definiteness, or something became NaN
+    log_determinant : sum of ln det S over all fixes
+    failed : True if the covariance was not positive definite, or a state became NaN
     """
 
     squared_position: Array
@@ -75,7 +75,7 @@ class Sums:
 
     @classmethod
     def empty(cls, n_replays: int, n_sets: int) -> "Sums":
-        """Make room for sums that `put` fills in."""
+        """Make arrays that `put` fills in."""
         numbers = np.empty((9, n_replays, n_sets))
         return cls(*numbers, failed=np.empty((n_replays, n_sets), dtype=np.bool_))
 
@@ -86,9 +86,9 @@ class Sums:
 
 
 class KernelArray:
-    """Parameter sets of one kernel and with the same measurements, which run side by side.
+    """Parameter sets of one kernel and with the same measurements, which run together.
 
-    The array has ``width`` columns for each block, up to `most_lanes`. A block that is not full repeats a set.
+    Each block has ``width`` columns, up to `most_lanes`. A block that is not full repeats a set.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class KernelArray:
     Attributes
     ----------
     like : FilterParameters
-        One with the model and the measurements of all its sets; of a single set, itself.
+        A set with the model and the measurements of all sets.
     size : int
         Number of sets.
     reads : tuple

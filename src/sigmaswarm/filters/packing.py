@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters import tilted
-from sigmaswarm.filters.compiled.layout import (
-    N_STATE,
-    P0,
-    R,
-    state_rows,
-)
+from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
 from sigmaswarm.filters.fix_error import FILTERS, own_name
 from sigmaswarm.filters.models import THETA
 
@@ -52,9 +47,9 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
-    """As `unpack_states`, with the covariance of the mean: of a tilted model's angles, not of its error.
+    """Like `unpack_states`, but the covariance of a tilted model is that of its angles, not of its rotation error.
 
-    For a model that measures the IMU these are the five states of planar5, with the velocity in m/s east and north. The
+    A model that measures the IMU gives the five states of planar5, with the velocity in m/s east and north. The
     correlated fix error is left out.
     """
     mean, covariance = unpack_states(state, model)
@@ -69,7 +64,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
-    """Turn the velocity by the heading, from the body to the map (sign 1) or back (-1); first order in P."""
+    """Rotate the velocity by the heading, from body to map (sign 1) or back (-1); the covariance to first order."""
     c, s = np.cos(mean[..., THETA]), sign * np.sin(mean[..., THETA])
     vx, vy = mean[..., 2], mean[..., 3]
     turned, jacobian = mean.copy(), np.zeros_like(covariance) + np.eye(mean.shape[-1])
@@ -88,7 +83,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
-    """Lanes of final rows (m, N_KEPT, lanes) that never failed and end with a definite covariance, (m, lanes)."""
+    """True for lanes of final rows (m, N_KEPT, lanes) that never failed and have a definite covariance, (m, lanes)."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found

@@ -53,18 +53,18 @@ class FilterParameters:
     measurement_noise : tuple of float, length 2
         Diagonal of R, m2 east and north.
     model : {"planar5", "planar8", "tilted12", "robot-localization"}
-        planar5: x, y (m), vx, vy (m/s), theta (rad), driven by the IMU. planar8: and the biases of the accelerometer,
-        forward and left (m/s2), and of the gyro (rad/s), as random walks. tilted12: and roll and pitch (rad), and the
-        other two biases of the gyro; for an IMU with all six axes.
-        robot-localization: the filter of that name in ``two_d_mode``, see `filters.robot_localization`; an EKF.
+        planar5: x, y (m), vx, vy (m/s), theta (rad); the IMU is the input. planar8: also the biases of the
+        accelerometer, forward and left (m/s2), and of the gyro (rad/s), as random walks. tilted12: also roll and pitch
+        (rad), and the other two biases of the gyro; for an IMU with six axes.
+        robot-localization: the EKF of this ROS package in ``two_d_mode``, see `filters.robot_localization`.
     nominal_interval : float or None
-        s: the IMU interval that ``process_noise`` refers to. None: each drive's own median interval. A tuning
-        stores it, so that the same filter on an IMU of another rate adds the same variance per second.
+        s: the IMU interval that ``process_noise`` refers to. None: the median interval of each drive. A tuning stores
+        it, so that the filter adds the same variance per second with an IMU of another rate.
     kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"}
         Unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969); unscented with
         a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules (`filters.fuzzy`).
     forgetting : float
-        In (0, 1): memory of an adaptive, strong tracking or fuzzy filter from fix to fix.
+        In (0, 1): forgetting factor per fix of an adaptive, strong tracking or fuzzy filter.
     fuzzy_widths : tuple of float, length 2
         Magnitudes of ratio and trend, both in (-1, 1), at which "large" and "rises" have membership 1.
     fuzzy_gains : tuple of float, length 2
@@ -93,8 +93,8 @@ class FilterParameters:
     odometer_latency : float
         s: age of an odometer reading at its time stamp.
     heading_noise : float or None
-        rad2: variance of a fix's heading, where the log has one (two antennas, a compass), in addition to the stated
-        one. None: not used.
+        rad2: variance that is added to the stated variance of a fix's heading, where the log has one (two antennas, a
+        compass). None: not used.
     gate : float or None
         The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of good fixes
         (chi-square, two degrees of freedom). None: every fix is used.
@@ -104,8 +104,8 @@ class FilterParameters:
         s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the receiver
         reports. None: ``measurement_noise`` alone.
     fix_error : float or None
-        g: variance of the correlated fix error, over the variance that the receiver states of a fix, or
-        ``fix_std`` squared: see `filters.fix_error`. None: errors of fixes are independent.
+        g: variance of the correlated fix error, divided by the stated variance of a fix or by ``fix_std`` squared: see
+        `filters.fix_error`. None: errors of fixes are independent.
     fix_error_time : float
         s: time constant of that error.
     fix_std : float
@@ -211,7 +211,7 @@ class FilterParameters:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types for TOML and JSON; options that are at their defaults are left out."""
+        """Convert to plain types for TOML and JSON; options with their default values are left out."""
         table = {f.name: getattr(self, f.name) for f in fields(self)}
         plain = FilterParameters(**{name: table[name] for name in _ALWAYS_STATED})
         shown = {k: v for k, v in table.items() if k in _ALWAYS_STATED or v != getattr(plain, k)}
@@ -291,7 +291,7 @@ RULES_SINCE = (0, 3)
 
 
 def clash(kind: str, use: Collection[str]) -> str | None:
-    """Reason why a filter type and options, or two options, exclude each other; None if there is none."""
+    """Return the reason why a filter type and options, or two options, exclude each other, or None."""
     if "robust" in use and "gate" in use:
         return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):

@@ -1,4 +1,4 @@
-"""Filters without tuning. The paper names "default parameters" but does not state them.
+"""Filters without tuning. The paper mentions "default parameters" but does not state them.
 
 Three presets, planar5 UKFs, represent settings by hand:
 
@@ -58,7 +58,7 @@ BY_HAND = {
 HALF_A_WHEELBASE = 1.3
 """m from the rear axle to an IMU in the middle of a car."""
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
-"""m/s2/sqrt(Hz), rad/s/sqrt(Hz): noise of what a model leaves out (slopes, vibration, scale factors, mounting).
+"""m/s2/sqrt(Hz), rad/s/sqrt(Hz): noise for effects that a model lacks: slopes, vibration, scale factors, mounting.
 
 It is added to the densities of the sensors.
 IMUs at standstill show 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With the densities of data sheets
@@ -164,7 +164,7 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """The variances of gz and ax that the messages of the log state, else those of ``p``."""
+    """Return the variances of gz and ax that the messages of the log state, else those of ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 

@@ -23,12 +23,12 @@ from sigmaswarm.geodesy import wrap_angle
 ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
 """Filter types whose R changes with each fix."""
 SAMPLES = 10_000
-"""IMU samples in a piece; planar8 takes 9 MB for them."""
+"""IMU samples in a piece; for planar8 they take 9 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Estimates at some consecutive IMU samples, after all fixes up to then.
+    """Estimates at some consecutive IMU samples, after all fixes up to each sample.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Piece:
     sound : ndarray of bool, shape (r,)
         False from a failure on.
     lost : ndarray of bool, shape (r,)
-        True where the filter has diverged and could not yet be reset: the estimate is the last fix, see `divergence`.
+        True where the filter has diverged and is not yet reset: the estimate is the last fix, see `divergence`.
     """
 
     time: Array
@@ -62,11 +62,11 @@ class Innovations:
     Attributes
     ----------
     time : ndarray, shape (f,)
-        s, of the fixes after the start.
+        Times of the fixes after the start, s.
     innovation : ndarray, shape (f, 2)
         nu, m east and north.
     covariance : ndarray, shape (f, 2, 2)
-        S, m2.
+        Innovation covariance S, m2.
     """
 
     time: Array
@@ -75,20 +75,20 @@ class Innovations:
 
     @property
     def nis(self) -> Array:
-        """nu^T S^-1 nu, shape (f,): chi-square with 2 degrees of freedom where the filter is consistent."""
+        """nu^T S^-1 nu, shape (f,): chi-square with 2 degrees of freedom for a consistent filter."""
         return np.square(self.normalized).sum(axis=1)
 
     @property
     def normalized(self) -> Array:
-        """L^-1 nu with L L^T = S, shape (f, 2): white, of variance one, where the filter is consistent."""
+        """L^-1 nu with L L^T = S, shape (f, 2): white, of variance one, for a consistent filter."""
         root = np.linalg.cholesky(self.covariance)
         return np.asarray(np.linalg.solve(root, self.innovation[..., None])[..., 0], np.float64)
 
 
 class Recording:
-    """A run of a filter over a replay: an iterator of pieces, with sums and innovations after the last one.
+    """A run of a filter over a replay: an iterator of pieces, with sums and innovations after the last piece.
 
-    The pieces, joined, and the sums have the same bits whatever the length of a piece.
+    The joined pieces and the sums have the same bits for every length of a piece.
 
     Parameters
     ----------
@@ -97,17 +97,17 @@ class Recording:
     samples : int
         IMU samples in a piece; the last one may be shorter.
     recover : bool
-        Reset the filter where it diverges: see `divergence`. A reset follows a sample; the sums at that sample, and
-        while the estimate is the last fix, are those of the filter before.
+        Reset the filter where it diverges: see `divergence`. A reset follows a sample. The sums at this sample, and
+        while the estimate is the last fix, are those of the diverged filter.
 
     Attributes
     ----------
     initial : InitialState
-        Where the filter starts.
+        The state at which the filter starts.
     restarts : list of float
-        s: times of the resets in the pieces so far.
+        Times of the resets in the pieces so far, s.
     failure : str or None
-        The failure in the pieces so far, and its time.
+        The failure in the pieces so far, with its time.
     """
 
     def __init__(
@@ -126,9 +126,8 @@ class Recording:
         self._checks = check_times(replay.timeline) if recover else None
         if self._checks is not None:
             line = replay.timeline
-            moments = line.fix_time[self._checks.fix]
-            # of their alignments
-            self._ends = np.searchsorted(line.alignments.time, moments, side="right") - 1
+            fix_times = line.fix_time[self._checks.fix]  # the alignment of each check ends there
+            self._ends = np.searchsorted(line.alignments.time, fix_times, side="right") - 1
         self._monitor = DivergenceMonitor()
         self.restarts = self._monitor.restarts
         self._parts = self._run()
@@ -140,11 +139,11 @@ class Recording:
         return self._pieces
 
     def whole(self) -> Piece:
-        """All pieces as one."""
+        """Return all pieces as one."""
         return joined(self)
 
     def finished(self) -> Self:
-        """Run to the end without estimates and without a search for a `failure`; return itself."""
+        """Run to the end without estimates, and without detecting a failure; return itself."""
         for _ in self._parts:
             pass
         return self
@@ -164,8 +163,8 @@ class Recording:
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
         """Run to the last of the stops, (r,), each after the step of an IMU sample; return where it is lost, (r,).
 
-        The filter runs on as if it did not diverge, and is checked afterwards, from its record; from a divergence it
-        continues again. Stopping for each check would take longer than the steps.
+        Stopping for each check would take longer than the steps. So the filter first runs to the end, then it is
+        checked from its record. Where it has diverged, it is reset, and runs again from there.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -202,9 +201,9 @@ class Recording:
         run_steps(self._replay, self._array, self._rows[0], self._place, stop, record, self._innovations)
 
     def _check(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
-        """Check the filter at the recorded steps, up to the first at which it has diverged.
+        """Check the filter at the recorded steps, up to the first divergence.
 
-        Returns the row of that step, or the last row, and the state of the reset there, if there is one.
+        Returns the row of that step, or the last row, and the state for a reset there, if there is one.
         """
         times = self._checks
         assert times is not None
@@ -221,7 +220,7 @@ class Recording:
         return len(steps) - 1 if k is None else int(rows[sound[k]]), start
 
     def _check_at(self, k: int, mean: Array, covariance: Array) -> Check:
-        """The k-th check, of a state estimate."""
+        """Return the k-th check, for a state estimate."""
         line, times = self._replay.timeline, self._checks
         assert times is not None
         alignments, step, fix, ends = line.alignments, times.step[k], times.fix[k], int(self._ends[k])
@@ -242,19 +241,19 @@ class Recording:
         )
 
     def _at_fix(self, step: int) -> InitialState:
-        """The state after a step at which the filter has diverged: the last fix."""
+        """Return the state after a step at which the filter has diverged: the last fix."""
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
         theta = float(self._estimate()[0][THETA])
         return at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
 
     def _estimate(self) -> tuple[Array, Array]:
-        """Mean (n,) and covariance (n, n), the heading as it is."""
+        """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
         mean, covariance = state_estimate(self._rows[0, self._state, :1], self._array.kernel)
         return mean[0], covariance[0]
 
     def _variance_of(self, fix: int) -> Array:
-        """Diagonal of R of a fix, (2,) m2."""
+        """Return the diagonal of R of a fix, (2,) m2."""
         rx, ry, scale = self._rows[0, [R.RX, R.RY, R.ACCURACY], 0]
         return np.array([rx, ry]) + scale * self._replay.timeline.fixes[fix, 4:6]
 
@@ -293,8 +292,31 @@ class Recording:
             raise RuntimeError("take all pieces of the recording first")
 
 
+class PausingRecording(Recording):
+    """A recording that calls `_at` after some of the IMU samples: ``_marks``, their sorted numbers, (k,)."""
+
+    _marks: NDArray[np.intp]
+    _done = 0
+
+    def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
+        """Change the filter after an IMU sample, before step ``stop``; ``record``: its row, of shape (s, 1)."""
+        raise NotImplementedError
+
+    def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+        first, self._done = self._done, self._done + len(stops)
+        low, high = np.searchsorted(self._marks, [first, self._done])
+        lost, row = np.zeros(len(stops), dtype=np.bool_), 0
+        for mark in (self._marks[low:high] - first).tolist():
+            lost[row : mark + 1] = super()._run_to(stops[row : mark + 1], record[row : mark + 1])
+            self._at(first + mark, int(stops[mark]), record[mark], lost=bool(lost[mark]))
+            row = mark + 1
+        if row < len(stops):
+            lost[row:] = super()._run_to(stops[row:], record[row:])
+        return lost
+
+
 def failure_at(line: Timeline, time: float) -> str:
-    """Sentence on a filter that failed at a time, s."""
+    """Return a message on a filter that failed at a time, s."""
     return (
         f"{line.drive.name}: the filter failed at t = {time:.3f} s (covariance not positive "
         "definite, or NaN in the data); are all variances positive and all samples finite?"

@@ -1,4 +1,4 @@
-"""Replays of drives, and the sums that any number of filters add up over them."""
+"""Replays of drives, and the sums of any number of filters over them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -30,19 +30,19 @@ NO_SPEEDS = np.empty((0, 3))
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Moments at which estimates are compared with a known position and heading.
+    """Times at which estimates are compared with a known position and heading.
 
     Attributes
     ----------
-    weight : (m,)
-        Of the later of the two estimates around the moment.
-    x, y : (m,) m
-    theta : (m,) rad
-    counts : (m,) bool
+    weight : ndarray, shape (m,)
+        Weight of the later of the two estimates around the time.
+    x, y, theta : ndarray, shape (m,)
+        m and rad
+    counts : ndarray of bool, shape (m,)
         True where the heading is compared.
-    end : (k,) int32
+    end : ndarray of int32, shape (k,)
         Number of targets before the end of each step of the time line.
-    noise : (m, 4), or (0, 4) where the reference is exact
+    noise : ndarray, shape (m, 4), or (0, 4) where the reference is exact
         Weights of the squared errors of position and heading, and the variances of x and y, m2, added to P in the NEES.
     """
 
@@ -56,18 +56,18 @@ class Targets:
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
-        """Targets without moments."""
+        """Make targets without any time."""
         weight, x, y, theta, counts, noise = run.NO_TARGETS
         return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), noise)
 
     @property
     def columns(self) -> run.TargetColumns:
-        """The moments as the kernel reads them."""
+        """The targets in the form that the kernel reads."""
         weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
         return weight, x, y, theta, self.counts, run.kept(self.noise)
 
     def compared(self, line: Timeline) -> NDArray[np.intp]:
-        """The steps that end at an IMU sample with a comparison in the interval before or behind it."""
+        """Return the steps that end at an IMU sample with a target in the interval before or after it."""
         samples = np.flatnonzero(line.sampled)
         inside = np.diff(self.end[samples], prepend=0) > 0
         return samples[inside | np.append(inside[1:], False)[: len(inside)]]
@@ -104,7 +104,7 @@ class Replay:
         return int(self.timeline.hides.sum())
 
     def arrays(self, used: frozenset[str]) -> "DriveArrays":
-        """The drive as the kernel reads it; the flags depend on the measurements that a filter uses."""
+        """Return the drive in the form that the kernel reads; its flags depend on the measurements that are used."""
         if used not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, used)
@@ -123,7 +123,7 @@ DriveArrays = tuple[
 
 
 def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:
-    """Run one filter per parameter set over each replay; a set's sums do not depend on the other sets."""
+    """Run one filter per parameter set over each replay; the sums of a set do not depend on the other sets."""
     sums = Sums.empty(len(replays), len(parameter_sets))
     for places, table in tables_of(parameter_sets):
         sums.put(slice(None), places, run_array(replays, KernelArray(table)))
@@ -139,7 +139,7 @@ def run_array(replays: Sequence[Replay], array: KernelArray) -> Sums:
 
 
 def start_replays(replays: Sequence[Replay], array: KernelArray) -> Array:
-    """Rows of an array's filters at the start of each of m replays, as `KernelArray.start`."""
+    """Return the rows of an array's filters at the start of each replay, as `KernelArray.start`."""
     return array.start([r.initial for r in replays], [r.timeline.nominal_interval for r in replays])
 
 

@@ -1,4 +1,4 @@
-"""One filter over one drive: `run_filter` compiled, `run_textbook` in textbook form."""
+"""Run one filter over one drive: compiled (`run_filter`), as textbook (`run_textbook`), or as dead reckoning."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -33,21 +33,21 @@ class Estimate:
     Attributes
     ----------
     time : ndarray, shape (n,)
-        s, the IMU's times after ``initial.time``.
+        Times of the IMU samples after ``initial.time``, s.
     mean : ndarray, shape (n, n_states)
         x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]), planar8's biases, and tilted12's roll and pitch (rad)
         and biases of the other gyros, in the order of the model's states. NaN from a failure on.
     covariance : ndarray, shape (n, n_states, n_states) or (0,)
-        Of ``mean``; empty for dead reckoning, which has none.
+        Covariance of ``mean``; empty for dead reckoning.
     initial : InitialState
-        Where the filter started.
+        The state at which the filter started.
     restarts : tuple of float
-        s: times at which the filter had diverged and was reset, see `divergence`.
+        Times at which the filter had diverged and was reset, s: see `divergence`.
     lost : ndarray of bool, shape (n,) or None
-        True where the filter had diverged and could not yet be reset: the estimate is the last fix. None where
-        divergence is not monitored.
+        True where the filter had diverged and was not yet reset: the estimate is the last fix. None where divergence is
+        not monitored.
     failure : str or None
-        The failure and its time; None without one.
+        The failure and its time; None without a failure.
     """
 
     time: Array
@@ -71,12 +71,12 @@ class Estimate:
         return named | {f"std_{name}": deviations[:, i] for i, name in enumerate(states)}
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Time, states and their standard deviations, a row for each time; needs pandas.
+        """Time, states and their standard deviations, one row for each time.
 
         Raises
         ------
         InputError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         return notebook.to_pandas(self.columns(std=True))
 
@@ -122,9 +122,9 @@ def run_filter(
         Its truth, if any, is not used.
     parameters : FilterParameters
     initial : InitialState, optional
-        Where to start; `initial_state(drive)` by default.
+        State at which the filter starts; by default `initial_state(drive)`.
     recover : bool
-        Reset the filter where it diverges: see `divergence`. Tuning runs never do.
+        Reset the filter where it diverges: see `divergence`. Tuning does not reset it.
     as_recorded : bool
         Run without preprocessing: use stale fixes, and take gaps in the IMU as ordinary steps. A `PreparedDrive` has
         its own setting.
@@ -132,7 +132,7 @@ def run_filter(
     Returns
     -------
     Estimate
-        With ``failure`` set where the covariance lost its definiteness or something became NaN.
+        ``failure`` is set where the covariance was not positive definite or a state became NaN.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def replay_of(
 
 
 class Run(Protocol):
-    """A run of one filter over a replay: an iterator of pieces, so that memory does not grow with the drive."""
+    """A run of one filter over a replay, as an iterator of pieces, so that memory does not grow with the drive."""
 
     @property
     def initial(self) -> InitialState:
@@ -191,7 +191,7 @@ class Run(Protocol):
 
     @property
     def failure(self) -> str | None:
-        """The failure in the pieces so far, and its time."""
+        """The failure in the pieces so far, with its time."""
         ...
 
     def __iter__(self) -> Iterator[Piece]:
@@ -200,7 +200,7 @@ class Run(Protocol):
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
-    """Join all pieces of a run, whose divergence is monitored or not."""
+    """Join all pieces of a run; ``recover`` states if its divergence was monitored."""
     whole = joined(run)
     lost = whole.lost if recover else None
     return Estimate(
@@ -242,15 +242,15 @@ def run_textbook(
     drive, parameters, initial
         As in `run_filter`.
     heading_first : bool
-        Take the square root of P with theta first, as the compiled filter does. False: plain Cholesky in state
-        order, as FilterPy does.
+        Take the square root of P with theta first, like the compiled filter. False: Cholesky factor in the order of the
+        states, like FilterPy.
     redraw_sigma_points : bool
         See `UnscentedKalmanFilter`.
 
     Returns
     -------
     Estimate
-        With ``failure`` set where the filter failed.
+        ``failure`` is set where the filter failed.
     """
     replay = replay_of(drive, initial)
     line = replay.timeline
@@ -265,3 +265,20 @@ def run_textbook(
     covariance = tilts.as_angles(run.mean, run.covariance) if tilts else run.covariance
     n = parameters.n_states
     return Estimate(line.imu_time, run.mean[:, :n], covariance[:, :n, :n], replay.initial, failure)
+
+
+def run_imu_only(drive: Drive | PreparedDrive, *, initial: InitialState | None = None) -> Estimate:
+    """Run dead reckoning: integrate the IMU from the start of a filter, with the steps of `models.planar5`."""
+    ready = prepared(drive, initial)
+    line, initial = ready.timeline(), ready.initial
+    x, y, vx, vy, theta = initial.mean
+    heading = theta + np.cumsum(line.gz * line.dt)
+    before = np.concatenate([[theta], heading[:-1]])
+    a = (line.ax + 1j * line.ay) * np.exp(1j * before)  # m/s2, east + i north
+    v = vx + 1j * vy + np.cumsum(a * line.dt)
+    v_before = np.concatenate([[vx + 1j * vy], v[:-1]])
+    p = x + 1j * y + np.cumsum(v_before * line.dt + a * line.dt**2 / 2)
+    del a, before, v_before
+    states = (p.real, p.imag, v.real, v.imag, wrap_angle(heading))
+    mean = np.column_stack([state[line.sampled] for state in states])
+    return Estimate(line.imu_time, mean, np.empty(0), initial)

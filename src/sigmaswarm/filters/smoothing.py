@@ -1,11 +1,11 @@
-"""Smoothing: the Rauch-Tung-Striebel smoother behind any compiled filter.
+"""The Rauch-Tung-Striebel smoother for compiled filters.
 
-It runs the filter forward and then backward over the log of the forward pass: see `compiled.smoothing`. It needs no
-measurements; each update, weight or rejection is as in the forward pass.
+The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. The backward pass
+needs no measurements; each update, weight or rejection is that of the forward pass.
 
 Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece. The backward pass runs the
-filter again from each checkpoint, the last one first, and keeps the smoothed state at the checkpoints alone. A third
-pass, forward from checkpoint to checkpoint, gives the estimates in the order of time.
+filter again from each checkpoint, the last one first, and keeps the smoothed state only at the checkpoints. A third
+pass, forward from checkpoint to checkpoint, returns the estimates in the order of time.
 """
 
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ def smooth(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, later ones too.
+    """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, also later ones.
 
     H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8),
     1965; of an unscented filter S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
@@ -56,8 +56,8 @@ def smooth(
     Returns
     -------
     Estimate
-        At the same times. ``initial`` is smoothed, too. Smoothing ends and begins again where the filter was reset:
-        estimates before a reset do not use what comes after it. From a failure on it is NaN.
+        At the times of `run_filter`. ``initial`` is smoothed, too. Estimates before a reset of the filter do not use
+        the fixes after it. From a failure on the estimates are NaN.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class _Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of some steps of the forward pass, as `smooth_back` reads it, and where the filter is lost."""
+    """Log of some steps of the forward pass, in the form that `smooth_back` reads, and where the filter is lost."""
 
     steps: Array
     start: Array
@@ -92,7 +92,7 @@ class _ForwardLog:
 class _Forward(Recording):
     """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
-    All passes use one kernel: another one rounds differently, and the estimates would depend on the checkpoints.
+    All passes use the same kernel. Another one rounds differently, so the estimates would depend on the checkpoints.
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
@@ -103,7 +103,7 @@ class _Forward(Recording):
         self._measured = measured_by(parameters)
         name = parameters.kernel
         self._kernel: Any = taped_kernel(name)
-        self._width = len(taped_rows(name)) + 1  # and whether it is sound
+        self._width = len(taped_rows(name)) + 1  # the last column is 1 while the filter is sound
         self._first, self._logged = 0, np.empty((0, self._width, 1))
         self._resets: list[tuple[int, Array]] = []
 
@@ -135,7 +135,7 @@ class _Forward(Recording):
         first = int(self._place[NEXT_STEP])
         logged = self._logged[first - self._first : stop - self._first]
         steps, sample, driving, flags, *rest = self._replay.arrays(self._measured)
-        # With IMU in all flags it records all steps.
+        # The kernel records the steps with the flag IMU: here all of them.
         self._kernel(
             *(steps, sample, driving, flags | IMU, *rest),
             *(self._rows[0], self._place, stop, logged, NO_INNOVATIONS),
@@ -150,27 +150,10 @@ class _Forward(Recording):
 
 
 class Smoothing:
-    """A smoother over a replay, as an iterator of pieces; the forward and backward passes are made at once.
+    """A smoother over a replay, as an iterator of pieces; the constructor runs the forward and backward passes.
 
-    The pieces, joined, have the same bits whatever the length of a piece.
-
-    Parameters
-    ----------
-    replay : Replay
-    parameters : FilterParameters
-    samples : int
-        IMU samples in a piece, and between two checkpoints of the forward pass.
-    recover : bool
-        See `Recording`.
-
-    Attributes
-    ----------
-    restarts : list of float
-        s: times of the resets in the pieces so far.
-    failure : str or None
-        The failure, and its time.
-    initial : InitialState
-        The start, smoothed: all states of the model.
+    The parameters and attributes are those of `Recording`; ``initial`` is smoothed. The joined pieces have the same
+    bits for every length of a piece, which is also the distance between two checkpoints of the forward pass.
     """
 
     def __init__(
@@ -190,7 +173,7 @@ class Smoothing:
         self._all_restarts = list(forward.restarts)
         self.restarts: list[float] = []
         self.failure = forward.failure
-        self._behind: list[Array] = []  # the smoothed state behind each piece
+        self._behind: list[Array] = []  # the smoothed state after each piece
         self._kept: tuple[int, Array, NDArray[np.bool_]] | None = None
         self._n = parameters.n_states
         self.initial = replay.initial
@@ -207,7 +190,7 @@ class Smoothing:
             first += size
 
     def _back(self) -> Array:
-        """Run the backward pass: the smoothed state at the start, (s,)."""
+        """Run the backward pass; return the smoothed state at the start, (s,)."""
         behind = None
         self._behind = [np.empty(0)] * len(self._sizes)
         for number in reversed(range(len(self._sizes))):
@@ -215,7 +198,7 @@ class Smoothing:
             if not sound:
                 continue
             log = self._forward.again(number, sound)
-            if behind is None:  # the smoothed state behind the last step is the filter's
+            if behind is None:  # after the last step the smoothed state is the filter's
                 was_reset = len(log.ends) and log.ends[-1] == len(log.steps) - 1
                 behind = log.started[-1] if was_reset else log.steps[-1, : log.start.shape[0]]
             self._behind[number] = behind
@@ -225,7 +208,7 @@ class Smoothing:
         return behind
 
     def _smoothed(self, log: _ForwardLog, behind: Array, samples: int) -> tuple[Array, Array]:
-        """States at the samples, (samples, s), and before the first step, (s,)."""
+        """Return the smoothed states at the samples, (samples, s), and before the first step, (s,)."""
         out, before = np.empty((samples, len(behind))), behind.copy()
         smooth_back(self._kernel, log.steps, log.start, log.ends, log.started, log.sampled, before, out)
         return out, before
@@ -243,7 +226,7 @@ class Smoothing:
         return Piece(time, mean, covariance, np.arange(size) < sound, lost)
 
     def _estimate(self, states: Array) -> tuple[Array, Array]:
-        """Means (r, n), the heading wrapped, and covariances (r, n, n) of states (r, s)."""
+        """Return means (r, n), with wrapped headings, and covariances (r, n, n) of states (r, s)."""
         mean, covariance = state_estimate(states.T, self._kernel)
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         return mean, covariance
@@ -256,7 +239,7 @@ def smooth_textbook(
     initial: InitialState | None = None,
     heading_first: bool = True,
 ) -> Estimate:
-    """Smooth the textbook filter; parameters as in `run_textbook`. It ends where the filter fails."""
+    """Smooth the textbook filter; parameters as in `run_textbook`. The estimate ends where the filter fails."""
     replay = replay_of(drive, initial)
     line = replay.timeline
     car = TextbookCar(line, parameters, replay.initial, heading_first=heading_first)

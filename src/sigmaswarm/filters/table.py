@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers: checking and building an object for each takes as long as a drive."""
+"""Many parameter sets as columns of numbers; to build an object for each set would take as long as a drive."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _ABSENT: dict[str, float] = {
     **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
-"""The number for None in the fields that may be None."""
+"""The number that stands for None in the fields that can be None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +52,14 @@ class ParameterTable(Sequence[FilterParameters]):
         return cls(parameter_sets[0], columns, len(each))
 
     def field(self, name: str) -> Any:
-        """Values of a field, shape (n,) or (n, k), or the value that all sets share; inf or 0 stands for None."""
+        """Return the values of a field, (n,) or (n, k), or its shared value; inf or 0 stands for None."""
         if name in self.columns:
             return self.columns[name]
         value = getattr(self.like, name)
         return _ABSENT[name] if value is None else value
 
     def column(self, name: str) -> Array:
-        """Values of a field of numbers for each set, shape (n,) or (n, k); inf or 0 stands for None."""
+        """Return the values of a field for each set, (n,) or (n, k); inf or 0 stands for None."""
         value = np.asarray(self.field(name), dtype=np.float64)
         return value if name in self.columns else np.repeat(value[np.newaxis], self.size, axis=0)
 
@@ -80,7 +80,7 @@ class ParameterTable(Sequence[FilterParameters]):
 
 
 def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[NDArray[np.intp], ParameterTable]]:
-    """Tables of the sets of each kernel and choice of measurements, and the indices of each table's sets."""
+    """Return a table for each kernel and choice of measurements, and the indices of its sets."""
     if isinstance(parameter_sets, ParameterTable):
         return [(np.arange(len(parameter_sets)), parameter_sets)]
     alike: dict[tuple[str, frozenset[str]], list[int]] = {}

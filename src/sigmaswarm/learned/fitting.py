@@ -1,4 +1,4 @@
-"""Fit weights by gradients: Adam with early stopping, the same bits each time, resumable after each epoch.
+"""Fit weights by Adam with early stopping, with the same bits each time; a killed fit continues after its last epoch.
 
 It needs JAX and Optax, the extra ``learned``.
 """
@@ -6,7 +6,7 @@ It needs JAX and Optax, the extra ``learned``.
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -21,37 +21,28 @@ from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 Loss = Callable[[Any, tuple[Any, ...]], Any]
 """Mean loss of a batch, given weights and batch."""
 DECAY = 1e-4
-"""Weight decay of a step, times the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
+"""Weight decay per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
 LARGEST_GRADIENT = 1.0
 """Largest norm of a gradient; longer ones are shortened: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
+HELD_BACK = 0.25
+"""Share at the end of each drive that is held back, where no held-back drives are given."""
 
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """Arrays of shape (number of examples, ...), and which examples are held back (bool)."""
+    """Arrays of shape (number of examples, ...), and a mask of the held-back examples."""
 
     arrays: tuple[Array, ...]
     held_back: NDArray[np.bool_]
 
     def part(self, *, held_back: bool) -> tuple[Array, ...]:
-        """Return those that are held back, or the others."""
+        """Return the arrays of the held-back examples, or of the others."""
         return tuple(array[self.held_back == held_back] for array in self.arrays)
 
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """A training to be done.
-
-    Attributes
-    ----------
-    loss : callable
-    weights : mapping of str to ndarray
-        Initial ones.
-    examples, held_back : tuple of ndarray
-        Each of shape (number of examples, ...).
-    fixed : mapping of str to ndarray
-        Weights that are not trained.
-    """
+    """The loss, initial weights and examples of a training; ``fixed`` are weights that are not trained."""
 
     loss: Loss
     weights: Mapping[str, Array]
@@ -62,15 +53,15 @@ class Lesson:
 
 @dataclass(frozen=True)
 class Schedule:
-    """The course of a training.
+    """The options of a training.
 
     Attributes
     ----------
     learning_rate : float
     epochs, batch, patience : int
-        Largest number of passes over the examples, examples a step, and largest number of passes without improvement.
+        Largest number of epochs, number of examples per step, and largest number of epochs without improvement.
     seed : int
-        Shuffles the examples: the same seed gives the same bits on the same machine.
+        Seed of the order of the examples.
     """
 
     learning_rate: float
@@ -87,9 +78,9 @@ class Fit:
     Attributes
     ----------
     weights : dict of str to ndarray
-        Of the epoch with the least loss on the held-back examples.
+        Weights after the epoch with the least loss on the held-back examples.
     losses : ndarray, shape (epochs + 1, 2)
-        Mean loss on the training and the held-back examples, before the first epoch and after each.
+        Mean losses on the training and the held-back examples, before the first epoch and after each epoch.
     """
 
     weights: dict[str, Array]
@@ -102,13 +93,7 @@ class Fit:
 
 
 def exact() -> AbstractContextManager[Any]:
-    """Use JAX with double precision in a block.
-
-    Raises
-    ------
-    InputError
-        If JAX or Optax is not installed.
-    """
+    """Use JAX with double precision in a block; raise `InputError` if JAX or Optax is not installed."""
     try:
         import jax
 
@@ -127,15 +112,15 @@ def fit(
     checkpoint: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
-    """Find the weights with the least loss on held-back examples, by Adam on the others.
+    """Minimize the loss by Adam; return the weights with the least loss on the held-back examples.
 
-    ``checkpoint`` is the file of the state after each epoch, from which a killed training continues. ``progress`` is
-    called with every epoch and the least loss so far.
+    ``checkpoint`` is a file for the state after each epoch; a killed training continues from it. ``progress`` is called
+    after each epoch with its number and the least loss so far.
     """
     with exact():
         import jax
 
-        optimizer, test = _optimizer(schedule.learning_rate), jax.jit(lesson.loss)
+        optimizer, test, run = _compiled(lesson.loss, schedule.learning_rate)
         weights: dict[str, Any] = {name: np.asarray(w, np.float64) for name, w in lesson.weights.items()}
         before = [[np.nan, float(test(weights, lesson.held_back))]]
         state = _State(weights, optimizer.init(weights), weights, np.array(before))
@@ -149,7 +134,6 @@ def fit(
                 ) from None
         count = len(lesson.examples[0])
         size = min(schedule.batch, count)
-        run = jax.jit(partial(_epoch, lesson.loss, optimizer))
         while (epoch := len(state.losses) - 1) < schedule.epochs:
             if epoch - int(np.argmin(state.losses[:, 1])) >= schedule.patience:
                 break
@@ -165,6 +149,15 @@ def fit(
             if progress:
                 progress(epoch + 1, float(np.nanmin(state.losses[:, 1])))
     return Fit(state.best, state.losses)
+
+
+@lru_cache(maxsize=4)
+def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
+    """Return the optimizer, the loss and an epoch; trainings of the same loss share the compiled code."""
+    import jax
+
+    optimizer = _optimizer(learning_rate)
+    return optimizer, jax.jit(loss), jax.jit(partial(_epoch, loss, optimizer))
 
 
 def _optimizer(learning_rate: float) -> Any:
@@ -217,13 +210,7 @@ class _State:
         return {**named, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
-        """Return the saved state of a training that began as this one.
-
-        Raises
-        ------
-        LookupError, ValueError
-            An array is missing, or has another type or shape.
-        """
+        """Return a saved state; raise `LookupError` or `ValueError` if its arrays are not those of this training."""
         import jax
 
         for name, now in self.arrays().items():

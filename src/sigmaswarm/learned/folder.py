@@ -1,4 +1,4 @@
-"""The folder of a training, without pickles.
+"""The folder of a training. No file is a pickle.
 
 tuning.toml, seen.npz   the filter, as its tuning wrote them
 learned.toml            type of network, settings, and training data
@@ -52,11 +52,11 @@ class TrainingRecord(BaseModel):
     search: int
     driven_s: float
     labelled_s: float = 0.0
-    """s of driving with truth, which is 0."""
+    """Seconds of driving with truth; always 0."""
     epochs: int
     loss_before: float
     loss: float
-    """On the held-back data."""
+    """Loss on the held-back data."""
     held_back: str
 
 
@@ -72,13 +72,7 @@ class LearnedRecord(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A trained network and its record.
-
-    Attributes
-    ----------
-    record : LearnedRecord
-    weights : mapping of str to ndarray
-    """
+    """A trained network: its record and its weights."""
 
     record: LearnedRecord
     weights: Mapping[str, Array]
@@ -100,7 +94,7 @@ class Learned:
         return NoiseRun(replay, parameters, self.weights, recover=recover)
 
     def save(self, folder: Path) -> list[Path]:
-        """Write learned.toml and weights.npz; their paths."""
+        """Write learned.toml and weights.npz; return their paths."""
         paths = [folder / WEIGHTS_FILE, folder / LEARNED_FILE]
         with whole_file(paths[0]) as file:
             np.savez(file, allow_pickle=False, **dict(sorted(self.weights.items())))
@@ -114,13 +108,7 @@ def seen_in(folder: Path) -> list[Landmarks]:
 
 
 def load_learned(folder: Path) -> Learned | None:
-    """Read the network of a folder, or return None where it has none.
-
-    Raises
-    ------
-    InputError
-        If a file is damaged.
-    """
+    """Read the network of a folder, or return None where it has none; raise `InputError` if a file is damaged."""
     folder = folder if folder.is_dir() else folder.parent
     file, weights = folder / LEARNED_FILE, folder / WEIGHTS_FILE
     if not file.exists():
@@ -131,14 +119,12 @@ def load_learned(folder: Path) -> Learned | None:
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
         raise InputError(f"{weights}: not readable; repeat the command that made the folder") from None
     if n_weights(arrays) != record.network.numbers or not _fits(record, arrays):
-        raise InputError(
-            f"{weights}: not the weights of {file.name}; repeat the command that made the folder"
-        )
+        raise InputError(f"{weights}: does not match {file.name}; repeat the command that made the folder")
     return Learned(record, arrays)
 
 
 def _fits(record: LearnedRecord, weights: Mapping[str, Array]) -> bool:
-    """Return whether weights have the names and shapes of the network, and are finite."""
+    """Return True if weights have the names and shapes of the network, and are finite."""
     units, rng = record.network.units, np.random.default_rng(0)
     if record.kind == outage_lstm.NAME:
         features = np.zeros((1, 1, 2 * len(record.network.axes)))

@@ -31,13 +31,13 @@ from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
 POPULATION = 4
-"""Settings of a batch of the search."""
+"""Number of settings in a batch of the search."""
 Settings = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a training after an epoch: trainings and epochs, and the least loss so far."""
+    """Progress after an epoch: number of the training and of its epoch, epochs done and in total, least loss."""
 
     trial: int
     epoch: int
@@ -82,14 +82,14 @@ class LearnConfig:
     ----------
     kind : {"outage-lstm", "noise-gru"}
     parameters : FilterParameters
-        Of the tuned filter.
+        The tuned filter.
     drives : sequence of Drive
         Training drives.
     validation : sequence of Drive
-        Held-out drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each
+        Held-back drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each
         drive; for outage-lstm with three or more drives it is the last third of the drives.
     search : int
-        Number of further settings (units, window, learning rate) to try; the best on the held-out data is kept.
+        Number of further settings (units, window, learning rate) to try; the best on the held-back data is kept.
     seed : int
         The same seed gives the same bits on the same machine.
     """
@@ -114,7 +114,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return the drives to train on, and those held back; none where the end of each drive is held back."""
+        """Return training and held-back drives; the latter are empty where the end of each drive is held back."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives
@@ -135,9 +135,9 @@ def learn(
     ----------
     config : LearnConfig
     out : Path
-        Folder of the results; `sigmaswarm run` and `evaluate` read it as a tuning's.
+        Folder of the results; `sigmaswarm run` and `evaluate` read it like the folder of a tuning.
     tuning : Path, optional
-        The tuning.toml of the parameters, to be copied.
+        The tuning.toml of the parameters, which is copied.
     resume : bool
         Continue an interrupted training; the result is the same as without interruption.
     progress : callable, optional
@@ -146,10 +146,10 @@ def learn(
     Raises
     ------
     InputError
-        If JAX is missing, a filter or a drive is unsuitable, or the folder contains another training.
+        If JAX is missing, the filter or a drive is not supported, or the folder contains another training.
     """
     if config.kind not in LEARNERS:
-        raise InputError(f"{config.kind!r}: no such network; choose one of {', '.join(LEARNERS)}")
+        raise InputError(f"there is no network {config.kind!r}; choose one of {', '.join(LEARNERS)}")
     with exact():  # raises at once where JAX is missing
         began, record = time.process_time(), config.record()
     folder = ResultFolder(out, record, resume=resume)
@@ -215,7 +215,7 @@ def _best_training(
     config: LearnConfig,
     progress: Callable[[Progress], None] | None,
 ) -> tuple[Settings, Fit]:
-    """Train with the first settings, and with those that an optimizer chooses; return the best."""
+    """Train with the first settings and with settings from an optimizer; return the best."""
     found, total = list[tuple[float, Settings, Fit]](), (1 + config.search) * learner.epochs
 
     def train(settings: Settings) -> float:
@@ -253,7 +253,7 @@ def _trained(
     number: int,
     progress: Callable[[int, float], None],
 ) -> Fit:
-    """Run a training, or continue or read it."""
+    """Run a training, continue an interrupted one, or read a finished one."""
     if (done := folder.finished(number, FinishedRecord, FinishedHistoryRecord)) is not None:
         return Fit(part_of(done[1], "weights"), done[1]["losses"])
     lesson = learner.lesson(settings, seed)

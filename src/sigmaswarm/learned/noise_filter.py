@@ -1,7 +1,7 @@
-"""The extended Kalman filter of planar5 and planar8 in JAX, through which `noise-gru` is trained by gradient.
+"""The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-It is the textbook form, with the steps of `schedule`; a test compares it with the compiled filter. It has no recovery
-after divergence, no velocity of the receiver and no odometer.
+It is the textbook form, with the steps of `schedule`; a test compares it with the compiled filter. It does not reset
+after divergence, and it does not use the receiver's velocity or an odometer.
 """
 
 from dataclasses import dataclass
@@ -30,34 +30,25 @@ from sigmaswarm.filters.schedule import (
 )
 from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, ITERATIONS
 from sigmaswarm.learned.cells import gru
-from sigmaswarm.learned.noise_gru import features_of, log_scales
+from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 
 N_COLUMNS = 14
 """Columns of a step.
 
-Dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y (m) of the fix and the
-variances that the receiver states (m2).
+dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y of the fix, m, and the
+variances that the receiver states, m2.
 """
 
 
-def require_supported(parameters: FilterParameters) -> None:
-    """Raise an error for a filter that is not supported.
-
-    Raises
-    ------
-    InputError
-        If the model, type or a noise is not supported.
-    """
-    p = parameters
+def require_supported(p: FilterParameters) -> None:
+    """Raise `InputError` if the model, the filter type or a measurement is not supported."""
     if p.model not in ("planar5", "planar8"):
-        raise InputError(
-            f"noise-gru is not trained through {p.model}; tune planar8, and train noise-gru for it"
-        )
+        raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
     if p.kind not in ("ukf", "ekf"):
         raise InputError(f"{p.kind} adapts its own noises; tune a ukf or an ekf for noise-gru")
     for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:
-            raise InputError(f"noise-gru is not trained through a filter with {name}; tune one without")
+            raise InputError(f"noise-gru does not support {name}; tune a filter without it")
 
 
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
@@ -73,15 +64,7 @@ def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Arr
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Constants of a filter over one drive.
-
-    Attributes
-    ----------
-    q : (n,)
-        Diagonal of Q per nominal step.
-    lever : (2,) m
-    parameters : FilterParameters
-    """
+    """Constants of a filter over one drive: the diagonal of Q per nominal step, (n,), and the lever arm, (2,) m."""
 
     q: Array
     lever: Array
@@ -89,7 +72,7 @@ class Settings:
 
     @classmethod
     def of(cls, replay: Replay, parameters: FilterParameters) -> "Settings":
-        """Return those of a drive."""
+        """Return the constants for a replay's drive."""
         line = replay.timeline
         return cls(converted(parameters, line.nominal_interval), line.lever[:2], parameters)
 
@@ -155,9 +138,9 @@ def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
 
 
 def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
-    """Update mean, covariance and number of rejected fixes with a fix, whose R is multiplied by exp(scale).
+    """Update the mean, covariance and number of rejected fixes with a fix; ``scale`` is the logarithm of R's factor.
 
-    Returns these, and nu (m) and S (m2; xx, xy, yy) before the update.
+    Returns the three, and nu, m, with xx, xy and yy of S, m2, before the update.
     """
     import jax.numpy as jnp
 
@@ -194,7 +177,7 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    """Update with a velocity of zero, and with the gyro's reading, which is its bias."""
+    """Update with a velocity of zero, and with the gyro's reading at rest, its bias."""
     import jax.numpy as jnp
 
     n = len(m)
@@ -213,7 +196,7 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
     Returns
     -------
     innovations : (k, 6)
-        nu (m) and S (m2; xx, xy, yy) before the update with each step's fix, and 1 where there was one, else 0.
+        For each step: nu, m, and xx, xy, yy of S, m2, before the update; 1 if it has a fix, else 0.
     means : (k, n)
     """
     import jax
@@ -253,9 +236,8 @@ def innovation_loss(settings: Settings, innovations: Any) -> tuple[Any, Any]:
     """
     import jax.numpy as jnp
 
-    n1, n2, s11, s12, s22, fixed = (innovations[..., i] for i in range(6))
-    det = s11 * s22 - s12 * s12
-    nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
+    fixed = innovations[..., 5]
+    nis, det = nis_of(innovations[..., :2], innovations[..., 2:5])
     tail = 0.5 * nis
     if settings.parameters.robust_dof is not None:
         tail = 0.5 * (INNOVATION_DOF + 2.0) * jnp.log1p(nis / INNOVATION_SCALE)

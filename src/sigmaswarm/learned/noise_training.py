@@ -1,6 +1,6 @@
-"""Train `noise-gru` end to end, through the filter, on the likelihood of the fixes before each update.
+"""Train `noise-gru` with gradients of the whole filter: it maximizes the likelihood of each fix before its update.
 
-Drives are cut into segments, each of which starts from the state of the plain filter; truth is not used.
+Drives are cut into segments. Each segment starts from the state of the filter without a network. Truth is not used.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +15,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import Examples, Lesson
+from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
 from sigmaswarm.learned.noise_filter import (
     Settings,
     columns_of,
@@ -25,9 +25,6 @@ from sigmaswarm.learned.noise_filter import (
 )
 from sigmaswarm.learned.noise_gru import FEATURES
 
-HELD_BACK = 0.25
-"""Share at the end of each drive, where no held-back drives are given."""
-
 
 def segments_of(
     drives: Sequence[Drive],
@@ -35,9 +32,10 @@ def segments_of(
     length: float,
     validation: Sequence[Drive] = (),
 ) -> Examples:
-    """Cut drives into segments of ``length`` s; without ``validation`` those at the end of each are held back.
+    """Cut drives into segments of ``length`` s; without ``validation``, the last segments of each drive are held back.
 
-    The arrays are initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n), levers (s, 2).
+    The arrays are initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms
+    (s, 2).
     """
     require_supported(parameters)
     twin = replace(parameters, kind="ekf")
@@ -68,7 +66,7 @@ def segments_of(
 
 
 def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
-    """Return the loss: the negative log-likelihood, nats, mean over the fixes of a batch of segments."""
+    """Return the loss of a batch of segments: the mean negative log-likelihood of a fix, nats."""
     import jax
     import jax.numpy as jnp
 
@@ -110,6 +108,6 @@ class NoiseLearner:
     def finish(
         self, settings: Mapping[str, float], weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Return the weights: the loss was a likelihood, so no calibration is due."""
+        """Return the weights; no calibration is needed, since the loss is a likelihood."""
         del settings
         return weights, {}

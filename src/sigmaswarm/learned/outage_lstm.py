@@ -1,14 +1,15 @@
 """outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
 
 The network reads windows of the IMU and estimates the displacement in the last second, forward and left, with its
-standard deviations: a faster car vibrates more, and turns less for the same lateral acceleration. The update is that
-of `relative`. The filter's speed is not an input: a network would return it, and the update would use it twice.
+standard deviations. A faster car vibrates more, and it turns less for the same lateral acceleration. `relative` makes
+the update. The filter's speed is not an input: the network would return it, and the update would use it twice.
 
-Errors of the forecasts persist with road and car; they are modeled as Gauss-Markov processes. With fixes the error is
-the difference from the filter's velocity; in an outage the last one is subtracted, with decay. The rest is not white
-either, and the velocity covariance of a filter tuned on fixes is often too small without them. So two factors, of the
-forecasts' variance and of the velocity's Q in an outage, maximize the likelihood of hidden fixes on held-back drives.
-Where that is not clearly better than the filter alone, the network is not used.
+Errors of the forecasts persist on one road and in one car; they are modeled as Gauss-Markov processes. While there are
+fixes, the error of a forecast is its difference from the filter's velocity. In an outage the last known error is
+subtracted, with decay. The remaining error is still correlated in time. The velocity covariance of a filter that was
+tuned with fixes is often too small in an outage. So two factors, of the forecasts' variance and of the velocity's Q in
+an outage, are fitted: they maximize the likelihood of hidden fixes on held-back drives. Where the gain over the filter
+alone is not significant, the network is not used.
 """
 
 from collections.abc import Mapping
@@ -16,18 +17,17 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import SAMPLES, Recording
+from sigmaswarm.filters.recording import SAMPLES, PausingRecording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
 from sigmaswarm.learned.outages import HORIZON, Windows, outage_windows
-from sigmaswarm.learned.relative import Begin, Displacements
+from sigmaswarm.learned.relative import Begin, Displacements, in_body
 
 NAME = "outage-lstm"
 VELOCITY_Q = [R.Q_U, R.Q_V]
@@ -41,12 +41,13 @@ class Forecast(NamedTuple):
     Attributes
     ----------
     begin, first : int
-        Samples at its begin, and after the last fix.
+        Numbers of the IMU samples at its begin, and after the last fix.
     age : float
         s from ``first`` to its end.
-    moved, variance : (2,) m, m2
-    before : (2,) m
-        The displacement at ``first``.
+    moved, variance : ndarray, shape (2,)
+        The displacement, m, and its variance, m2.
+    before : ndarray, shape (2,)
+        The displacement at ``first``, m.
     """
 
     begin: int
@@ -64,14 +65,14 @@ class OutageLstm:
     Attributes
     ----------
     axes : tuple of str
-        Of the IMU, the inputs.
+        Axes of the IMU that are inputs.
     window : float
         Length of the input, s.
     weights : mapping of str to ndarray
-        See `cells`; and ``center``, ``spread`` (f,) of the features, ``usual``, ``scale`` (2,) m of the outputs.
-        ``kept`` (2,) and ``lasts`` (2,) s: the autocorrelation of errors is kept exp(-t / lasts).
+        Those of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of the outputs,
+        m; ``kept`` (2,) and ``lasts`` (2,), s, of the autocorrelation of errors, kept exp(-t / lasts).
     inflation : float
-        Factor of the variances; inf: no update.
+        Factor of the variances; infinite: no update.
     unsure : float
         Factor of the velocity's Q in outages.
     """
@@ -94,9 +95,9 @@ class OutageLstm:
 
     def forecasts(self, windows: Windows) -> dict[int, Forecast]:
         """Forecast at the ends of windows, by the numbers of these samples."""
-        begin, first, age = windows.begin.tolist(), windows.first.tolist(), windows.age.tolist()
+        numbers = (column.tolist() for column in (windows.begin, windows.first, windows.age))
         outputs = *self.displacements(windows.features), self.displacements(windows.features_at_first)[0]
-        return dict(zip(windows.end.tolist(), map(Forecast, begin, first, age, *outputs), strict=True))
+        return dict(zip(windows.end.tolist(), map(Forecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: Forecast, velocity: Array) -> tuple[Array, Array]:
         """Return a displacement (2,), m, and its variance (2,), m2, corrected by the velocity at the last fix."""
@@ -136,7 +137,7 @@ def untrained(
     return OutageLstm(axes, window, {**new_weights(rng, 4, features.shape[-1], units, 4), **scales})
 
 
-class OutageRun(Recording):
+class OutageRun(PausingRecording):
     """Run a filter with forecasts of displacements in outages over a replay.
 
     Without outages its pieces have the bits of `Recording`.
@@ -147,11 +148,10 @@ class OutageRun(Recording):
         As of `Recording`.
     network : OutageLstm
     windows : Windows, optional
-        Of `outage_windows`, if known.
+        Result of `outage_windows`, to avoid computing it again.
 
     Attributes
     ----------
-    initial : InitialState
     accepted, rejected : int
         Numbers of displacements so far.
     """
@@ -167,10 +167,9 @@ class OutageRun(Recording):
         windows: Windows | None = None,
     ) -> None:
         super().__init__(replay, parameters, samples=samples, recover=recover)
-        self.initial = replay.initial
         self.accepted = self.rejected = 0
         self._displacements = Displacements(replay, parameters)
-        self._network, self._done = network, 0
+        self._network = network
         self._begin: dict[int, Begin] = {}
         self._velocity: dict[int, Array] = {}
         self._own_q = self._rows[0, VELOCITY_Q].copy()
@@ -185,19 +184,7 @@ class OutageRun(Recording):
         self._firsts = {one.first for one in self._forecasts.values()}
         self._over = set() if windows is None else set(windows.over.tolist())
 
-    def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
-        first, self._done = self._done, self._done + len(stops)
-        low, high = np.searchsorted(self._marks, [first, self._done])
-        lost, row = np.zeros(len(stops), dtype=np.bool_), 0
-        for mark in (self._marks[low:high] - first).tolist():
-            lost[row : mark + 1] = super()._run_to(stops[row : mark + 1], record[row : mark + 1])
-            self._at_mark(first + mark, int(stops[mark]), record[mark], lost=bool(lost[mark]))
-            row = mark + 1
-        if row < len(stops):
-            lost[row:] = super()._run_to(stops[row:], record[row:])
-        return lost
-
-    def _at_mark(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
+    def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
         """Update with the displacement that ends at a sample, and keep the state for those that begin there."""
         forecast = self._forecasts.get(sample)
         if forecast is not None and not lost:
@@ -214,20 +201,11 @@ class OutageRun(Recording):
         if sample in self._over:
             self._rows[0, VELOCITY_Q] = self._own_q
         if sample in self._firsts and not lost:
-            self._velocity[sample] = body_velocity(self._rows[0, : THETA + 1, 0], self._heading)
+            _, _, east, north = self._rows[0, :4, 0]
+            self._velocity[sample] = in_body(east, north, self._estimate()[0][THETA])
         if sample in self._begins and not lost:
             self._begin[sample] = Begin(self._rows[0].copy(), self._place.copy())
 
-    @property
-    def _heading(self) -> float:
-        return float(self._estimate()[0][THETA])
-
     def _reset(self, start: InitialState) -> None:
         super()._reset(start)
-        self._begin, self._velocity = {}, {}  # of the diverged filter
-
-
-def body_velocity(state: Array, theta: float) -> Array:
-    """Return the velocity forward and left, (2,) m/s."""
-    c, s = np.cos(theta), np.sin(theta)
-    return np.array([c * state[2] + s * state[3], c * state[3] - s * state[2]])
+        self._begin, self._velocity = {}, {}  # they belong to the diverged filter

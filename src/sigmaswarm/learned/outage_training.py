@@ -1,7 +1,8 @@
 """Train `outage-lstm`: its examples, its loss, and the calibration of its variances.
 
-The displacements to be learned are those of the same filter, smoothed with all fixes; truth is not used. The held-back
-data stop the training early. With outages placed on them several times, they calibrate the variances.
+The network learns the displacements of the same filter, smoothed with all fixes; truth is not used. The held-back data
+decide when the training stops. Then outages are placed on them several times, and their hidden fixes calibrate the
+variances.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +22,7 @@ from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
-from sigmaswarm.learned.fitting import Examples, Lesson
+from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, outputs_of, untrained
 from sigmaswarm.learned.outages import Windows, all_windows, outage_windows
 from sigmaswarm.learned.relative import body_displacement
@@ -35,9 +36,7 @@ PLACEMENTS = 4
 EVERY = 0.25
 """s between examples."""
 BORDER = 5.0
-"""s between training and held-back data."""
-HELD_BACK = 0.25
-"""Share at the end of each drive, where no held-back drives are given."""
+"""s between the training data and the held-back data."""
 INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)
 """Candidates of the calibration: see `OutageLstm`."""
 LAGS = (2, 4, 8, 12, 20, 40, 80, 120)
@@ -100,17 +99,14 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
 
 
 def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array, Array, Array]:
-    """Return the ends (k,) s of windows all over a drive, their features, and the displacements (k, 2) m."""
+    """Return windows of a whole drive: their ends (k,), s, their features, and the displacements (k, 2), m."""
     line = track.ready.timeline()
     begins, ends, features = all_windows(line, axes=axes, window=window, every=EVERY)
     return line.imu_time[ends], features, body_displacement(track.mean[begins], track.mean[ends])
 
 
 def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> Examples:
-    """Make the examples of drives, without those that span the border of the held-back data.
-
-    The arrays are inputs (k, STEPS, f) and displacements (k, 2) m.
-    """
+    """Make examples, without those at the border of the held-back data: inputs (k, STEPS, f), displacements (k, 2)."""
     parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
         end, features, moved = _windows_of(track, axes, window)
@@ -214,8 +210,8 @@ def calibrate(
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
-    Where the gain over the filter alone is below a standard error over the outages (of which those of one placement
-    count as independent), the inflation is infinite.
+    The inflation is infinite where the mean gain over the filter alone is below its standard error. Only outages of the
+    same placement count as independent.
     """
     windows = [
         outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases

@@ -1,4 +1,4 @@
-"""The outages of `outage-lstm` and its inputs, windows of the IMU; all causal."""
+"""The outages of `outage-lstm`, and its inputs, which are causal windows of the IMU."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ from sigmaswarm.errors import InputError
 HORIZON = 1.0
 """Duration of a displacement, s."""
 OUTAGE_AFTER = 2.0
-"""s without a fix after which there is an outage; working receivers have 1 Hz or more."""
+"""s without a fix after which an outage begins; a working receiver has 1 Hz or more."""
 STEPS = 40
 """Steps of a resampled window."""
 _QUIET = 1e-3
-"""m/s2, and a tenth of it in rad/s, added to the vibration of an axis before the logarithm."""
+"""m/s2 added to the vibration of an axis before the logarithm; of a gyro a tenth of it, rad/s."""
 _GRAVITY = 9.80665
 
 
@@ -29,15 +29,14 @@ class Windows:
     ----------
     begin, end : ndarray of int, shape (k,)
         Indices of the IMU samples, counted from the filter's start, at which the displacement begins and ends.
-    features : ndarray, shape (k, STEPS, f)
-        At the end: see `features_at`.
+    features, features_at_first : ndarray, shape (k, STEPS, f)
+        Inputs at ``end`` and at ``first``: see `features_at`.
     first : ndarray of int, shape (k,)
-        The sample after the last fix.
-    features_at_first : ndarray, shape (k, STEPS, f)
+        Index of the sample after the last fix.
     age : ndarray, shape (k,)
         s from ``first`` to ``end``.
     over : ndarray of int
-        The samples after the fixes that end the outages.
+        Indices of the samples after the fixes that end the outages.
     """
 
     begin: NDArray[np.intp]
@@ -50,17 +49,9 @@ class Windows:
 
 
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
-    """Divide a drive's outages into windows of `HORIZON`; hidden fixes are ignored.
+    """Divide a drive's outages, which begin `OUTAGE_AFTER` after a fix, into windows of `HORIZON`; ignore hidden fixes.
 
-    An outage begins `OUTAGE_AFTER` after a fix.
-
-    Parameters
-    ----------
-    line : Timeline
-    axes : sequence of str
-        Of the IMU, the inputs.
-    window : float
-        Length of the input, s.
+    ``axes`` of the IMU are the inputs; ``window`` is their length, s.
     """
     time = line.imu_time
     came = np.concatenate([[line.start], line.end[line.absorbs]])
@@ -93,7 +84,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
 def all_windows(
     line: Timeline, *, axes: Sequence[str], window: float, every: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Make windows over a whole drive, one per ``every`` s: begin, end and features as of `Windows`."""
+    """Make windows over a whole drive, one per ``every`` s: begin, end and features as in `Windows`."""
     begin, end = _pairs(line.imu_time, line.start, np.inf, every)
     return begin, end, features_at(line, end, axes=axes, window=window)
 
@@ -101,7 +92,7 @@ def all_windows(
 def _pairs(
     time: Array, after: float, until: float, every: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return pairs of samples, `HORIZON` apart, between two moments, (k,) each."""
+    """Return indices of pairs of samples, `HORIZON` apart, between two times, (k,) each."""
     first, stop = np.searchsorted(time, [after, until])
     grid = np.arange(float(time[first]), float(time[stop - 1]) + 1e-9, every) if stop > first else np.empty(0)
     at = np.searchsorted(time[:stop], grid - 1e-9)
@@ -112,9 +103,9 @@ def _pairs(
 
 
 def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float) -> Array:
-    """Return the inputs of the last ``window`` s before some samples, (k, STEPS, 2 axes).
+    """Return the inputs from the last ``window`` s before some samples, (k, STEPS, 2 axes).
 
-    These are the mean of each step and axis (m/s2, rad/s), and the logarithm of its standard deviation, which grows
+    For each step and axis, these are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which grows
     with the speed of a car.
     """
     imu = line.drive.imu
@@ -133,7 +124,7 @@ def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], w
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means of a signal between edges (k, m + 1), (k, m); it is constant before the first sample."""
+    """Return the means (k, m) of a signal between edges (k, m + 1); before its first sample it is constant."""
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)

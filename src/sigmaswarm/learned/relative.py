@@ -1,17 +1,17 @@
-"""Update a filter with a displacement between two moments, without the first in its state.
+"""Update a filter with a displacement between two moments.
 
-A displacement measures motion, not position: used as a fix at the last position plus the displacement, it would add the
-error of that position again each time. So the measurement depends on the state at its begin, too, as in stochastic
+A displacement measures motion, not position. Used as a fix at the last position plus the displacement, it would add the
+error of that position again each time. So the measurement also depends on the state at its begin, as in stochastic
 cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
-needs Cov(e_1, e_0) of the errors at both moments. Between them the filter is linear in its error, e_1 = A e_0 + a part
-independent of e_0, so that Cov(e_1, e_0) = A P_0. The columns of A are finite differences of the filter over these
-steps, run in the lanes of the compiled kernel.
+The update needs Cov(e_1, e_0) of the errors at both moments. The earlier state is not part of the filter. Between the
+moments the error is propagated linearly, e_1 = A e_0 + an independent part, so Cov(e_1, e_0) = A P_0. The columns of A
+are finite differences of the filter over these steps, run in the columns of the compiled kernel.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ GATE = 13.8
 
 
 class Begin(NamedTuple):
-    """The filter at the begin of a displacement: its state (N_KEPT, lanes), and the position of its run (5,)."""
+    """The filter at the begin of a displacement: its rows (N_KEPT, lanes), and the position of its run (5,)."""
 
     rows: Array
     place: Array
@@ -60,23 +60,27 @@ class Displacements:
         Parameters
         ----------
         begin : Begin
-        rows : (N_KEPT, lanes), changed
-            The state of the filter.
+        rows : ndarray, shape (N_KEPT, lanes)
+            The state of the filter, which is changed.
         stop : int
         moved : ndarray, shape (2,)
-            m forward and left, in the body's frame at the begin.
+            Displacement, m forward and left, in the body frame at the begin.
         noise : ndarray, shape (2, 2)
-            Its covariance, m2.
+            Covariance of the displacement, m2.
 
         Returns
         -------
         bool
-            False if it was rejected: its NIS was too large, or the update would diverge or spoil the covariance.
+            False if the displacement was rejected: its NIS is too large, the update would diverge, or the covariance
+            would no longer be positive definite.
         """
         x0, p0 = self._state(begin.rows)
         x1, p1 = self._state(rows)
         crossed = self._transported(begin, x0, p0, stop) @ p0  # Cov(e1, e0)
-        expected, h0, h1 = self._expected(x0, x1, np.sqrt(np.diag(p0)), np.sqrt(np.diag(p1)))
+        expected = body_displacement(x0, x1)
+        step0, step1 = (_SMALL * np.sqrt(np.diag(p)) for p in (p0, p1))
+        h0 = np.array([body_displacement(self._plus(x0, e), x1) - expected for e in np.diag(step0)]).T / step0
+        h1 = np.array([body_displacement(x0, self._plus(x1, e)) - expected for e in np.diag(step1)]).T / step1
         c = p1 @ h1.T + crossed @ h0.T
         both = h1 @ crossed @ h0.T
         s = h1 @ p1 @ h1.T + both + both.T + h0 @ p0 @ h0.T + noise
@@ -88,7 +92,7 @@ class Displacements:
         covariance = 0.5 * (covariance + covariance.T)
         begun = self._plus(x0, np.linalg.solve(s, h0 @ p0 + h1 @ crossed).T @ innovation)
         left = moved - body_displacement(begun, mean)
-        # In a linear problem the residual is R S^-1 nu, smaller than nu; a very uncertain heading is not linear.
+        # In a linear problem the residual R S^-1 nu is smaller than nu. With a very uncertain heading it is not linear.
         farther = left @ np.linalg.solve(noise, left) > innovation @ np.linalg.solve(noise, innovation)
         if farther or not definite(covariance[np.newaxis])[0]:
             return False
@@ -120,17 +124,13 @@ class Displacements:
         means, _ = unpack_states(rows[state_rows(self._model)], self._model)
         return np.array([self._minus(mean, means[0]) for mean in means[1 : n + 1]]).T / step
 
-    def _expected(self, x0: Array, x1: Array, std0: Array, std1: Array) -> tuple[Array, Array, Array]:
-        """Return the displacement between two states, (2,), and its Jacobians, (2, n) each."""
-        at = body_displacement(x0, x1)
-        step0, step1 = _SMALL * std0, _SMALL * std1
-        h0 = np.array([body_displacement(self._plus(x0, e), x1) - at for e in np.diag(step0)]).T / step0
-        h1 = np.array([body_displacement(x0, self._plus(x1, e)) - at for e in np.diag(step1)]).T / step1
-        return at, h0, h1
-
 
 def body_displacement(begin: Array, end: Array) -> Array:
     """Return the displacement between states (..., n), m forward and left at the begin, (..., 2)."""
-    x, y = end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]
-    c, s = np.cos(begin[..., THETA]), np.sin(begin[..., THETA])
+    return in_body(end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1], begin[..., THETA])
+
+
+def in_body(x: Any, y: Any, theta: Any) -> Array:
+    """Return a vector (x east, y north) as components forward and left, (..., 2), at a heading, rad."""
+    c, s = np.cos(theta), np.sin(theta)
     return np.stack([c * x + s * y, c * y - s * x], axis=-1)

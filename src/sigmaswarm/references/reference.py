@@ -30,7 +30,7 @@ from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.filters.tilted import rotation
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.fixes import ReceiverLog, read_fixes
-from sigmaswarm.scoring.truth_noise import share_known
+from sigmaswarm.scoring.truth import share_known
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 

@@ -33,7 +33,10 @@ def comparison_table(comparison: Comparison) -> Table:
     columns = [Column("optimizer"), Column("scale")]
     for measure in shown:
         columns += [Column(COMPARED[measure], number=digits), Column("95%", number=digits, joined=True)]
-        columns += [Column("worst", number=digits), Column("p", number=_probability)]
+        columns += [
+            Column("worst", number=digits),
+            Column("p", number=lambda p: "< 0.001" if p < 0.001 else f"{p:.3f}"),
+        ]
     columns += [Column("steps", number="{:.0%}".format), Column("touched bounds")]
     rows: list[tuple[Cell, ...]] = []
     for row in comparison.frame.iter_rows(named=True):
@@ -44,9 +47,9 @@ def comparison_table(comparison: Comparison) -> Table:
         rows.append((*cells, row["steps_share"], str(row["touched_bounds"]).replace(" ", ", ") or "-"))
     alone = comparison.fixes_alone_rmse
     rival = (
-        ""
-        if alone is None
-        else f" A filter of the fixes alone, without the IMU, has a held-out RMSE of {alone:.4g} m."
+        f" A filter of the fixes alone, without the IMU, has a held-out RMSE of {alone:.4g} m."
+        if alone
+        else ""
     )
     few = "" if tested else f"\n\nToo few seeds for a test: {FEWEST_SEEDS} or more."
     note = (
@@ -57,10 +60,6 @@ def comparison_table(comparison: Comparison) -> Table:
         f"held out: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)
-
-
-def _probability(p: float) -> str:
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
@@ -75,11 +74,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
             )
             spent = rows["full_evaluations"].to_numpy()
-            over = spent > comparison.budget * (
-                comparison.frame["steps_share"][i] + 0.01
-            )  # beyond its last one
+            end = comparison.budget * (comparison.frame["steps_share"][i] + 0.01)  # just after its last step
             costs = (rows[name].to_numpy() for name in ("median", "quartile_1", "quartile_3"))
-            middle, low, high = (np.where(np.isfinite(c) & ~over, c, np.nan) for c in costs)
+            middle, low, high = (np.where(np.isfinite(c) & (spent <= end), c, np.nan) for c in costs)
             band(ax, spent, low, high, Look(look.color, opacity=0.12))
             curve(ax, spent, middle, look, contender.label)
         ax.set(xlabel="evaluations on all training drives", ylabel="training cost, lowest so far")

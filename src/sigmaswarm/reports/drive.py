@@ -17,18 +17,7 @@ Gaps = list[tuple[float, float]]
 
 
 def drive_figure(drive: Drive) -> Figure:
-    """Draw a drive.
-
-    Parameters
-    ----------
-    drive : Drive
-        Recorded or simulated; with truth or without.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        12 by 9 inches; save it with ``figure.savefig(path)``.
-    """
+    """Draw a recorded or simulated drive, with truth or without, on 12 by 9 inches."""
     figure = Figure(figsize=(12, 9), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.35])
     imu, time = drive.imu, drive.gps.time

@@ -46,7 +46,7 @@ from sigmaswarm.scoring.measures import Measure
 from sigmaswarm.scoring.records import seal
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
-from sigmaswarm.tuning.record import FILE, HISTORY_FILE
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
@@ -81,7 +81,7 @@ def save_evaluation(
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
     """Copy a tuning.toml or that of a folder, its history and its fingerprints; return the paths of the copies."""
-    file = tuning / FILE if tuning.is_dir() else tuning
+    file = tuning_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, SEEN_FILE):
         source = file if name == FILE else file.parent / name
@@ -201,7 +201,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
         corners = half * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
         curve(ax, x + corners[0], y + corners[1], Look(CHARCOAL, 0.8))
         low, high = picture.frame
-        margin = 0.08 * float((high - low).max())  # the fixes: a filter that runs away must not set the scale
+        margin = 0.08 * float((high - low).max())  # of the fixes: a diverged filter must not set the scale
         as_map(ax, *zip(low - margin, high + margin, strict=True))
 
     def close(ax: Axes) -> None:
@@ -230,7 +230,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
         for name in methods:
             curve(ax, series[name]["time"], series[name]["position_error"], LOOKS[name], labels[name])
         ax.set(ylabel="position error, m")
-        logarithmic(ax.yaxis)  # from centimetres to hundreds of metres: else not all methods are visible
+        logarithmic(ax.yaxis)  # from centimeters to hundreds of meters, so that all methods are visible
         ax.set_ylim(0.03, None)
 
     def heading(ax: Axes) -> None:

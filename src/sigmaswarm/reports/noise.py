@@ -26,17 +26,16 @@ def noise_figure(noise: Noise) -> Figure:
     noise : Noise
         Measured on a log; a filter's noise has no Allan deviation.
     """
-    charts = [Chart(_title(axis), lambda ax, axis=axis: _draw(ax, axis)) for axis in noise.axes]
+    charts = [
+        Chart(f"{axis.axis}{', drifts' * bool(axis.drift)}", lambda ax, axis=axis: _draw(ax, axis))
+        for axis in noise.axes
+    ]
     columns = min(len(charts), 3)
     size = (4.2 * columns, 3.4 * -(-len(charts) // columns) + 0.4)
     figure = figure_of(*charts, size=size, columns=columns, legend="below")
     total = sum(length for _, length in noise.stretches)
     figure.suptitle(f"{noise.name}: static for {total:.0f} s, the longest stretch {noise.longest:.0f} s")
     return figure
-
-
-def _title(axis: AxisNoise) -> str:
-    return axis.axis if not axis.drift else f"{axis.axis}, drifts"
 
 
 def _draw(ax: Axes, axis: AxisNoise) -> None:
@@ -60,12 +59,5 @@ def _draw(ax: Axes, axis: AxisNoise) -> None:
     ax.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}")
     ax.set_ylim(low, high)
     if math.isfinite(axis.correlation_time):
-        ax.text(
-            0.97,
-            0.95,
-            f"bias returns in {axis.correlation_time:.0f} s",
-            transform=ax.transAxes,
-            ha="right",
-            va="top",
-            fontsize=8,
-        )
+        text = f"bias returns in {axis.correlation_time:.0f} s"
+        ax.text(0.97, 0.95, text, transform=ax.transAxes, ha="right", va="top", fontsize=8)

@@ -35,7 +35,7 @@ TERMS = {
     "RMSE": "root of the mean squared error",
     "whiteness p": "probability that white innovations are at least as correlated as these (Ljung-Box test over ten "
     "fixes)",
-    "correlation": "of neighboring innovations; 0 where the filter is consistent",
+    "correlation": "correlation of consecutive innovations; 0 where the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
     "95% gate": "share of the fixes whose NIS is below 5.99; 95% where the filter is consistent",
     "outage drift": "position error at the end of a time without fixes, RMS over all outages",
@@ -165,7 +165,7 @@ def _view(view: TrackView) -> dict[str, Any]:
 
 
 def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
-    """Thin and round to the millimetre and millisecond; large time stamps count from the drive's beginning."""
+    """Thin and round to the millimeter and millisecond; large time stamps count from the drive's beginning."""
     first = min(float(columns["time"][0]) for columns in tracks.series.values())
     origin = first if abs(first) > 1000 else 0.0
     series: dict[str, Any] = {}

@@ -123,7 +123,7 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
         wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
         yield (
             f"{protocol}: {main} is {wrong}: its mean NIS is {nis.mean:.3g}, "
-            "that of a consistent filter 2; do not rely on its covariances"
+            "2 where a filter is consistent; do not rely on its covariances"
         )
     unsure = [
         results.label(c.against)

@@ -6,7 +6,7 @@ from functools import partial
 from statistics import median
 from typing import Any
 
-from sigmaswarm.experiments.study.config import ALL, BESIDE, LONG_OUTAGES, MAIN, METHODS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, HELPED, LONG_OUTAGES, MAIN, METHODS, UNTUNED
 from sigmaswarm.experiments.study.record import (
     CurvePoint,
     PairedComparison,
@@ -223,10 +223,10 @@ def objectives_compared(results: Results) -> str:
     if None in (means := [each and each.mean for each in found]):
         return ""
     return (
-        "Why there are two objectives: the paper's compares the estimate with the GPS fix that the filter has just "
-        "used, so a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from the fixes but "
-        "{:.2f} m from the "
-        "truth, where the fixes themselves are {:.2f} m from it; tuned against truth by the same swarm it has {:.2f} m."
+        "There are two objectives, since the paper's compares the estimate with the GPS fix that the filter has just "
+        "used: a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from the fixes but {:.2f} m "
+        "from the truth; the fixes themselves are {:.2f} m from the truth. Tuned against truth by the same swarm, the "
+        "PSO-UKF is {:.2f} m from the truth."
     ).format(*means)
 
 
@@ -383,7 +383,7 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
     rows = tuple(
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
     )
-    caption = f"Networks against {results.label(BESIDE, 'honest')} without them"
+    caption = f"Networks against {results.label(HELPED, 'honest')} without them"
     kept = "Measures that a network does not change, such as the position while fixes arrive, are omitted."
     return Table(caption, columns, rows, note=f"{PAIRED.format('network')} {kept}")
 

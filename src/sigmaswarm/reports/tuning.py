@@ -253,7 +253,7 @@ def shown_config(config: dict[str, Any]) -> dict[str, Any]:
 
     A model of the user's own is shown by its name and fingerprint.
     """
-    if config.get("optimizer", "pso") != "pso":  # tunings from before there was a choice are of pso
+    if config.get("optimizer", "pso") != "pso":  # old files do not name the optimizer, which was pso
         config = {key: value for key, value in config.items() if key not in SWARM}
     model = config.get("model")
     if isinstance(model, dict):

@@ -75,7 +75,7 @@ class Passes:
 
 
 class Replayer:
-    """Drives prepared once, to be replayed by any number of parameter sets.
+    """Drives that are prepared once and replayed with any number of parameter sets.
 
     ``outages`` (windows of ``outage_length`` s, placed by ``outage_seed``) and ``forecasts`` (fixes hidden all over the
     drive) are further passes over each drive.

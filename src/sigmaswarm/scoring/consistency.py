@@ -24,8 +24,6 @@ RIGHT_NEES = 1.5
 """Mean NEES from which, up to `FAR_NEES`, a filter's position covariance counts as right."""
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
-
-
 _KEYS = {
     "nis_band": "nis_band_95",
     "inside_gate": "share_inside_95_gate",
@@ -134,11 +132,11 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Too confident: innovations are larger than their covariances; pessimistic: smaller.
+"""Overconfident (``optimistic``): innovations are larger than their covariances imply; pessimistic: smaller.
 
-Alike: smaller, and neighbors are nearly equal, so that nothing is known without truth.
-Lasting: smaller, and the errors against truth are as large as the covariances; predictions share the fixes' errors.
-Correlated: as large as the covariances, but neighbors are correlated; without truth.
+Alike: smaller, and consecutive innovations are nearly equal, so the error is unknown without truth.
+Lasting: smaller, although errors against truth match the covariances, since predictions share the fixes' errors.
+Correlated: of the right size, but consecutive innovations are correlated; only without truth.
 """
 ALIKE = 0.5
 """Correlation of neighboring innovations from which they are nearly equal."""

@@ -23,7 +23,7 @@ from sigmaswarm.scoring.targets import (
     outage_windows,
     placements,
 )
-from sigmaswarm.scoring.truth_noise import root_mean
+from sigmaswarm.scoring.truth import root_mean
 
 SMOOTHED = "smoothed"
 """The tuned filter, smoothed."""

@@ -19,12 +19,11 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.bank.run import BankRun
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.replay import Replay, joined
-from sigmaswarm.filters.run import Estimate, Innovations, estimate_of
+from sigmaswarm.filters.run import Estimate, Innovations, estimate_of, run_imu_only
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
@@ -59,8 +58,7 @@ from sigmaswarm.scoring.tracks import (
     compared,
     save_tracks,
 )
-from sigmaswarm.scoring.truth_noise import share_known
-from sigmaswarm.scoring.truth_offset import truth_offset
+from sigmaswarm.scoring.truth import share_known, truth_offset
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 
@@ -349,13 +347,6 @@ def evaluate(
         do not depend on it.
     **options
         Those of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more, fixes_alone.
-
-    Raises
-    ------
-    InputError
-        If there are no drives, or the two arguments are in the order of version 0.1.
-    AlignmentError
-        If a drive never moves far enough to start a filter.
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")

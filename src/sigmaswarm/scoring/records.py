@@ -15,10 +15,8 @@ from sigmaswarm.scoring.consistency import Consistency
 from sigmaswarm.scoring.radius import RadiusRecord
 
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
-
 Measured = dict[str, float | None]
 """Scores by measure; None if unknown."""
-
 FEW = 4
 """Least number of outages of one placement: with fewer, all placements hide nearly the same fixes."""
 
@@ -68,9 +66,7 @@ class ScoresRecord(BaseModel):
             return ""
         means = [sum(one[i] or 0.0 for one in drawn) / len(drawn) for i in range(count)]
         outages = sum(one.outages for one in found)
-        few = (
-            ", all on the same short stretch: another one may give far more" if outages < FEW * count else ""
-        )
+        few = ", all on the same short stretch: another stretch may give far more" * (outages < FEW * count)
         single = f"a single placement gives {min(means):.3g} to {max(means):.3g} m"
         return f"{outages} outages in {count} placements; {single}{few}"
 

@@ -17,8 +17,6 @@ ALL_OF_IT = 0.99
 """Share of a drive with truth above which gaps in it are not reported."""
 FAR_BELOW = 1.0
 """Mean NIS (half of what it should be) below which predictions do not measure the error."""
-MOST_TOLD = 3
-"""Drives without truth for which the error is estimated."""
 NOTABLE = 0.9
 """Share of the tuned filter's error below which the baseline's is reported as lower."""
 
@@ -96,7 +94,7 @@ def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...
     """Estimate the tuned filter's position error on each of the first drives without truth, in a sentence."""
     blind = [one.name for one in data if one.has_truth is False]
     found = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
-    return tuple(_without_truth(name, c) for name, c in found[:MOST_TOLD])
+    return tuple(_without_truth(name, c) for name, c in found[:3])
 
 
 def said_of_first_look(look: FirstLook) -> str:

@@ -24,15 +24,7 @@ Check = Callable[[Replayer], None]
 
 
 def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "Replays":
-    """Prepare the drives of a dataset for the given passes, where they are.
-
-    Raises
-    ------
-    AlignmentError
-        If a drive never moves far enough to start a filter.
-    InputError
-        The errors of ``check``; a remote dataset names all drives that can't be used.
-    """
+    """Prepare the drives of a dataset for the given passes, where they are; ``check`` refuses unusable ones."""
     if isinstance(dataset, RemoteDataset):
         remote = RemoteReplayer(dataset, passes, check)
         _ = remote.steps  # prepares the drives

@@ -2,7 +2,7 @@
 
 error = estimate - truth, at truth times from the start common to all methods (`InitialState.time`) to the last
 IMU sample, the estimate linearly interpolated to the truth time. Where truth states standard deviations, moments
-are weighted: see `truth_noise.py`. `targets.py` gives the same definitions to the compiled batch; tests compare them.
+are weighted: see `truth.py`. `targets.py` gives the same definitions to the compiled batch; tests compare them.
 """
 
 import math
@@ -15,7 +15,7 @@ from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.truth_noise import heading_weights, is_known, root_mean, weights_at
+from sigmaswarm.scoring.truth import heading_weights, is_known, root_mean, weights_at
 
 HEADING_COUNTS_ABOVE = 2.0
 """m/s: below this true speed the heading error is not scored."""

@@ -10,7 +10,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
-from sigmaswarm.scoring.truth_noise import heading_weights, is_known, weights_at
+from sigmaswarm.scoring.truth import heading_weights, is_known, weights_at
 
 OUTAGE_LENGTH = 5.0
 """s without fixes, after which the drift is measured."""
@@ -22,7 +22,7 @@ FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 """s: outages over which the drift of a tuned filter is compared with that of a filter of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""Number of outages of a drive that determines its drift to about a tenth."""
+"""Number of outages per drive; they determine the drift to about 10%."""
 MOST_PLACEMENTS = 8
 """Largest number of placements of outages on a drive: more would hide the same seconds again."""
 OUTAGE_FIRST_AFTER = 10.0
@@ -91,9 +91,7 @@ def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: 
     Where truth states deviations, windows that end in its gaps are left out.
     """
     reference = (drive.gps if drive.truth is None else drive.truth).time
-    earliest = (
-        float(reference[0]) - OUTAGE_FIRST_AFTER - length
-    )  # so that no window ends before the reference
+    earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
     last = float(min(drive.imu.time[-1], reference[-1]))
     windows = random_windows(
         max(initial.time, earliest),

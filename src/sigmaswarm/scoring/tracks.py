@@ -28,7 +28,7 @@ from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import UNTUNED, Run
 from sigmaswarm.scoring.score import PieceErrors, Score, distance_from, score_raw_gps
 from sigmaswarm.scoring.thinning import CloseUp, Columns, Thinned
-from sigmaswarm.scoring.truth_noise import is_known
+from sigmaswarm.scoring.truth import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
@@ -240,14 +240,12 @@ def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool)
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker = Tracker(ready, picture=True)
     filters = compared(drive, parameters)
-    tuned = {series: tracker.record(series, replay_of(ready), each) for series, each in filters.items()}[
-        "tuned"
-    ]
+    recorded = {series: tracker.record(series, replay_of(ready), each) for series, each in filters.items()}
     rmse = {series: score.position_rmse for series, score in tracker.scores.items()}
     rmse["raw_gps"] = score_raw_gps(drive, ready.initial).position_rmse
     consistency = None
-    if tuned.failure is None:
-        consistency = consistency_of(tuned.innovations, own_sigma=tracker.own_sigma["tuned"])
+    if recorded["tuned"].failure is None:
+        consistency = consistency_of(recorded["tuned"].innovations, own_sigma=tracker.own_sigma["tuned"])
     return FirstLook(tracker.picture(drive.name), rmse, consistency)
 
 
@@ -279,13 +277,7 @@ def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
 
 
 def load_tracks(path: Path) -> list[Tracks]:
-    """Read a file of `save_tracks`.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read.
-    """
+    """Read a file of `save_tracks`."""
     try:
         arrays = read_arrays(path)
         names = [str(name) for name in arrays.pop("names")]
@@ -295,10 +287,8 @@ def load_tracks(path: Path) -> list[Tracks]:
             series[int(number)].setdefault(of, {})[column] = np.asarray(values, np.float64)
         tracks = [Tracks(name, s) for name, s in zip(names, series, strict=True)]
         for of, columns in (item for one in tracks for item in one.series.items()):
-            position = (
-                set() if "." in of else {"x", "y"}
-            )  # NAME.nis, NAME.shares and NAME.moved are no tracks
-            needed = {"time", *position, *(["nis"] if of.endswith(NIS) else [])}
+            # NAME.nis, NAME.shares and NAME.moved are no tracks
+            needed = {"time", *(() if "." in of else ("x", "y")), *(["nis"] if of.endswith(NIS) else [])}
             shapes = {values.shape for values in columns.values()}
             if len(shapes) != 1 or len(shapes.pop()) != 1 or not needed <= columns.keys():
                 raise ValueError(of)

@@ -103,7 +103,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     if not withheld:
         return mended
     withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in withheld))
-    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld: with it a filter forecasts"
+    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since with it a filter predicts"
     warnings.warn(SigmaswarmWarning(f"{what} the fixes worse; check the log by hand"), stacklevel=2)
     return replace(mended, metadata={**mended.metadata, "withheld": withheld})
 

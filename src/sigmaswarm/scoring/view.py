@@ -26,8 +26,6 @@ _Row = tuple[str, str, Mapping[str, float | None]]
 
 LATE = 5.0
 """s after the start of a drive: a later start of the scores is reported."""
-MOST_REMARKS = 3
-"""Remarks that `print` shows of an evaluation."""
 NO_TRUTH = (
     "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
     "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
@@ -39,12 +37,7 @@ NO_TRUTH = (
 class EvaluationView:
     """An evaluation as tables and sentences, from memory or from its files.
 
-    Attributes
-    ----------
-    scores : ScoresRecord
-    setup : EvaluationRecord
-    names : mapping of method to str
-        Display names, in the order of the rows.
+    ``names`` are the display names of the methods, in the order of the rows.
     """
 
     scores: ScoresRecord
@@ -227,11 +220,8 @@ class EvaluationView:
             inside, ratio = found.inside_95, found.sigma_ratio
             held = "" if inside is None else f", and {100 * inside:.0f}% do"
             sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
-            lasts = (
-                f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
-                if found.lasting_m
-                else ""
-            )
+            lasts = f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
+            lasts = lasts if found.lasting_m else ""
             said.append(
                 f"{drive}: 95% of the position errors should be within {found.radius_95_m:.2g} m (median){lasts}{held}"
                 f"{sigma}."
@@ -295,7 +285,7 @@ class EvaluationView:
             "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
             for row in zip(*columns, strict=True)
         ]
-        return "\n".join([self.result(), *lines, *self.warnings()[:MOST_REMARKS]])
+        return "\n".join([self.result(), *lines, *self.warnings()[:3]])
 
     def to_html(self) -> str:
         """Return HTML for a notebook: means over the drives, each drive below, and the warnings."""
@@ -311,7 +301,7 @@ def explained_consistency(nees: bool) -> str:
     return (
         f"Do the tuned filter's {'predictions and errors' if nees else 'predictions'} agree with its covariances? "
         f"{what} 2 where they do; above 2 the filter is overconfident, below 2 too cautious."
-        f"{'' if nees else f' Beware: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
+        f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
         "the next fix. p is the probability that white ones look as correlated as these (Ljung and Box's test over "
         "ten fixes). Below 0.01, each error is partly that of the fix before, as with most real receivers, and "
         "averages out less than the filter assumes."

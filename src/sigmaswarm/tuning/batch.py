@@ -38,7 +38,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        Where a covariance lost its definiteness or something became NaN.
+        True where a covariance became indefinite or a value became NaN.
     """
 
     costs: Array
@@ -116,27 +116,13 @@ def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> Non
 
 
 def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> Replays:
-    """Prepare the drives, where they are, for the passes that an objective needs.
-
-    Raises
-    ------
-    AlignmentError
-        If a drive never moves far enough to start a filter.
-    InputError
-        As `require_fit`.
-    """
+    """Prepare the drives, where they are, for the passes that an objective needs."""
     passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
     return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 
 def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
-    """Refuse drives on which an objective can't be computed.
-
-    Raises
-    ------
-    InputError
-        If its truth lies outside the time in which a filter runs, or it is too short to hide fixes.
-    """
+    """Refuse drives on which an objective can't be computed."""
     needs_truth = objective_named(objective).needs_truth
     for drive, initial, moments in zip(
         replayer.drives, replayer.initial, replayer.truth_moments, strict=True

@@ -177,18 +177,12 @@ PAPER: dict[str, Any] = {
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Combine the paper's setting with the options that it leaves open.
-
-    Raises
-    ------
-    InputError
-        If an option contradicts the paper.
-    """
+    """Combine the paper's setting with the options that it leaves open; refuse options that contradict it."""
     for name, value in options.items():
         if name in PAPER and (tuple(value) if name == "use" else value) != PAPER[name]:
             papers = "nothing" if PAPER[name] in ((), None) else PAPER[name]
             raise InputError(
-                f"{name} = {value!r}: contradicts the paper's setting, which has {papers}; "
+                f"{name} = {value!r}: contradicts the paper's setting, which is {papers}; "
                 f"leave out {name} or the paper's setting"
             )
     return {**options, **PAPER}
@@ -197,21 +191,9 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
 def current_options(
     config: type[SearchConfig], options: Mapping[str, Any], arguments: Iterable[str] = ()
 ) -> dict[str, Any]:
-    """Return the options under their current names.
+    """Return options under their current names; refuse unknown ones, with a suggestion.
 
-    Parameters
-    ----------
-    config : type
-        The model that has the options.
-    options : mapping
-        As the caller gave them.
-    arguments : iterable of str
-        Other arguments of the function, to be suggested too.
-
-    Raises
-    ------
-    InputError
-        If an option does not exist; the message suggests the nearest one.
+    ``config`` is the model that has the options; ``arguments`` are those of the function, which are suggested too.
     """
     known, current = config.model_fields, dict[str, Any]()
     for name, value in options.items():
@@ -236,13 +218,7 @@ def suggested(name: str, known: Iterable[str]) -> str | None:
 
 
 def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
-    """Check the options of a tuning.
-
-    Raises
-    ------
-    InputError
-        Naming the option and its value, or the package that it needs.
-    """
+    """Check the options of a tuning; an `InputError` names the option and its value."""
     try:
         config = kind(**options)
     except ValidationError as error:

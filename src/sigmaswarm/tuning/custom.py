@@ -1,4 +1,4 @@
-"""Objectives of a tuning of a custom model."""
+"""The tuning of a custom model: its problem and its objectives."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.custom.identity import fingerprint
 from sigmaswarm.filters.custom.log import Log
-from sigmaswarm.filters.custom.model import Model
+from sigmaswarm.filters.custom.model import Model, fingerprint
 from sigmaswarm.filters.custom.run import Runner, run_model
-from sigmaswarm.scoring.custom import truth_rmse
+from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.tuning.box import Box, Dimension
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.options import Scale
 from sigmaswarm.tuning.problem import Problem
 from sigmaswarm.tuning.space import SCALING
 
@@ -79,13 +77,7 @@ class ModelProblem(Problem[dict[str, float]]):
 
 
 def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> ModelProblem:
-    """Make the problem of tuning a model of the user's own on logs.
-
-    Raises
-    ------
-    InputError
-        If the model does not fit a log, the objective does not support models, or it needs truth that a log lacks.
-    """
+    """Make the problem of tuning a model of the user's own on logs."""
     if not logs:
         raise InputError("no logs were given; give at least one")
     if config.objective not in MODEL_OBJECTIVES:
@@ -94,14 +86,45 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
             f"choose one of {', '.join(MODEL_OBJECTIVES)}"
         )
     targets = [truth_rmse(log, model) for log in logs] if config.objective == "truth-rmse" else None
-    space, data = model_box(model, config.scale), [_described(log) for log in logs]
-    return ModelProblem(config, space, data, model, logs, Runner(model, logs), targets)
-
-
-def model_box(model: Model, scale: Scale) -> Box:
-    """The model's parameters, and the sigma points' scaling where it has them; ``scale`` linear: nothing in log10."""
     own = [Dimension(t.name, "", 0, t.lowest, t.highest, spread=t.logarithmic) for t in model.parameters]
-    return Box((*(SCALING if model.kind == "ukf" else ()), *own), scale)
+    space = Box((*(SCALING if model.kind == "ukf" else ()), *own), config.scale)
+    return ModelProblem(config, space, [*map(_described, logs)], model, logs, Runner(model, logs), targets)
+
+
+def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
+    """Return a function of means (k, n), at the log's times, to the RMSE of the model's ``scored`` states.
+
+    It is sqrt(mean(e^T e)) over moments of truth; e = estimate - truth, the estimate linear in between. By default all
+    states are scored whose truth the log has.
+    """
+    names = model.scored or tuple(log.truth)
+    missing = [name for name in names if name not in log.truth]
+    if missing or not names:
+        what = f"of {missing[0]!r} " if missing and log.truth else ""
+        raise log.wrong(f"has no truth {what}for truth-rmse; add it, or tune with innovation-nll")
+    moments = log.time if log.truth_time is None else log.truth_time
+    within = (moments >= log.time[0]) & (moments <= log.time[-1])
+    if not within.any():
+        raise log.wrong(
+            f"truth covers t = {moments[0]:g} to {moments[-1]:g} s, the inputs {log.time[0]:g} to {log.time[-1]:g} s; "
+            "put both on one clock"
+        )
+    moments = moments[within]
+    before = np.searchsorted(log.time, moments, side="right") - 1
+    after = np.minimum(before + 1, len(log.time) - 1)
+    interval = np.where(after > before, log.time[after] - log.time[before], 1.0)
+    weight = ((moments - log.time[before]) / interval)[:, np.newaxis]
+    truth = np.column_stack([log.truth[name][within] for name in names])
+    places, angles = model.places(names), np.isin(names, model.angles)
+
+    def rmse(mean: Array) -> float:
+        estimate = mean[:, places]
+        early, moved = estimate[before], estimate[after] - estimate[before]
+        error = early + weight * np.where(angles, wrap_angle(moved), moved) - truth
+        error = np.where(angles, wrap_angle(error), error)
+        return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+    return rmse
 
 
 def _described(log: Log) -> dict[str, Any]:

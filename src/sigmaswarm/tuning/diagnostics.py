@@ -6,10 +6,10 @@ search that ended too early may leave a filter that forecasts nearly as well as 
 
 Scale of the covariance: all noises and the initial covariance times one factor leave a Kalman filter's gains, and so
 its estimates, unchanged; its covariances are multiplied, and its NIS divided. So mean NIS / 2 is the factor that makes
-the filter consistent. It holds for planar8 and tilted12 as far as their gains do not depend on the scale: a gate and
-Student's t do, and so do the start and the gaps of a drive. Within planar5's bounds the heading may be uncertain by
-degrees, where the sigma points' spread, and with it the mean, follows the scale. The factor's effect on the position is
-therefore measured.
+the filter consistent. This is valid for planar8 and tilted12 where their gains do not depend on the scale. They do with
+a gate or Student's t, and at the start and the gaps of a drive. Within planar5's bounds the heading may be uncertain by
+degrees; then the spread of the sigma points, and with it the mean, follows the scale. The effect of the factor on the
+position is therefore measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -45,7 +45,7 @@ NEAR = 1.2
 """Ratio over those few placements below which the rest are skipped; the ratio then errs by 10%."""
 LOOK = 600.0
 """Seconds in the middle of a drive that are checked for drift."""
-REMEDY = "DON'T USE IT; check the drive with `sigmaswarm doctor`, tune with more --trials, or on more drives"
+REMEDY = "DO NOT USE IT; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given. Medians of three seeds of filters tuned without
 truth: -0.05 and 0.12 on drives with white errors, 0.15 with a simulated u-blox M8, 0.33 to 0.91 with real receivers."""
@@ -111,7 +111,7 @@ def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
     if not diverged:
         return []
     more = f"; and on {len(diverged) - NAMED} more drives" if len(diverged) > NAMED else ""
-    why = f"the tuned filter {'; it '.join(diverged[:NAMED])}{more}, though it was tuned there"
+    why = f"the tuned filter {'; it '.join(diverged[:NAMED])}{more}, although it was tuned there"
     return [to_do(REMEDY, why)]
 
 
@@ -127,8 +127,8 @@ def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
     if tuned <= FAR * other:
         return []
     why = (
-        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
-        f"baseline {other:.3g} m"
+        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m on its training drives, "
+        f"the baseline {other:.3g} m"
     )
     return [to_do(REMEDY, why)]
 

@@ -2,9 +2,9 @@
 
 A filter tuned on one drive trusts its model as far as that drive allows. On other roads, on a warmer day or with
 another IMU it is then overconfident and rejects good fixes. Statisticians take the simplest model within one standard
-error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3); likewise, of all
-filters whose cost is nearly the best, the one with the largest process noise is taken. Longer drives determine more, so
-the allowed cost increase falls with their length; it does not rise for drives shorter than `REFERENCE_DURATION`.
+error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3). Likewise, the filter
+with the largest process noise is taken among those whose cost is nearly the best. Longer drives determine more, so the
+allowed cost increase falls with their length; it does not rise for drives shorter than `REFERENCE_DURATION`.
 
 A planar model inflates all process noise by one factor, since the velocity's noise represents the tilt of roads. A
 model with roll and pitch inflates the random walks of the IMU's biases, which it otherwise assumes constant, by the
@@ -13,9 +13,9 @@ car and help less on another one (0.86 of the fixes' own error instead of 0.65).
 cheap IMU grows by half, since the filter mistakes vibration for biases.
 
 The model robot-localization inflates the noise of position, velocity and acceleration, and leaves heading and yaw rate
-alone, which do not depend on roads. Tuned without truth on each of six drives (two KITTI roads more, kingston-1,
-dresden, half of colorado-1) and evaluated on the others, 0.02 had the smallest errors of pose on the same car's drives.
-Other cars' drives gain from more, but no value is safe there: tune that filter on the same car.
+alone, which do not depend on roads. Filters were tuned without truth on each of six drives (two more KITTI roads,
+kingston-1, dresden, half of colorado-1) and evaluated on the others: 0.02 gave the smallest errors of pose on the same
+car's drives. Other cars' drives gain from more, but no value is safe there: tune that filter on the same car.
 
 A noise that a good IMU on a smooth road reduces to zero stays zero, since ten times 1e-13 is still negligible. Such a
 filter therefore gets lower limits (`space.LEAST`): initial bias deviations of 0.005 m/s2 and 0.01 deg/s, and random
@@ -48,28 +48,11 @@ STEP = 0.1
 def inflated(
     problem: Problem[Any], point: Array, cost: float, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
-    """Inflate process noise until the cost has risen by the allowed share.
+    """Inflate process noise from an optimum, (d,), until the cost has risen by the allowed share.
 
-    Parameters
-    ----------
-    problem : Problem
-        Its variances are searched as logarithms.
-    point : ndarray, shape (d,)
-        The optimum, in search coordinates.
-    cost : float
-        At the optimum.
-    allowed : float
-        Relative cost increase on `REFERENCE_DURATION` seconds of driving, or less.
-    executor : concurrent.futures.Executor or None
-
-    Returns
-    -------
-    point : ndarray, shape (d,)
-        The last point before the cost rises more, moved to the lower limits; no noise leaves its bounds.
-    cost : float
-        At that point.
-    factor : float
-        By which the noise that is inflated most has grown, where it is not at its bound.
+    ``allowed`` is the relative increase on `REFERENCE_DURATION` seconds of driving, or less. Returns the last point
+    before the cost rises more, moved to the lower limits, its cost, and the factor of the noise that is inflated most.
+    No noise leaves its bounds.
     """
     space = problem.space
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)

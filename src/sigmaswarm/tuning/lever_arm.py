@@ -16,7 +16,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.sensors import sensors_of
+from sigmaswarm.drives.sensors import sensors_of, suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -25,7 +25,7 @@ from sigmaswarm.filters.recording import Innovations, Recording
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import TuneConfig, validated_config
-from sigmaswarm.tuning.defaults import settled, with_filter
+from sigmaswarm.tuning.defaults import settled
 from sigmaswarm.tuning.problem import car_problem
 from sigmaswarm.tuning.search import Search
 
@@ -70,7 +70,7 @@ class LeverArmEstimate:
     stated : (float, float)
         m, the lever arm of drive.toml; zeros where it states none.
     within : float
-        m: the lever arm is observable if 95% of estimates with this standard deviation are this accurate per axis.
+        m: an axis is observable if 95% of estimates with its standard deviation are this accurate.
     """
 
     forward: float
@@ -80,35 +80,41 @@ class LeverArmEstimate:
     within: float
 
     @property
-    def observable(self) -> bool:
-        """True where the turns of the drives show the lever arm."""
-        return 1.96 * max(self.std) <= self.within
+    def observable(self) -> tuple[bool, bool]:
+        """True for each axis, forward and left, that the turns of the drives determine."""
+        forward, left = (1.96 * std <= self.within for std in self.std)
+        return forward, left
 
     def __str__(self) -> str:
         """One line for people."""
-        found = f"antenna {_placed(self.forward, self.left)} of the IMU, +-{max(self.std):.2f} m"
-        if not self.observable:
+        found, stated = _placed(self.forward, self.left), _placed(*self.stated)
+        axes = [f"{axis} (+-{std:.2f} m)" for axis, std in zip(found, self.std, strict=True)]
+        known = [axis for axis, observable in zip(axes, self.observable, strict=True) if observable]
+        unknown = [axis for axis in axes if axis not in known]
+        said = [f"antenna {' and '.join(known)} of the IMU"] if known else []
+        if known and any(self.stated):
+            said.append(f"drive.toml states {' and '.join(stated)}")
+        if unknown:
             times = (1.96 * max(self.std) / self.within) ** 2
-            return (
-                f"the turns of this log do not determine the lever arm to {self.within:g} m, which needs "
-                f"{times:.1f} times as many ({found}); drive.toml stays as it is"
+            said.append(
+                f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m, which needs "
+                f"{times:.1f} times as many; drive.toml keeps its value"
             )
-        return f"{found}; drive.toml states {_placed(*self.stated)}" if any(self.stated) else found
+        return "; ".join(said)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return vars(self) | {
-            "std": list(self.std),
-            "stated": list(self.stated),
-            "observable": self.observable,
-        }
+        pairs = {name: list(getattr(self, name)) for name in ("std", "stated", "observable")}
+        return vars(self) | pairs
 
     def applied(self, drive: Drive) -> Drive:
-        """Return a drive with the estimate as ``gps_lever_arm_m``; an unobservable one changes nothing."""
-        if not self.observable:
+        """Return a drive with the observable axes as ``gps_lever_arm_m``; the other ones keep the stated value."""
+        if not any(self.observable):
             return drive
         repaired = [*drive.metadata.get("repaired", []), "lever-arm"]
-        return _with_arm(drive, (round(self.forward, 4), round(self.left, 4)), repaired=repaired)
+        found = zip((self.forward, self.left), drive.lever_arm, self.observable, strict=True)
+        arm = tuple(round(value, 4) if known else float(stated) for value, stated, known in found)
+        return _with_arm(drive, arm, repaired=repaired)
 
 
 def estimate_lever_arm(
@@ -126,7 +132,7 @@ def estimate_lever_arm(
     parameters : FilterParameters, optional
         The filter whose innovations count. By default the one that suits the logs, with noises by likelihood.
     within : float
-        m per axis, for 95%: the accuracy from which on the lever arm counts as observable.
+        m, for 95%: the accuracy from which on an axis of the lever arm counts as observable.
 
     Returns
     -------
@@ -151,7 +157,8 @@ def estimate_lever_arm(
     mean, std = read[0].lever_arm, _stated_std(read[0])
     prior = {name: (float(m), s) for name, m, s in zip(ARM, mean, std, strict=True)}
     if parameters is None:
-        options = with_filter({}, [sensors_of(drive) for drive in read])[0]
+        suited = suggest_filter(read)
+        options: dict[str, Any] = {"model": suited.model, "use": suited.use}
         values, _ = _maximum(read, baseline_of(read[0], options["model"], options["use"]), prior)
         moved = [_with_arm(drive, (values["forward"], values["left"])) for drive in read]
         parameters = _tuned(moved, options)
@@ -163,9 +170,9 @@ def estimate_lever_arm(
     )
 
 
-def _placed(forward: float, left: float) -> str:
+def _placed(forward: float, left: float) -> tuple[str, str]:
     ahead, aside = "ahead" if forward >= 0 else "behind", "left" if left >= 0 else "right"
-    return f"{abs(forward):.2f} m {ahead} and {abs(left):.2f} m {aside}"
+    return f"{abs(forward):.2f} m {ahead}", f"{abs(left):.2f} m {aside}"
 
 
 def _stated_std(drive: Drive) -> tuple[float, float]:
@@ -175,7 +182,7 @@ def _stated_std(drive: Drive) -> tuple[float, float]:
     return float(stated[0]), float(stated[1])
 
 
-def _with_arm(drive: Drive, arm: tuple[float, float], **more: Any) -> Drive:
+def _with_arm(drive: Drive, arm: Sequence[float], **more: Any) -> Drive:
     """Return a drive with another lever arm; the antenna's height stays."""
     changed = {"gps_lever_arm_m": [*map(float, arm), drive.antenna_height], **more}
     return replace(drive, metadata={**drive.metadata, **changed})

@@ -85,13 +85,7 @@ class CompareOptions(SharedOptions, FilterOptions, total=False):
 
 
 def require_packages(optimizer: object) -> None:
-    """Check that the package of an optimizer is installed.
-
-    Raises
-    ------
-    InputError
-        If it is missing.
-    """
+    """Check that the package of an optimizer is installed."""
     if optimizer == "bo" and find_spec("sklearn") is None:
         raise InputError(
             "optimizer = 'bo': needs scikit-learn, which is not installed; run: pip install scikit-learn"

@@ -35,11 +35,11 @@ from sigmaswarm.tuning.diagnostics import (
     scale_warnings,
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.prior import prior_costs
 from sigmaswarm.tuning.receiver import (
     accuracy_warnings,
     fix_noise,
     noise_warnings,
+    prior_costs,
     prior_warnings,
     stated,
 )
@@ -50,17 +50,10 @@ P = TypeVar("P", covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Problem(ABC, Generic[P]):
-    """A filter, its data and its objective, as `tune` uses them.
+    """A filter, its data and its objective, as `tune` uses them. Points are in search coordinates.
 
-    Points are in search coordinates.
-
-    Attributes
-    ----------
-    config : SearchConfig
-    space : Box
-        The bounds. They may come from other drives; Q then refers to the IMU interval of those.
-    data : list of dict
-        Name, length and fingerprint of each drive or log.
+    The bounds, ``space``, may come from other drives; Q then refers to their IMU interval. ``data`` has name, length
+    and fingerprint of each drive or log.
     """
 
     config: SearchConfig
@@ -246,13 +239,6 @@ def car_problem(
     """Make the problem of tuning a filter for cars on drives, local or remote.
 
     A given ``space`` comes from other drives; its Q refers to their IMU interval.
-
-    Raises
-    ------
-    InputError
-        If the objective or an option needs data that a drive does not have.
-    AlignmentError
-        If a drive never moves far enough to start a filter.
     """
     objective = objective_named(config.objective)
     if config.prior and not objective.nats:

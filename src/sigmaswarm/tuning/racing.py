@@ -39,14 +39,7 @@ Order = Sequence[int] | NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Leader:
-    """The best candidate so far.
-
-    Attributes
-    ----------
-    cost : float
-    each : ndarray, shape (m,)
-        Its cost on each drive.
-    """
+    """The best candidate so far: its cost, and its cost on each drive, (m,)."""
 
     cost: float
     each: Array
@@ -54,18 +47,10 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Raced:
-    """Costs of a batch of candidates, and the work they took.
+    """Costs (n,) of a batch of candidates, and the work they took.
 
-    Attributes
-    ----------
-    costs : ndarray, shape (n,)
-        Full costs of those that reached all drives, then those of the others.
-    steps : int
-        Filter steps spent.
-    failures : int
-        Candidates that failed on a drive they were tried on.
-    leader : Leader or None
-        The best so far, after this batch; None as long as all failed.
+    Costs of those that reached all drives are full. ``steps`` were spent, ``failures`` failed on a drive that they were
+    tried on. ``leader`` is the best so far, after this batch; None as long as all failed.
     """
 
     costs: Array

@@ -1,4 +1,11 @@
-"""Plausibility of a tuned R: a filter that forecasts fixes well may only copy them."""
+"""R and the accuracy of the receiver: a prior for logs without truth, and warnings of an implausible R.
+
+A filter that forecasts fixes well may only copy them. Many receivers smooth their fixes: from one to the next they err
+by centimeters, over minutes by meters. The likelihood of the next fix depends on the centimeters alone, so its optimum
+has an R of centimeters and copies the fixes. A prior adds the receiver's data sheet: a log-normal distribution of R
+about the stated variance, as a lower limit (receivers in cities state too little, and a larger R costs nothing).
+Correlated errors are common to all fixes, so more fixes do not outweigh the prior: it counts once for each of them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +19,13 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.tuning.prior import prior_costs, typical_variance
+from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.wording import to_do
 
+DECADES = 0.5
+"""Standard deviation of log10 R below that of the receiver."""
+DECADES_ABOVE = 0.25
+"""The same above it, with states for correlated fix errors, which a large R would replace."""
 FAR_BELOW = 3.0
 """Factor between the receiver's deviation and R's above which a warning is given."""
 NO_PART = 0.05
@@ -29,16 +40,33 @@ UNKNOWN = "no log without truth shows their common error"
 STATE = "write the receiver's deviation, m per axis, as gps_std_m into drive.toml"
 
 
+def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
+    """Penalty of the prior per fix, (n, m), added to the negative log-likelihood, nats.
+
+    ``std`` (m, 2) is `receiver_std` of each drive, m. The penalty is 0.5 (log10(R / std^2) / 0.5)^2 where R is smaller
+    than std^2, else 0; the mean over both axes. R of a filter that uses each fix's stated accuracy is that of the
+    median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors, and 0.25 replaces
+    0.5 where it is larger.
+    """
+    log = np.log10(typical_variance(parameter_sets, std) / std**2)
+    lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
+    off = np.minimum(log / DECADES, 0.0) + np.where(lasts, np.maximum(log / DECADES_ABOVE, 0.0), 0.0)
+    return 0.5 * np.mean(off**2, axis=2)
+
+
+def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
+    """Variance of the median fix, m2 east and north, shape (n, m, 2); ``std`` as in `prior_costs`."""
+    table = ParameterTable.of(parameter_sets)
+    scale = table.column("accuracy_scale") + table.column("fix_error")
+    return table.column("measurement_noise")[:, None, :] + scale[:, None, None] * std**2
+
+
 @dataclass(frozen=True)
 class FixNoise:
-    """Estimates of the errors of a drive's fixes.
+    """Estimates of the errors of a drive's fixes, m per axis; NaN if unknown.
 
-    Attributes
-    ----------
-    stated : float
-        Median deviation that the receiver states, m per axis; NaN without one.
-    scatter : float
-        Scatter about a path of ten seconds that the IMU can follow, m per axis; NaN if unknown.
+    ``stated``: median deviation that the receiver states. ``scatter``: about a path of ten seconds that the IMU can
+    follow.
     """
 
     stated: float
@@ -77,7 +105,7 @@ def noise_warnings(
     if r * FAR_BELOW < stated:
         why = f"the receiver states {stated:.2g} m"
     elif r * FAR_BELOW < scatter:
-        why = f"they scatter by {scatter:.2g} m about a path that the IMU can follow"
+        why = f"the fixes scatter by {scatter:.2g} m about a path that the IMU can follow"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]

@@ -81,16 +81,16 @@ class TuningRecord(TuningConfigRecord):
     data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
 
 
+def tuning_file(path: Path) -> Path:
+    """Return the tuning.toml at a path: the file itself, or the one in this folder."""
+    return path / FILE if path.is_dir() else path
+
+
 def seen_by(file: Path) -> list[Landmarks]:
     """Return the identification of the training drives named in a filter's file.
 
     Without seen.npz next to it, or written by an earlier version, only whole drives are recognized
     (`drives.overlap.known_overlap`).
-
-    Raises
-    ------
-    InputError
-        If seen.npz is there but can't be read.
     """
     data = load_record(TuningRecord, file).data
     kept = load_landmarks(file.parent / SEEN_FILE)
@@ -132,13 +132,7 @@ class History:
 
     @classmethod
     def load(cls, path: Path) -> "History":
-        """Read a file of `save`.
-
-        Raises
-        ------
-        InputError
-            If the file can't be read.
-        """
+        """Read a file of `save`."""
         whole, real = pl.Int64(), pl.Float64()
         numbers = {"trial": whole, "generation": whole, "best_cost": real, "median_cost": real}
         try:

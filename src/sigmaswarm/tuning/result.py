@@ -22,7 +22,7 @@ from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, 
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.diagnostics import SCALE_FREE, Forecast, said_of_forecasts
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord, seen_by
+from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, seen_by, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.tuning.space import search_space
@@ -48,15 +48,9 @@ LARGE_GAP = 0.2
 
 @dataclass(frozen=True)
 class Validation:
-    """Result on drives that the search did not use.
+    """Cost on drives that the search did not use.
 
-    Attributes
-    ----------
-    cost : float
-        The objective on the validation drives.
-    gap : float
-        Relative increase of the errors over the training drives; 0.1 is 10%.
-    drives : tuple of str
+    ``gap``: relative increase of the errors over the training drives; 0.1 is 10%.
     """
 
     cost: float
@@ -258,7 +252,7 @@ class Tuning(Generic[P]):
         InputError
             If the file can't be read, or is not the result of a tuning.
         """
-        file = Path(path) / FILE if Path(path).is_dir() else Path(path)
+        file = tuning_file(Path(path))
         record = load_record(TuningRecord, file)
         result = record.result
         if result is None:
@@ -338,9 +332,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
-        why = (
-            "fixes alone determine the heading poorly: it may be off by tens of degrees with a good position"
-        )
+        why = "fixes alone determine the heading poorly: it may be wrong by tens of degrees with a good position"
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -RISE and factor == 1.0:

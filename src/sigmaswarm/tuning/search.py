@@ -90,18 +90,9 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 class Search:
     """Settings that the trials of one tuning share.
 
-    Attributes
-    ----------
-    config : SearchConfig
-    problem : Problem
-    executor : concurrent.futures.Executor or None
-        Runs the work of a generation; None runs it in this thread.
-    folder : ResultFolder or None
-        Where every generation is saved.
-    progress : callable or None
-        Called after every generation; stops the search by returning False.
-    start : ndarray or None
-        Point, shape (d,), that each trial's first generation starts from.
+    Without an executor all work is done in this thread. Every generation is saved in ``folder``. ``progress`` is called
+    after every generation; it stops the search by returning False. Each trial's first generation includes ``start``
+    (d,).
     """
 
     config: SearchConfig

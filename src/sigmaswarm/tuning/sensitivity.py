@@ -15,8 +15,6 @@ from sigmaswarm.tuning.problem import Problem
 
 RISE = 0.01
 """Relative increase of the cost."""
-HALVINGS = 10
-"""Halvings of the distance to the bound for the first step, which is doubled up to the bound."""
 NOISE_SCALE = "all noise variances times"
 
 
@@ -50,22 +48,12 @@ class Sensitivity:
 def sensitivities(
     problem: Problem[Any], point: Array, cost: float, executor: Executor | None
 ) -> tuple[Sensitivity, ...]:
-    """Move each parameter of a tuned filter away from its value, both ways, until the cost has risen by 1%.
-
-    Parameters
-    ----------
-    problem : Problem
-    point : ndarray, shape (d,)
-        The optimum, in search coordinates.
-    cost : float
-        There.
-    executor : concurrent.futures.Executor or None
-    """
+    """Move each parameter away from the optimum, (d,), both ways, until the cost has risen by 1%."""
     space, names, axes = problem.space, [*problem.space.names], np.eye(len(point))
     down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
     noises = space.logarithmic & space.noises
     if noises.any():
-        # two decades each way, out of the box if need be: a variance at its bound would else hide the trade
+        # two decades each way, even beyond the bounds: else a variance at its bound would hide the trade-off
         together = np.where(noises, 2.0, 0.0)
         down, up = np.vstack([down, -together]), np.vstack([up, together])
         names.append(NOISE_SCALE)
@@ -74,10 +62,10 @@ def sensitivities(
         first = int(np.argmax(noises))
         return float(space.values(at)[k] if k < len(point) else 10 ** (at[first] - point[first]))
 
-    shares = np.array([0.5**k for k in range(HALVINGS, -1, -1)])
+    shares = np.array([0.5**k for k in range(10, -1, -1)])  # of the distance to the bound
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
-    tried, of = np.unique(points, axis=0, return_inverse=True)  # no way leads from a bound
+    tried, of = np.unique(points, axis=0, return_inverse=True)  # a parameter at a bound moves one way only
     rises = problem.rise(problem.costs(tried, executor)[of], cost).reshape(len(names), 2, len(shares))
     found: list[Sensitivity] = []
     for k, name in enumerate(names):

@@ -167,11 +167,6 @@ def search_space(
     All but planar5 without the lateral constraint share the noise of east and north: q_xy, q_vxy, r_xy. Bounds per
     second are converted to ``nominal_interval``, or to 10 ms. With fix-error, ``fix_std`` (m) is the receiver's
     standard deviation per axis, and ``has_truth`` is True where the objective compares with truth.
-
-    Raises
-    ------
-    InputError
-        If the scale or an option is unknown, or the kind of filter or another option does not go with one.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")

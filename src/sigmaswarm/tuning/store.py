@@ -73,13 +73,7 @@ def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Arrays and notes, or None where nothing was saved.
-
-    Raises
-    ------
-    InputError
-        If the file is there but can't be read.
-    """
+    """Arrays and notes, or None where nothing was saved."""
     if not path.exists():
         return None
     try:
@@ -122,13 +116,7 @@ def finished_trial(
     result_type: type[BaseModel] = TrialRecord,
     history_type: type[BaseModel] = TrialHistoryRecord,
 ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Read the result and the history of a finished trial from a tuning's folder; None where there is none.
-
-    Raises
-    ------
-    InputError
-        If the trial is there but can't be read.
-    """
+    """Read the result and the history of a finished trial from a tuning's folder; None where there is none."""
     folder = path / f"trial-{trial:03d}"
     if not folder.exists():
         return None
@@ -165,21 +153,10 @@ def _short(key: str, value: Any) -> str:
 
 
 class ResultFolder:
-    """The folder of a tuning.
+    """The folder of a tuning, made if missing, with its effective configuration (JSON types only).
 
-    Parameters
-    ----------
-    path : Path
-        Made if missing.
-    config : dict
-        The effective configuration; JSON types only.
-    resume : bool
-        Continue the run in the folder, if it has the same configuration.
-
-    Raises
-    ------
-    InputError
-        If the folder contains another tuning, or results that ``resume`` was not given for.
+    ``resume`` continues the run in it if that has the same configuration. Another tuning, or results without
+    ``resume``, are refused.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:

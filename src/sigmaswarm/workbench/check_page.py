@@ -88,9 +88,7 @@ class CheckPage(Page):
 
     def _parted(self, drive: Drive, at: tuple[float, float]) -> list[str]:
         parts = sigmaswarm.split(drive, at=at)
-        for part in parts:
-            sigmaswarm.write_drive(part, self.bench.path("drives", part.name), overwrite=True)
-        return [part.name for part in parts]
+        return [self.bench.write(part) for part in parts]
 
     def _was_parted(self, names: list[str] | None) -> None:
         if names:
@@ -127,7 +125,7 @@ class CheckPage(Page):
             stages = [*stages, _apply(stages[-1], step)]
         if steps:
             made = replace(stages[-1], name=target, metadata={**stages[-1].metadata, "steps": steps})
-            sigmaswarm.write_drive(made, self.bench.path("drives", target), overwrite=True)
+            self.bench.write(made)
         else:
             self.bench.remove("drives", target)
         return stages, steps, sigmaswarm.diagnose(stages[-1]), _agreements(stages[-1])
@@ -135,7 +133,10 @@ class CheckPage(Page):
     def _steps(self) -> None:
         """The applied steps, each with a button to undo it."""
         for number, step in enumerate(self.steps):
-            said = f"repaired: {', '.join(step['repair'])}" if "repair" in step else _kept(step["keep"])
+            said = (
+                "repaired: " + ", ".join(step["repair"]) if "repair" in step else "kept only {:g} to {:g} s"
+            )
+            said = said.format(*step.get("keep", ()))
             rest = [*self.steps[:number], *self.steps[number + 1 :]]
             with card("done"), line("between"):
                 text("h3", said)
@@ -230,10 +231,6 @@ class CheckPage(Page):
                 show_map(drive, "Map of the drive", 340)
 
 
-def _kept(ends: list[float]) -> str:
-    return f"kept only {ends[0]:g} to {ends[1]:g} s"
-
-
 def _agreements(drive: Drive) -> Agreements:
     return {found.key: found for found in agreements(drive)}
 
@@ -247,7 +244,7 @@ def _apply(drive: Drive, step: Step) -> Drive:
 def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
     """Try each repair: the agreements after it, and a sentence where it is withheld."""
     after: dict[str, tuple[Agreements, str]] = {}
-    said = "This repair is withheld: with it a filter forecasts the fixes worse. Check the log by hand."
+    said = "This repair is withheld, since a filter predicts the fixes worse with it. Check the log yourself."
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
         mended = sigmaswarm.repair(drive, diagnosis, only=[code])
         withheld = code in mended.metadata.get("withheld", ())

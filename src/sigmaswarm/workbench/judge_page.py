@@ -10,8 +10,6 @@ from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.workbench.parts import Page, button, card, line, link, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 
-SCORES = "scores.json"
-
 
 class JudgePage(Page):
     """The choice of filter, rival and drives, and the page of the evaluation."""
@@ -32,7 +30,12 @@ class JudgePage(Page):
         with card():
             text("h2", "Judge a filter")
             with line():
-                select("Filter", tunings, chosen["tuning"], self._choose_filter)
+                select(
+                    "Filter",
+                    tunings,
+                    chosen["tuning"],
+                    lambda t: self._choose(tuning=t, drives=self._held(t)),
+                )
                 rivals = {"": "no other", **{name: name for name in tunings if name != chosen["tuning"]}}
                 against = chosen.get("against", "")
                 select("Compare with", rivals, against, lambda name: self._choose(against=name))
@@ -50,9 +53,6 @@ class JudgePage(Page):
     def _choose(self, **chosen: Any) -> None:
         self.chosen |= chosen
         self.refresh()
-
-    def _choose_filter(self, name: str) -> None:
-        self._choose(tuning=name, drives=self._held(name))
 
     def _held(self, name: str) -> list[str]:
         """The drives that a tuning held back, else those that it did not see."""
@@ -88,7 +88,7 @@ class JudgePage(Page):
         return name
 
     def _result(self) -> None:
-        names = self.bench.names("evaluations", SCORES)
+        names = self.bench.names("evaluations", "scores.json")
         if not names:
             return
         chosen = self.bench.choices.get("evaluation")

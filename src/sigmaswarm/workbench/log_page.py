@@ -1,49 +1,35 @@
 """Step 1: the content of a log, and its conversion to a drive."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 from nicegui import ui
 from nicegui.events import MultiUploadEventArguments
 
-import sigmaswarm
-from sigmaswarm import Drive, InputError, write_drive
-from sigmaswarm.doctor.agreements import Agreement, agreements
-from sigmaswarm.importing.look import Look
-from sigmaswarm.importing.mounting import find_mount
+from sigmaswarm import write_drive
 from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.mounting_panel import MountingPanel
-from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
+from sigmaswarm.workbench.open_log import OpenLog
+from sigmaswarm.workbench.parts import button, card, command, line, link, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map
 from sigmaswarm.workbench.state import CHECKED, MOST_UPLOADED, NAME, Workbench, attempt
 from sigmaswarm.workbench.table_panel import TablePanel
 
-SHOWN_FIRST = ("gravity", "turning", "forward")
-Reading = tuple[Look | None, Drive | None, tuple[Agreement, ...], str]
-"""A look at a log, its drive, what agrees in it, and the sentence of an error."""
 
-
-class LogPage(Page):
-    """The open log: its content, the choices made, and the resulting drive."""
+class LogPage(OpenLog):
+    """The open log, as it is shown and made a drive."""
 
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
-        self.look: Look | None = None
-        self.drive: Drive | None = None
-        self.found: tuple[Agreement, ...] = ()
-        self.done = ""
         self.panels: list[TablePanel] = []
         self.mounting = MountingPanel(self)
-        self._opened: Path | None = None
 
     def content(self) -> None:
         """Show the step; its parts are brought up to date one by one."""
-        if self._opened != self.bench.log:
+        if self.opened != self.bench.log:
             self.reread()
         self._pick()
-        self._status()
+        self.status()
         self._notes()
         self._tables()
         self.mounting.show()
@@ -60,17 +46,10 @@ class LogPage(Page):
         else:
             self.panels = [TablePanel(self, self.look, g) for g in self.look.tables] if self.look else []
             self._tables.refresh()
-        for part in (self._status, self._notes, self._agreement, self._finish):
+        for part in (self.status, self._notes, self._agreement, self._finish):
             part.refresh()
         if self.mounting.shown != self.mounting.state:
             self.mounting.show.refresh()
-
-    @ui.refreshable_method
-    def _status(self) -> None:
-        self.messages()
-        if self.wrong and self.look and self.look.tables:
-            text("p", "Choose below what each column is used for; the log is read again after every choice.")
-        message(self.done, "good")
 
     @ui.refreshable_method
     def _pick(self) -> None:
@@ -94,7 +73,9 @@ class LogPage(Page):
                 auto_upload=True,
                 max_total_size=MOST_UPLOADED,
                 on_multi_upload=self._dropped,
-                on_rejected=lambda: ui.notify("too large: name the log on the command line"),
+                on_rejected=lambda: ui.notify(
+                    "larger than 2 GB; name it on the command line: sigmaswarm workbench LOG"
+                ),
                 label="Drop a file or a folder here, or press + and choose all files of one log",
             )
             only_files = "files => files.filter(f => !window.droppedFolders.has(f.name))"
@@ -107,13 +88,15 @@ class LogPage(Page):
 
     async def _dropped(self, event: MultiUploadEventArguments) -> None:
         """Save the files of one drop: a single file as it is, several as a folder."""
-        files = [file for file in event.files if NAME.fullmatch(file.name)]
-        if len(files) < len(event.files) or not files:
-            self.wrong = "a dropped file has a name that can't be used; rename it to letters, digits, - and _"
-            self._status.refresh()
+        files = event.files
+        if odd := [file.name for file in files if not NAME.fullmatch(file.name)]:
+            self.wrong = (
+                f"{odd[0]}: this name can't be used; rename the file with letters, digits, - and _ only"
+            )
+            self.status.refresh()
             return
-        name = self.bench.free("logs", Path(files[0].name).stem if len(files) == 1 else "log")
-        folder = self.bench.path("logs", name)
+        dropped = await ui.run_javascript("window.nameOfDrop()")
+        folder = self.bench.path("logs", self.bench.free("logs", dropped or Path(files[0].name).stem))
         folder.mkdir()
         for file in files:
             await file.save(folder / file.name)
@@ -126,34 +109,6 @@ class LogPage(Page):
         self.look, self.drive, self.found, self.panels, self.wrong = None, None, (), [], ""
         self._pick.refresh()
         self.reread()
-        self.refresh()
-
-    def choose(self, **choices: Any) -> None:
-        """Change choices for the open log; look again."""
-        self.bench.log_choices.update(choices)
-        self.bench.save()
-        self.reread()
-        self._status.refresh()
-
-    def assign(self, table: str, column: str, target: str | None) -> None:
-        """Use a column for another quantity."""
-        if self.look:
-            columns.assign(self.bench.log_choices, self.look, table, column, target or columns.UNUSED)
-            self.choose()
-
-    def express(self, target: str, expression: str) -> None:
-        """Read a target by another expression."""
-        self.choose(maps={**self.bench.log_choices.get("maps", {}), target: expression})
-
-    def reread(self) -> None:
-        """Look at the log and import it in the background."""
-        self._opened, self.done = self.bench.log, ""
-        if self._opened:
-            self.start("reading the log", _read, self._opened, {**self.bench.log_choices}, then=self._taken)
-
-    def _taken(self, reading: Reading | None) -> None:
-        look, self.drive, self.found, wrong = reading or (None, None, (), self.wrong)
-        self.look, self.wrong = look or self.look, wrong
         self.refresh()
 
     @ui.refreshable_method
@@ -184,16 +139,15 @@ class LogPage(Page):
 
     @ui.refreshable_method
     def _agreement(self) -> None:
-        """Gravity, course and gyro, and their expected values."""
+        """Measured gravity, turn rate and acceleration, and their expected values."""
         if (drive := self.drive) is None:
             return
         with ui.element("div").classes("section"):
-            text("h2", "Does it agree?")
-            about = "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse."
-            text("p", about, "soft")
+            text("h2", "Agreement of the IMU with the fixes")
+            text("p", "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse.", "soft")
             with ui.element("div").classes("grid"):
                 for found in self.found:
-                    if found.key in SHOWN_FIRST:
+                    if found.key in ("gravity", "turning", "forward"):
                         agreement_plot(found)
                 with ui.element("figure"):
                     text("figcaption", "Map of the fixes")
@@ -233,36 +187,3 @@ class LogPage(Page):
             self.bench.choices["drive"] = name
             self.bench.save()
         self.refresh()
-
-    def find_mounting(self) -> None:
-        """Find the mounting in the log itself."""
-        choices = {**self.bench.log_choices, "mount": ""}
-        self.start(
-            "looking for the mounting", partial(_mounting, self.bench.log), choices, then=self._mounted
-        )
-        self._status.refresh()
-
-    def _mounted(self, mount: str | None) -> None:
-        if mount:
-            self.choose(mount=mount)
-        else:
-            self._status.refresh()
-
-
-def _read(log: Path, choices: dict[str, Any]) -> Reading:
-    """Look at a log and import it; an error of a later stage leaves the earlier results."""
-    settings = columns.settings_of(choices)
-    drive, found = None, ()
-    look, wrong = attempt(sigmaswarm.inspect_log, log, **settings)
-    if look is not None:
-        drive, wrong = attempt(sigmaswarm.import_log, log, name="drive", **settings)
-    if drive is not None:
-        found, wrong = attempt(agreements, drive)
-    return look, drive, found or (), wrong
-
-
-def _mounting(log: Path | None, choices: dict[str, Any]) -> str:
-    """Find the mounting that a log shows."""
-    if log is None:
-        raise InputError("no log is open")
-    return find_mount(sigmaswarm.import_log(log, name="drive", **columns.settings_of(choices)))[1]

@@ -1,8 +1,8 @@
 """Mounting of the IMU in the vehicle: three angles, and a sketch that rotates with them."""
 
 import math
-from functools import partial
-from typing import TYPE_CHECKING
+from functools import cache, partial
+from importlib.resources import files
 
 import numpy as np
 from nicegui import ui
@@ -10,22 +10,29 @@ from nicegui.events import GenericEventArguments
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.importing.mounting import parse_mount
+from sigmaswarm.reports.style import BLUE, GREEN, VERMILION
+from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import button, card, line, message, text
 from sigmaswarm.workbench.state import attempt
-from sigmaswarm.workbench.vehicle import sketch
-
-if TYPE_CHECKING:
-    from sigmaswarm.workbench.log_page import LogPage
 
 ANGLES = ("roll", "pitch", "yaw")
 SETTLED = 0.6
 """s without a change, after which the log is read again."""
 
+CENTER, SCALE = np.array([170.0, 136.0]), 46
+"""Pixels, and pixels per m, of car.svg."""
+VIEW = np.array([(-0.530, 0.848, 0.0), (-0.345, -0.216, 0.914), (0.775, 0.484, 0.407)])
+"""Rows: right, up and towards the viewer of car.svg, in the vehicle's axes."""
+MOUNTED = np.array([-0.4, 0.0, 1.15])
+"""m: where the IMU is drawn."""
+AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
+DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
+
 
 class MountingPanel:
     """The choice of the mounting. The sketch follows at once, the plots after a pause."""
 
-    def __init__(self, page: "LogPage") -> None:
+    def __init__(self, page: OpenLog) -> None:
         self.page = page
         self.shown: tuple[bool, str] = False, ""
 
@@ -50,7 +57,7 @@ class MountingPanel:
                 with ui.element("div"):
                     sliders = ui.element("div")
                     with line("end"):
-                        field = ui.input("As an option", value=mount).props(
+                        field = ui.input("Mounting (--mount)", value=mount).props(
                             'hint="90, or 0,10,90, or x=-y,y=x"'
                         )
                         field.classes("grow").on("change", lambda: self._choose("mount", field.value))
@@ -93,9 +100,16 @@ class MountingPanel:
     def _settings(self) -> None:
         """Settings for few logs."""
         chosen = self.page.bench.log_choices.get
-        offset = ui.number("Added to the times of the fixes, s", value=chosen("gps_offset_s"), step=0.01)
-        arm = ui.input("From the IMU to the antenna, m forward,left,up", value=chosen("gps_lever_arm_m", ""))
-        part = ui.number("Recording, where a clock restarts", value=chosen("part"), min=1, precision=0)
+        offset = ui.number(
+            "Added to the times of the fixes, s (--gps-offset)", value=chosen("gps_offset_s"), step=0.01
+        )
+        arm = ui.input(
+            "From the IMU to the antenna, m forward,left,up (--lever-arm)",
+            value=chosen("gps_lever_arm_m", ""),
+        )
+        part = ui.number(
+            "Recording, where a clock restarts (--part)", value=chosen("part"), min=1, precision=0
+        )
         offset.on("change", lambda: self._choose("gps_offset_s", offset.value or 0.0))
         arm.on("change", lambda: self._choose("gps_lever_arm_m", arm.value))
         part.on("change", lambda: self._choose("part", int(part.value) if part.value else None))
@@ -107,3 +121,60 @@ def _degrees(r: Array) -> tuple[float, float, float]:
     angles = math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
     roll, pitch, yaw = (float(round(math.degrees(angle))) + 0.0 for angle in angles)
     return roll, pitch, yaw
+
+
+def sketch(rotation: Array) -> str:
+    """Draw the vehicle and the sensor's axes.
+
+    Parameters
+    ----------
+    rotation : (3, 3)
+        From the sensor's axes to the vehicle's, as of ``parse_mount``.
+    """
+    corners = np.array([(0.3, 0.2, 0.0), (-0.3, 0.2, 0.0), (-0.3, -0.2, 0.0), (0.3, -0.2, 0.0)])
+    box = _polygon(_place(MOUNTED + corners @ rotation.T), 'fill="#ffffffcc" stroke="#1c2024"')
+    parts = [_arrow(np.array([2.2, 0.0, 0.6]), np.array([3.3, 0.0, 0.6]), "#51585f", "forward"), box]
+    for k in np.argsort(VIEW[2] @ rotation):
+        name, color = AXES[k]
+        parts.append(_arrow(MOUNTED, MOUNTED + 1.35 * rotation[:, k], color, name))
+    said = ", ".join(f"{name} {_direction(rotation[:, k])}" for k, (name, _) in enumerate(AXES))
+    labeled = _car().replace('aria-label=""', f'aria-label="The IMU in the vehicle: {said}"')
+    return labeled.replace("</svg>", "".join([*parts, "</svg>"]))
+
+
+@cache
+def _car() -> str:
+    return files("sigmaswarm.workbench").joinpath("car.svg").read_text()
+
+
+def _place(points: Array) -> Array:
+    """Pixels (n, 2) of points (n, 3), m."""
+    return CENTER + SCALE * ((points - np.array([0.2, 0.0, 0.8])) @ VIEW[:2].T) * [1.0, -1.0]
+
+
+def _polygon(places: Array, style: str) -> str:
+    return f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in places)}" {style}/>'
+
+
+def _arrow(start: Array, end: Array, color: str, name: str) -> str:
+    first, last = _place(np.array([start, end]))
+    length = float(np.hypot(*(last - first)))
+    along = (last - first) / length if length >= 8 else np.array([0.7, -0.7])
+    across = np.array([-along[1], along[0]])
+    head = np.array([last, last - 9 * along + 4.5 * across, last - 9 * along - 4.5 * across])
+    if length >= 8:
+        (x0, y0), (x1, y1) = first, last
+        ends = f'x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"'
+        drawn = f'<line {ends} stroke="{color}" stroke-width="3"/>' + _polygon(head, f'fill="{color}"')
+    else:  # towards the viewer, or away
+        drawn = f'<circle cx="{last[0]:.1f}" cy="{last[1]:.1f}" r="5" fill="{color}"/>'
+    x, y = last + 9 * along
+    style = 'text-anchor="middle" dominant-baseline="middle" font-size="14" font-weight="700"'
+    halo = 'stroke="#fff" stroke-width="4" paint-order="stroke"'
+    return f'{drawn}<text x="{x:.1f}" y="{y:.1f}" fill="{color}" {style} {halo}>{name}</text>'
+
+
+def _direction(axis: Array) -> str:
+    """The vehicle's direction that an axis is nearest to."""
+    k = int(np.argmax(np.abs(axis)))
+    return DIRECTIONS[k][int(axis[k] < 0)]

@@ -16,6 +16,8 @@
 
   // A dropped folder is read here: browsers hand an uploader its files only one by one.
   window.droppedFolders = new Set();
+  let nameOfDrop = "";
+  window.nameOfDrop = () => { const name = nameOfDrop; nameOfDrop = ""; return name; };
   const filesOf = async (entry) => {
     if (entry.isFile) return [await new Promise((done, failed) => entry.file(done, failed))];
     const reader = entry.createReader(), found = [];
@@ -32,6 +34,7 @@
     const folders = [...e.dataTransfer.items].map((i) => i.webkitGetAsEntry()).filter((i) => i && i.isDirectory);
     folders.forEach((folder) => window.droppedFolders.add(folder.name));
     const files = (await Promise.all(folders.map(filesOf))).flat();
+    nameOfDrop = folders.length && files.length > 1 ? folders[0].name : "";
     if (files.length) getElement(Number(box.id.slice(1))).$refs.qRef.addFiles(files);
   }, true);
 })();

@@ -78,11 +78,9 @@ def lines(
             drawn["line"] = {"color": ORANGE, "width": 1.8, "dash": "dash"}
         ends = {"x": np.round(x, 4).tolist(), "y": np.round(y, 4).tolist()}
         made.append(ends | {"name": label, "type": "scatter"} | drawn)
-    before = (
-        lines({label: (pale or {}).get(label, (x[:0], y[:0])) for label, (x, y) in series.items()})
-        if pale
-        else []
-    )
+    if pale is None:
+        return made
+    before = lines({label: pale.get(label, (x[:0], y[:0])) for label, (x, y) in series.items()})
     return [one | {"opacity": 0.35, "showlegend": False} for one in before if one["x"]] + made
 
 
@@ -116,12 +114,7 @@ def time_plot(
 ) -> None:
     """Show series over time. Zooming in fetches the detail; with ``on_select`` the mouse selects a span instead.
 
-    Parameters
-    ----------
-    title, unit : str
-    series : mapping of label to `Series`
-    dashed, pale : as of `lines`
-    span : from when to when to shade, s, if it is a part
+    ``dashed`` and ``pale`` are as of `lines`; ``span``, s, is shaded if it is a part of the time.
     """
 
     def visible(start: float = -np.inf, end: float = np.inf) -> Lines:
@@ -142,7 +135,9 @@ def time_plot(
 
     ends = np.array([time[[0, -1]] for time, _ in series.values() if len(time)]).T
     part = span and np.isfinite(span).all() and span[1] - span[0] < 0.95 * np.ptp(ends)
-    layout["shapes"] = [_shade(*span)] if span and part else []
+    shade: dict[str, Any] = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1}
+    shade |= {"fillcolor": ORANGE, "opacity": 0.12, "line": {"width": 0}}
+    layout["shapes"] = [shade | {"x0": span[0], "x1": span[1]}] if span and part else []
     layout["dragmode"] = "select" if on_select else "zoom"
     plot = show_plot(title, "time, s", unit, visible(), 220, **layout)
     plot.on("plotly_relayout", zoomed, throttle=0.2)
@@ -174,11 +169,6 @@ def agreement_plot(
 
 def _same(a: Series | None, b: Series) -> bool:
     return a is not None and len(a[1]) == len(b[1]) and np.array_equal(a[0], b[0]) and np.allclose(a[1], b[1])
-
-
-def _shade(start: float, end: float) -> dict[str, Any]:
-    fill = {"fillcolor": ORANGE, "opacity": 0.12, "line": {"width": 0}}
-    return {"type": "rect", "xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1} | fill
 
 
 def map_lines(drive: Drive, tracks: Mapping[str, Series] | None = None) -> Lines:

@@ -16,9 +16,6 @@ from sigmaswarm.tuning.store import saved_history, saved_options
 from sigmaswarm.workbench.plots import Series, thinned
 from sigmaswarm.workbench.state import Workbench
 
-TRACK_EVERY = 1.5
-"""s between two tracks of the best filter so far."""
-
 
 @dataclass
 class Run:
@@ -55,7 +52,7 @@ class Run:
         """Note the progress; False stops the tuning."""
         self.history.setdefault(progress.trial, []).append(progress.best_cost)
         self.progress = progress
-        if progress.parameters is not None and time.monotonic() - self.drawn_at > TRACK_EVERY:
+        if progress.parameters is not None and time.monotonic() - self.drawn_at > 1.5:  # s
             self.drawn_at = time.monotonic()
             try:
                 estimate = sigmaswarm.run(self.shown_on, progress.parameters)

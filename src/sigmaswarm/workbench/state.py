@@ -22,21 +22,11 @@ CHECKED = "-checked"
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
 MOST_UPLOADED = 2_000_000_000
 """Bytes of one drop; a larger log is named on the command line."""
-MOST_CACHED = 6
-"""Drives kept in memory."""
 T = TypeVar("T")
 
 
 class Workbench:
-    """The folder of the workbench, and the logs that the user named.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if missing.
-    logs : sequence of Path
-        Files or folders outside ``folder`` that may be read.
-    """
+    """The folder of the workbench, made if missing, and the logs outside of it that the user named."""
 
     def __init__(self, folder: Path, logs: Sequence[Path] = ()) -> None:
         for log in logs:
@@ -48,7 +38,7 @@ class Workbench:
         self.named = tuple(log.resolve() for log in logs)
         self._file = self.folder / "workbench.json"
         self.choices: dict[str, Any] = _read_choices(self._file)
-        self.drive = lru_cache(MOST_CACHED)(self._drive)
+        self._cached = lru_cache(6)(_read_version)
         if self.named:
             self.choices["log"] = str(self.named[0])
 
@@ -89,10 +79,12 @@ class Workbench:
     def read(self, name: str) -> Drive:
         """Read a drive, or return it from the cache."""
         path = self.path("drives", name)
-        return self.drive(path, path.stat().st_mtime_ns)
+        return self._cached(path, path.stat().st_mtime_ns)
 
-    def _drive(self, path: Path, _: int) -> Drive:
-        return sigmaswarm.read_drive(path)
+    def write(self, drive: Drive) -> str:
+        """Write a drive under its own name, in place of an earlier one; return the name."""
+        sigmaswarm.write_drive(drive, self.path("drives", drive.name), overwrite=True)
+        return drive.name
 
     @property
     def sources(self) -> list[Path]:
@@ -111,7 +103,7 @@ class Workbench:
 
     @property
     def log_choices(self) -> dict[str, Any]:
-        """The choices made for the open log."""
+        """The choices for the open log."""
         return self.choices.setdefault("logs", {}).setdefault(str(self.log), {})
 
     @property
@@ -131,6 +123,10 @@ class Workbench:
         path = self.path(kind, name)
         if path.exists():
             shutil.rmtree(path)
+
+
+def _read_version(path: Path, _: int) -> Drive:
+    return sigmaswarm.read_drive(path)
 
 
 def _read_choices(file: Path) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """One table of a log: its columns with a plot, and the use of each."""
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from nicegui import ui
@@ -10,28 +10,24 @@ from sigmaswarm.importing.look import Glance, Look, Range
 from sigmaswarm.importing.times import numbers_of
 from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.columns import CUSTOM, NAMES, TARGETS, UNUSED, Uses
+from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
-if TYPE_CHECKING:
-    from sigmaswarm.workbench.log_page import LogPage
-
 MOST_COLUMNS = 30
 """Columns of a table that can be edited; columns in use come first."""
-FIRST_ROWS = 5
-FEW_TABLES = 4
-"""Largest number of tables of a log that are all unfolded while no drive can be made from it."""
 
 
 class TablePanel:
     """A table that can be folded; a choice redraws only the rows that it changes."""
 
-    def __init__(self, page: "LogPage", look: Look, glance: Glance) -> None:
+    def __init__(self, page: OpenLog, look: Look, glance: Glance) -> None:
         self.page, self.look, self.glance, self.uses = page, look, glance, columns.uses_of(look)
         shown = sorted(glance.ranges, key=lambda r: (glance.table, r.column) not in self.uses)
         self.rows = [ColumnRow(self, one) for one in shown[:MOST_COLUMNS]]
         used = (glance.table, shown[0].column) in self.uses if shown else False
-        self.unfolded = page.drive is None and (used or len(look.tables) <= FEW_TABLES)
+        # Until a drive can be made, tables in use are unfolded, and all tables of a log with few.
+        self.unfolded = page.drive is None and (used or len(look.tables) <= 4)
 
     def update(self, look: Look, uses: Uses) -> None:
         """Show another look at the same table."""
@@ -76,7 +72,7 @@ class TablePanel:
                 row.show()
         if (left := len(self.glance.ranges) - MOST_COLUMNS) > 0:
             text("p", f"and {left} more columns, which expressions can use, too", "soft")
-        first = self.look.rows[self.glance.table].head(FIRST_ROWS)
+        first = self.look.rows[self.glance.table].head(5)
         if len(first) and (names := first.columns[:12]):
             with ui.expansion("First rows").classes("soft"):
                 table(names, [[_cell(row[name]) for name in names] for row in first.to_dicts()])

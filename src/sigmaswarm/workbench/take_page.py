@@ -17,13 +17,22 @@ from sigmaswarm.workbench.state import Workbench, attempt
 BUILD = (
     "cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay && ./replay < replay.csv > estimate.csv"
 )
-C_NEEDS = "Needs a C compiler and math.h; no heap, no other library. Runs on a microcontroller."
-ROS_NEEDS = "Needs ROS 2 and robot_localization. Its filter has no IMU biases, so these are initial values."
-PYTHON_NEEDS = "Needs numpy and filterpy (pip install filterpy)."
 TARGETS = {
-    "c99": ("C99", C_NEEDS, BUILD),
-    "filterpy": ("Python", PYTHON_NEEDS, "python run_filter.py DRIVE estimate.csv"),
-    "robot_localization": ("ROS robot_localization", ROS_NEEDS, "ros2 launch ekf.launch.py"),
+    "c99": (
+        "C99",
+        "Needs a C compiler and math.h; no heap, no other library. Runs on a microcontroller.",
+        BUILD,
+    ),
+    "filterpy": (
+        "Python",
+        "Needs numpy and filterpy (pip install filterpy).",
+        "python run_filter.py DRIVE estimate.csv",
+    ),
+    "robot_localization": (
+        "ROS robot_localization",
+        "Needs ROS 2 and robot_localization. Its filter has no IMU biases, so these are initial values.",
+        "ros2 launch ekf.launch.py",
+    ),
 }
 """For each target its name, its requirements, and the next command."""
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",

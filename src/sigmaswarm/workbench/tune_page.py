@@ -27,9 +27,6 @@ MODELS = {
     "planar8": "planar8",
     "tilted12": "tilted12",
 }
-SIZES = {"particles": 30, "generations": 50, "trials": 1, "seed": 0}
-REFRESH = 0.7
-"""s between two updates of running tunings."""
 STARTING = "reading the drives, to tune on them"
 """Status that a changed choice must not replace."""
 COMPARED = 6
@@ -68,7 +65,7 @@ class TunePage(Page):
             for update in updates.values():
                 update()
 
-        ui.timer(REFRESH, look)
+        ui.timer(0.7, look)  # s
 
     def refresh(self) -> None:
         """Show the changed choices."""
@@ -102,10 +99,10 @@ class TunePage(Page):
                 choose = partial(self._choose, options)
                 select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
                 use, names = options.get("use") or [], list(get_args(Option))
-                more = select("Measurements", names, use, partial(choose, "use"), multiple=True)
+                more = select("Measurements (--use)", names, use, partial(choose, "use"), multiple=True)
                 more.props('hint="none: chosen by the log"')
             with line():
-                for key, usual in SIZES.items():
+                for key, usual in {"particles": 30, "generations": 50, "trials": 1, "seed": 0}.items():
                     size = ui.number(key, value=options.get(key, usual), min=0, precision=0).classes("size")
                     size.on("change", partial(self._sized, options, key, size))
             self.messages()
@@ -169,8 +166,7 @@ class TunePage(Page):
         for name, what in self.plan.items():
             if what == SPLIT:
                 for part, group in zip(sigmaswarm.split(self.bench.read(name)), (drives, held), strict=True):
-                    sigmaswarm.write_drive(part, self.bench.path("drives", part.name), overwrite=True)
-                    group.append(self.bench.read(part.name))
+                    group.append(self.bench.read(self.bench.write(part)))
             elif what in (TRAIN, HOLD):
                 (drives if what == TRAIN else held).append(self.bench.read(name))
         if not drives:

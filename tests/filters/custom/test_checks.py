@@ -9,7 +9,7 @@ import pytest
 
 from custom_models import PARAMETERS, PENDULUM, pendulum_log
 from sigmaswarm import InputError, Log, Tunable, run_model
-from sigmaswarm.filters.custom.identity import fingerprint
+from sigmaswarm.filters.custom.model import fingerprint
 
 LOG = pendulum_log(duration=2.0)
 N, F = len(LOG.time), len(LOG.measurement_time)
@@ -33,25 +33,25 @@ def with_value(column, at, value):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"time": LOG.time[:-1]}, "truth['angle'] has shape (201,), time has 200 values"),
+        ({"time": LOG.time[:-1]}, "truth['angle'] has shape (201,), but time has 200 values"),
         ({"time": LOG.time[:, None]}, "time has shape (201, 1); give one time"),
         ({"time": []}, "time has shape (0,)"),
         ({"time": with_value(LOG.time, 5, 0.0)}, "time[5] = 0 s does not come after 0.04 s; sort the rows"),
         ({"time": LOG.time + 100, "truth": {}}, "no measurement lies within time = 100 to 102 s"),
-        ({"measurement_time": LOG.measurement_time[1:]}, "measurements has shape (20, 1), measurement_time has 19"),
+        ({"measurement_time": LOG.measurement_time[1:]}, "measurements has shape (20, 1), but measurement_time has 19"),
         ({"measurement_time": with_value(LOG.measurement_time, 3, np.inf)}, "measurement_time[3] is inf"),
         ({"measurements": with_value(LOG.measurements, (7, 0), np.nan)}, "measurements[7, 0] is nan; repair it"),
         ({"measurements": np.zeros((F, 1, 1))}, "measurements has shape (20, 1, 1)"),
         ({"measurements": ["a"] * F}, "measurements is not an array of numbers"),
-        ({"inputs": np.zeros(N - 1)}, "inputs has shape (200,), time has 201 values"),
+        ({"inputs": np.zeros(N - 1)}, "inputs has shape (200,), but time has 201 values"),
         ({"inputs": np.full(N, np.nan)}, "inputs[0] is nan"),
         ({"mean": [0.0, np.nan]}, "mean[1] is nan"),
         ({"mean": 3.0}, "mean has shape ()"),
-        ({"covariance": np.eye(3)}, "covariance has shape (3, 3); for 2 states it is (2, 2)"),
+        ({"covariance": np.eye(3)}, "covariance has shape (3, 3); give shape (2, 2), for 2 states"),
         ({"covariance": -np.eye(2)}, "covariance is not symmetric and positive definite"),
         ({"covariance": [[1.0, 0.5], [0.0, 1.0]]}, "covariance is not symmetric"),
-        ({"truth": {"angle": [1.0]}}, "truth['angle'] has shape (1,), time has 201 values"),
-        ({"truth": {"angle": [1.0]}, "truth_time": [1.0, 2.0]}, "has shape (1,), truth_time has 2 values"),
+        ({"truth": {"angle": [1.0]}}, "truth['angle'] has shape (1,), but time has 201 values"),
+        ({"truth": {"angle": [1.0]}, "truth_time": [1.0, 2.0]}, "has shape (1,), but truth_time has 2 values"),
         ({"truth": {"angle": np.full(N, np.nan)}}, "truth['angle'][0] is nan"),
     ],
     ids=str,
@@ -66,20 +66,20 @@ def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"states": ("angle", "angle")}, "states: 'angle' is there twice"),
+        ({"states": ("angle", "angle")}, "states: 'angle' occurs twice"),
         ({"states": ()}, "states is empty"),
         ({"states": "angle"}, "states = 'angle' should be a tuple"),
         ({"states": ("an angle", "rate")}, "states: 'an angle' is not a name"),
-        ({"angles": ("heading",)}, "angles names 'heading', which is not a state; states are angle, rate"),
+        ({"angles": ("heading",)}, "angles names 'heading', which is not a state; the states are angle, rate"),
         ({"scored": ("height",)}, "scored names 'height', which is not a state"),
         ({"parameters": ()}, "parameters is empty"),
-        ({"parameters": (Tunable("q", 1, 2), Tunable("q", 1, 2))}, "'q' is there twice"),
+        ({"parameters": (Tunable("q", 1, 2), Tunable("q", 1, 2))}, "'q' occurs twice"),
         ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' is not a name"),
         ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' is not a name"),
         ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' is a parameter of the sigma points"),
-        ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1; give a lower and an upper bound"),
+        ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1 are not a range; give the lower one first"),
         ({"parameters": (Tunable("q", 1, math.nan),)}, "parameter q: bounds 1, nan"),
-        ({"parameters": (Tunable("q", 0, 1),)}, "can't be searched in log10 down to 0; give a positive bound"),
+        ({"parameters": (Tunable("q", 0, 1),)}, "a lower bound of 0 has no logarithm; give a positive bound"),
         ({"f": 3}, "f = 3 is not a function"),
         ({"kind": "kf"}, "kind = 'kf'; choose ukf or ekf"),
     ],
@@ -128,7 +128,10 @@ def test_a_log_of_another_model_is_named():
     [
         ({k: v for k, v in PARAMETERS.items() if k != "length"}, "parameter 'length' is missing"),
         ({k: v for k, v in PARAMETERS.items() if k != "kappa"}, "parameter 'kappa' is missing"),
-        (PARAMETERS | {"mass": 1.0}, "there is no parameter 'mass'; it has alpha, beta, kappa, length"),
+        (
+            PARAMETERS | {"mass": 1.0},
+            "there is no parameter 'mass'; the parameters are alpha, beta, kappa, length",
+        ),
         (PARAMETERS | {"length": math.nan}, "parameter length = nan is not a finite number"),
         (PARAMETERS | {"length": "1"}, "parameter length = '1' is not a finite number"),
     ],

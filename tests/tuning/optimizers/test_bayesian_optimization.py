@@ -22,9 +22,9 @@ from sigmaswarm.tuning.optimizers.bayesian_optimization import (
     suggested,
 )
 from sigmaswarm.tuning.tune import tune
-from support import make_drive
+from support import make_drive, require
 
-pytest.importorskip("sklearn", reason="bo needs scikit-learn")
+require("sklearn", "bo needs scikit-learn")
 LOW, HIGH = np.array([-5.0, 0.0]), np.array([5.0, 2.0])
 
 

@@ -100,15 +100,10 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
     """The mean of ax, ay less the car's own motion."""
-    assert evidence.course is not None
     assert evidence.acceleration is not None
-    rows, time = evidence.acceleration.rows, evidence.course.time
-    # How well fixes show a constant acceleration: a parabola's deviation in each window, doubled for M's own.
-    length = float(np.median(time[rows[:, -1]] - time[rows[:, 0]]))
-    parabola = evidence.scatter * math.sqrt(720 / rows.shape[1]) / length**2
-    margin = 2 * (2 * parabola * math.sqrt(2 / len(rows)))
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
+    margin = CLEAR * float(np.hypot(*(leak * evidence.acceleration.bias_std))) / max(size, 1e-9)
     if size < TILT[0] + margin:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))

@@ -56,13 +56,13 @@ class Method:
     ----------
     label : str
     protocols : tuple of str
-        Those it is tuned or trained under.
+        Protocols under which it is tuned or trained.
     filter : (filter type, model) or None
         The filter, where it is fixed.
     paper : str or None
         The paper's row next to it.
     rival : bool
-        It belongs to studies with rivals alone.
+        True for rows of studies with rivals only.
     """
 
     label: str
@@ -77,7 +77,7 @@ MAIN = "pso-ukf"
 BY_DEFAULT = "default"
 """The filter, objective and optimizer that `tune` chooses for a study's drives."""
 BY_BO = "bo-ukf"
-BESIDE = "pso-planar8"
+HELPED = "pso-planar8"
 """The filter that networks help: `noise-gru` does not support tilted12, and planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
@@ -94,7 +94,7 @@ METHODS: dict[str, Method] = {
     MAIN: Method("PSO-UKF", ("paper", "honest"), ("ukf", "planar5"), MAIN),
     "pso-ekf": Method("PSO-EKF", HONEST, ("ekf", "planar5")),
     "pso-adaptive-ukf": Method("PSO-adaptive UKF", HONEST, ("adaptive-ukf", "planar5")),
-    BESIDE: Method("PSO-UKF, planar8", HONEST, ("ukf", "planar8")),
+    HELPED: Method("PSO-UKF, planar8", HONEST, ("ukf", "planar8")),
     BY_DEFAULT: Method("default filter of tune", HONEST),
     "pso-fuzzy-ukf": Method("PSO-fuzzy UKF", HONEST, ("fuzzy-ukf", "planar5"), rival=True),
     BY_BO: Method("UKF by Bayesian optimization", HONEST, ("ukf", "planar5"), rival=True),
@@ -240,13 +240,7 @@ class StudyConfig(BaseModel):
 
 
 def read_config(path: Path | None, **changes: Any) -> StudyConfig:
-    """Read study.toml, or take the defaults, and change some options.
-
-    Raises
-    ------
-    InputError
-        If the file or an option is invalid.
-    """
+    """Read study.toml, or take the defaults, and change some options."""
     options: dict[str, Any] = {}
     if path is not None:
         missing = "leave --config out for the paper's study"

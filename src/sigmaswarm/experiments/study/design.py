@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 T = TypeVar("T")
-ELSEWHERE_RUNS = 2
-"""Largest number of runs of each condition with another IMU or car."""
 OTHER_IMU = ("mpu-6050", "icm-20602")
 """Other IMUs; the first that differs from the study's is used."""
 HOME_CAR, OTHER_CAR = "model3", "model3-carla"
@@ -203,13 +201,7 @@ class Design:
 def make_design(
     config: StudyConfig, executor: Executor | None = None, cluster: "Client | None" = None
 ) -> Design:
-    """Simulate or read a study's drives, locally or on the workers of a cluster.
-
-    Raises
-    ------
-    InputError
-        If the drives are too few, lack truth, or can't be read or made.
-    """
+    """Simulate or read a study's drives, locally or on the workers of a cluster."""
     remote: RemoteDataset | None = None
     drives: Sequence[Drive | Sensors]
     if cluster is not None:
@@ -239,13 +231,7 @@ def make_design(
 
 
 def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives of other sensors and of another car, by their description.
-
-    Raises
-    ------
-    InputError
-        If drives can't be read, lack truth, or share parts with the study's.
-    """
+    """Read or simulate test drives of other sensors and of another car, by their description."""
     c = home.config
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}
@@ -255,7 +241,7 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
         _require_apart([landmarks(drive) for drive in (*own, *found["as given"])])
     else:
         imu = next(name for name in OTHER_IMU if name != c.imu)
-        runs, seed = min(c.runs, ELSEWHERE_RUNS), c.seed + 1  # other roads
+        runs, seed = min(c.runs, 2), c.seed + 1  # other roads
         found = {
             f"IMU {imu} for {c.imu}": _simulated(c, executor, runs, seed=seed, imu=imu),
             f"car {OTHER_CAR} for {HOME_CAR}": _simulated(c, executor, runs, seed=seed, vehicle=OTHER_CAR),

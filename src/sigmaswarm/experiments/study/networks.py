@@ -16,7 +16,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import ALL, BESIDE, NETWORKS
+from sigmaswarm.experiments.study.config import ALL, HELPED, NETWORKS
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -33,20 +33,13 @@ ALONE = 80.0
 """s after the start: the last quarter of such a drive can be held back where it is the only one."""
 FEWEST = 3
 """Drives of which the last third is held back, to stop the training early and to calibrate."""
-FIRST_POINT = 2.0
-"""Minutes at the first point of a learning curve."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lessons:
-    """The drives that a network learns from.
+    """The drives that a network learns from, and the s after the starts of filters over all of them.
 
-    Attributes
-    ----------
-    shown, held_back : tuple of Drive
-        To train on, and to stop the training early; `learn` holds back the ends of one or two drives.
-    driven : float
-        s after the starts of filters, over both.
+    `learn` trains on ``shown`` and stops early by ``held_back``; of one or two drives it holds back the ends.
     """
 
     shown: tuple[Drive, ...]
@@ -92,11 +85,6 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     """Draw some minutes of a trial's training drives, or all of them: complete drives and the beginning of one.
 
     More minutes include the drives of fewer. Drives may be added where a network could not learn otherwise.
-
-    Raises
-    ------
-    InputError
-        If the trial's training drives are too few or too short for a network.
     """
     left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -126,19 +114,13 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
 
 
 def trainings(design: Design) -> list[Training]:
-    """List all trainings of a study: of every trial, and of the learning curves of the first trial.
-
-    Raises
-    ------
-    InputError
-        If a trial has too little to train on.
-    """
+    """List all trainings of a study: of every trial, and of the learning curves of the first trial."""
     if not design.config.rivals:
         return []
     trials = range(design.config.trials)
     driven = [lessons(design, trial, design.config.learn_minutes).driven for trial in trials]
     of_trials = [Training(network, trial) for trial in trials for network in NETWORKS]
-    doubled = (FIRST_POINT * 2.0 ** np.arange(12)).tolist()
+    doubled = (2.0 * 2.0 ** np.arange(12)).tolist()  # minutes
     curve = [minutes for minutes in doubled if minutes < 0.9 * (driven[0] / 60.0)]
     return of_trials + [Training(network, 0, minutes) for minutes in curve for network in NETWORKS]
 
@@ -157,7 +139,7 @@ def train_all(
     trained: dict[Training, Trained] = {}
     for training in trainings(design):
         drives = lessons(design, training.trial, training.minutes or design.config.learn_minutes)
-        out, helped = folder / training.folder, parameters[Task("honest", BESIDE, ALL, training.trial)]
+        out, helped = folder / training.folder, parameters[Task("honest", HELPED, ALL, training.trial)]
         finished = (out / "timings.json").exists()  # the last file that `learn` writes
         learned = load_learned(out) if finished else None
         seed = design.config.seed + training.trial

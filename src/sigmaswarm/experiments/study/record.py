@@ -279,13 +279,7 @@ def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[Spread]:
 
 
 def read_spreads(folder: Path) -> list[Spread]:
-    """Compute the spread from scores.csv.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read.
-    """
+    """Compute the spread from scores.csv."""
     path = folder / "scores.csv"
     try:
         return spreads_of(pl.scan_csv(path, glob=False, schema_overrides={"value": pl.Float64()}))
@@ -334,13 +328,7 @@ class StudyRecord:
 
     @classmethod
     def read(cls, folder: Path) -> "StudyRecord":
-        """Read the folder of a study.
-
-        Raises
-        ------
-        InputError
-            If a file in it is missing or damaged.
-        """
+        """Read the folder of a study."""
         timings, tracks = folder / "timings.json", folder / "tracks.npz"
         times = load_record(_Timings, timings) if timings.exists() else _Timings()
         configs = sorted(folder.glob("trials/*/config.json"))

@@ -19,7 +19,7 @@ from sigmaswarm.experiments.statistics import (
     trial_interval,
     trial_means,
 )
-from sigmaswarm.experiments.study.config import ALL, BESIDE, MAIN, PAPER_RESULTS, PROTOCOLS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, HELPED, MAIN, PAPER_RESULTS, PROTOCOLS, UNTUNED
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, Training
 from sigmaswarm.experiments.study.record import (
@@ -41,9 +41,6 @@ from sigmaswarm.experiments.study.scores import ScoreTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.search import Trial
-
-STABLE = 0.01
-"""Relative distance from the last cost within which a search has settled."""
 
 
 def results_of(
@@ -188,7 +185,7 @@ def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
         best.setdefault((task.protocol, task.method, task.group), []).append(trial.best)
     for (protocol, method, group), each in best.items():
         low, median, high = np.quantile(each, [0.1, 0.5, 0.9], axis=0)
-        away = np.flatnonzero(np.abs(median - median[-1]) > STABLE * abs(median[-1]))
+        away = np.flatnonzero(np.abs(median - median[-1]) > 0.01 * abs(median[-1]))
         yield Convergence(
             protocol=protocol,
             method=method,
@@ -233,7 +230,7 @@ def _efforts(
         own = [network for task, network in networks.items() if task.variant == variant]
         learned[variant] = float(np.mean([network.driven for network in own]))
         trained = float(np.mean([network.learned.record.network.numbers for network in own]))
-        numbers[variant] = numbers[variant[0], BESIDE] + trained
+        numbers[variant] = numbers[variant[0], HELPED] + trained
     for (protocol, method), count in numbers.items():
         yield Effort(
             protocol=protocol,
@@ -248,10 +245,10 @@ def _gains(scores: ScoreTable, networks: Iterable[Task]) -> Iterator[PairedCompa
     """Compare each network with its filter, drive by drive, in the measures that it changes."""
     for protocol, method in dict.fromkeys(task.variant for task in networks):
         for measure in _compared(scores):
-            own, alone = (scores.values[protocol, m].get(measure) for m in (method, BESIDE))
+            own, alone = (scores.values[protocol, m].get(measure) for m in (method, HELPED))
             if own is None or alone is None or np.allclose(own, alone, rtol=1e-9, atol=0.0, equal_nan=True):
                 continue
-            yield from _against(scores, (protocol, method), measure, [(protocol, BESIDE)])
+            yield from _against(scores, (protocol, method), measure, [(protocol, HELPED)])
 
 
 def _elsewhere(tables: Mapping[str, ScoreTable], home: Design) -> Iterator[ElsewhereSummary]:
@@ -277,7 +274,7 @@ def _curve(
             continue
         alone, own = (
             {measure: values[0] for measure, values in scores.values[task.protocol, method].items()}
-            for method in (BESIDE, task.method)
+            for method in (HELPED, task.method)
         )
         parts = [
             (found.driven, {measure: values[k] for measure, values in curve.items()})

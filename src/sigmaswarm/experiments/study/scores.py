@@ -17,10 +17,10 @@ from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, score_networks
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
+from sigmaswarm.filters.run import run_imu_only
 from sigmaswarm.scoring.batch import Replayer, Scores
 from sigmaswarm.scoring.evaluation import score_fixes_alone, score_imu_only
 from sigmaswarm.scoring.remote import Replays
@@ -39,13 +39,9 @@ TAKEN: dict[str, Callable[[Scores], Array]] = {
 
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
-    """All scores of a study.
+    """All scores of a study, arrays of shape (trials, drives) by variant and measure.
 
-    Attributes
-    ----------
-    design : Design
-    values : mapping of (protocol, method) to mapping of measure to ndarray, shape (trials, drives)
-        NaN where the trial did not test on the drive or the measure is unknown; ``inf`` where the filter failed.
+    NaN where the trial did not test on the drive or the measure is unknown; ``inf`` where the filter failed.
     """
 
     design: Design
@@ -103,7 +99,7 @@ def score_all(
     executor: Executor | None = None,
     networks: Mapping[Task, Trained] | None = None,
 ) -> ScoreTable:
-    """Score every method, networks too, on each trial's test drives."""
+    """Score every method, including networks, on each trial's test drives."""
     test = [design.split(trial)[1] for trial in range(design.config.trials)]
     tested = np.array([np.isin(np.arange(len(design.drives)), drives) for drives in test])
     score = partial(_score_sets, design, _passes(design), executor)

@@ -29,7 +29,7 @@ import numpy as np
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Report, run_grid
 from sigmaswarm.experiments.study.config import MAIN, StudyConfig, read_config
-from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design, tuning_name
+from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design
 from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
 from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
@@ -52,9 +52,6 @@ from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
     from distributed import Client
-
-RACED = 0.2
-"""Approximate relative time of a tuning with racing, by which the tunings are ordered."""
 
 
 @dataclass(frozen=True)
@@ -102,11 +99,6 @@ class Study:
     def results(self) -> Results:
         """The content of results.json."""
         return self.record.results
-
-    def best_of(self, protocol: str, method: str, drive: int) -> tuple[str, FilterParameters]:
-        """Return name and parameters of the best tuning for a drive, given by its index."""
-        name = tuning_name(protocol, method, self.design.group_of(drive))
-        return name, self.best[name]
 
 
 def shown_trial(trials: Mapping[Task, Trial]) -> int:
@@ -168,9 +160,8 @@ def run_study(
         # Python's own number of threads is larger, and they would wait for each other.
         crew = workers or cores()
         pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
-        forks = (
-            sys.platform == "linux" and crew > 1 and executor is cluster is None and not config.rivals
-        )  # JAX
+        # JAX, which rivals need, does not survive a fork.
+        forks = sys.platform == "linux" and crew > 1 and executor is cluster is None and not config.rivals
         design = make_design(config, pool, cluster)
         return _run(folder, design, pool, crew if forks else 0, progress or (lambda _: None), watch)
 
@@ -287,7 +278,7 @@ def _tune_all(
     def effort(task: Task) -> float:
         """Estimate the duration of a tuning relative to others on as many drives."""
         config = configs[task.variant]
-        step = len(MODELS[config.model].states) ** 1.5 * (RACED if config.racing else 1.0)
+        step = len(MODELS[config.model].states) ** 1.5 * (0.2 if config.racing else 1.0)  # of the time
         return (1 + outages[task.variant]) * step * config.particles * config.generations
 
     if processes:

@@ -32,7 +32,7 @@ LIVE: dict[str, tuple[FilterKind, ModelName]] = {
 
 
 class Stopwatch:
-    """Measure wall and processor time, lap by lap; that of child processes once they have ended."""
+    """Measure wall and processor time per lap; child processes count once they have ended."""
 
     def __init__(self) -> None:
         self.laps: dict[str, dict[str, float]] = {}

@@ -7,8 +7,8 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.config import ALL, MAIN, ProtocolName
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.scores import manual
-from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_imu_only
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.scoring.tracks import Picture, Tracker, Tracks
 

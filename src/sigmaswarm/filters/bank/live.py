@@ -1,6 +1,6 @@
-"""LiveFilterBank: sixteen filters behind the interface of one; their mixture is the estimate.
+"""LiveFilterBank: sixteen filters with the interface of one; their mixture is the estimate.
 
-Everything depends on the stream alone. Lanes are replaced in a past state that no late fix can change any more; from
+Results depend on the samples and fixes alone. Lanes are replaced in a past state that no late fix can change; from
 there the samples are processed again with the new lanes. So the same samples and fixes give the same bits, in time or
 late, live or from a file.
 """
@@ -38,34 +38,28 @@ from sigmaswarm.geodesy import wrap_angle
 SEARCH_EVERY = 10.0
 """s from one search to the next."""
 SEARCH_TAKES = 1.0
-"""s of the stream until its result is used; a search takes about 15 ms on another thread."""
+"""s of samples from the begin of a search to the use of its result; it takes about 15 ms on another thread."""
 REPLAYED = 60.0
-"""s that a search replays."""
+"""s of samples that a search replays."""
 FASTER = 2.0
-"""m/s: at lower speeds fixes hardly determine headings and biases, and no filter is replaced."""
+"""m/s: at lower speeds fixes hardly determine headings and biases, and no lane is replaced."""
 REPLACED = 7
-"""Lanes replaced after a search: one by the result, the others by copies of good ones, jittered."""
+"""Lanes replaced after a search: one by the result, the others by copies of good lanes with random changes."""
 JITTER = 0.6
-"""Distance of a copy from its parent, in standard deviations of an offset."""
+"""Standard deviation of these changes, in standard deviations of an offset."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Mean and covariance of a bank's mixture at some moments, the heading on the circle.
-
-    Attributes
-    ----------
-    mean : (k, n)
-    covariance : (k, n, n)
-    """
+    """Means (k, n) and covariances (k, n, n) of a bank's mixture at some times; headings are mixed on the circle."""
 
     mean: Array
     covariance: Array
 
     @classmethod
-    @np.errstate(all="ignore")  # a lane may fail, and does not count then
+    @np.errstate(all="ignore")  # a failed lane has no weight
     def of(cls, states: Array, weights: Array, model: str) -> "Mixture":
-        """Mix the state rows (k, s, LANES) with the weights (k, LANES) of a bank; NaN where all weights are 0."""
+        """Mix state rows (k, s, LANES) with weights (k, LANES); NaN where all weights are 0."""
         mean, covariance = state_estimate(states, model)  # (k, LANES, n), (k, LANES, n, n)
         sound = np.isfinite(mean.sum(axis=2) + covariance.sum(axis=(2, 3)))
         weights = np.where(sound, weights, 0.0)
@@ -85,32 +79,25 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class _Snapshot:
-    """A state from which a replay can begin.
-
-    Attributes
-    ----------
-    taped : int
-        Number of steps in the log.
-    time, fixed_at : s: its time, and that of the last fix before it
-    lanes : (N_KEPT, LANES)
-    evidence : (LANES,)
-    ancestors : (LANES,) of int
-        The lane of this snapshot that each present lane comes from.
-    """
+    """A state from which a replay can begin."""
 
     taped: int
+    """Number of steps in the log."""
     time: float
     fixed_at: float
+    """Time of the last fix before it, s."""
     lanes: Array
+    """(N_KEPT, LANES)"""
     evidence: Array
     ancestors: NDArray[np.intp]
+    """For each present lane the lane of this snapshot that it was copied from, (LANES,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
     """A running search, which replays the logged steps up to number ``taped``, from the ancestor of lane ``led``.
 
-    A copy of it, in a forked process or by pickle, has no searching thread and searches in the calling one.
+    A copy of it, in a forked process or by pickle, searches in the calling thread.
     """
 
     taped: int
@@ -135,15 +122,15 @@ class _Pending:
 class LiveFilterBank(LiveFilter):
     """A bank of sixteen filters with different parameters on one stream of samples; their mixture is the estimate.
 
-    Each filter (lane) predicts the fixes. Its weight comes from their likelihood, its evidence, which fades within a
-    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes represent other receivers. Every 10
-    s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
-    lanes with their states. So the bank follows a change of sensors or of the reception. On the car of the tuning it is
-    not better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with the gyro
-    corrected by the known bias, which most of them keep.
+    Each filter (lane) predicts the fixes. Its weight comes from their likelihood (its evidence), which fades within a
+    minute. Lane 0 is the tuning, with the bits of a `LiveFilter`; some lanes represent other receivers. Every 10 s of
+    driving the worst lanes are replaced: by the result of a search over the last minute, and by copies of good lanes.
+    So the bank adapts to other sensors or another reception. On the car of the tuning it is not better than the filter.
+    Where the mixture diverges, the lanes are reset like a `LiveFilter`. The alignment uses the known gyro bias, and
+    most lanes keep their biases.
 
-    It is used like a `LiveFilter`, but has no smoothed state. A `pickle` copy continues with the same bits. A fix from
-    before a reset of lanes comes too late for all of them.
+    A bank is used like a `LiveFilter`, but has no smoothed state. A `pickle` copy continues with the same bits. A fix
+    from before a reset of lanes is too late for all of them.
 
     Parameters
     ----------
@@ -152,20 +139,20 @@ class LiveFilterBank(LiveFilter):
     seed : int
         Seed of the lanes' first offsets and of the search.
     searches : bool
-        Search for better filters on the way; False: the sixteen stay as they are.
+        Search for better filters during the drive; False: no lane is replaced.
     believe_times : bool
-        Accept all time stamps, for a recording with ordered samples.
+        Accept all time stamps, for a recording with sorted samples.
 
     Attributes
     ----------
     spread : Spread
         The offsets that the lanes can have.
     offsets : ndarray, shape (16, d)
-        Offsets of the lanes: decades, m for the rear axle.
+        Offsets of the lanes in decades; of the rear axle in m.
     n_searches : int
-        Searches with a result.
+        Number of searches with a result.
     restarts : list of float
-        s: resets of lane 0; the others are reset together where their mixture diverges, see ``bank_restarts``.
+        Times of the resets of lane 0, s. The other lanes are reset together: see ``bank_restarts``.
     """
 
     def __init__(
@@ -197,7 +184,7 @@ class LiveFilterBank(LiveFilter):
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets * self.spread.lasting
         self._kernel = parameters.kernel
-        self._settled = len(self._memory.arrays.history)  # as many samples back nothing changes any more
+        self._settled = len(self._memory.arrays.history)  # late fixes change this number of samples at most
         self._memory = self._with_lanes(nominal_interval)
         self._belief[live.BELIEVES_TIMES] = believe_times
         self._start_lanes(initial, slice(None))
@@ -227,7 +214,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def _numbers(self) -> Array:
-        """The lanes' numbers, which follow the state of lane 0."""
+        """The lanes' numbers, which are stored behind the state of lane 0."""
         return self._belief[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
@@ -248,7 +235,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight to the first lanes only, as an export with that number does; only without searches."""
+        """Give weight to the first lanes only, like an export with this number of lanes; only without searches."""
         self._counted = lanes
         self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)
@@ -281,13 +268,13 @@ class LiveFilterBank(LiveFilter):
         self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
 
     def _settled_mark(self) -> tuple[int, Array, Array] | None:
-        """The last checkpoint that no late fix reaches: the number of its record, the record, the checkpoint."""
+        """The last checkpoint before all late fixes: the number of its record, the record, the checkpoint."""
         of = self._memory.arrays
         counts, history, marks = of.counts, of.history, of.marks
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
         number = max(0, n - self._settled) // live.MARK_EVERY * live.MARK_EVERY
         place = number - (n - kept)
-        if place < 0:  # there was a reset since
+        if place < 0:  # it was before the last reset
             return None
         record = history[(int(counts[live.OLDEST]) + place) % len(history)]
         return place, record, marks[number // live.MARK_EVERY % len(marks)]
@@ -333,7 +320,7 @@ class LiveFilterBank(LiveFilter):
         return tape[np.arange(first, last) % length]
 
     def _replace(self, found: Found, replayed: int, led: int) -> None:
-        """Replace the worst lanes by the result and by copies of good lanes; then take the last samples again."""
+        """Replace the worst lanes by the result and by copies of good lanes; then repeat the last samples."""
         mark = self._settled_mark()
         if mark is None:
             return
@@ -356,7 +343,7 @@ class LiveFilterBank(LiveFilter):
             known.append(float(evidence[parent]))
         lost = ~np.isfinite(evidence) | (rows[R.OK] != 1.0)
         failed = [lane for lane in range(1, LANES) if lost[lane] and lane not in worst]
-        for lane in failed:  # it goes on from where the best one is, with its own offsets
+        for lane in failed:  # it continues from the state of the best lane, with its own offsets
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
         for lane, its, state, evidence_of in zip(worst, offsets, states, known, strict=True):
             self.offsets[lane], rows[:, lane], evidence[lane] = its, state, evidence_of
@@ -378,7 +365,7 @@ class LiveFilterBank(LiveFilter):
         again_call()(self._memory.step.address, belief, counts, fixes, speeds, history, marks, place, True)
 
     def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
-        """The result of a search, (N_KEPT,), after the steps since its replay; and its evidence."""
+        """Rows of the result of a search, (N_KEPT,), after the steps since its replay, and its evidence."""
         steps = Steps(self._kernel, since, self._belief[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
@@ -391,7 +378,7 @@ class LiveFilterBank(LiveFilter):
         estimate = self._with_sound_biases(together.lost, *self._mixed())
         gyro_bias = self._gyro_bias(estimate[0])
         start = self._judged(together, now, fix, lambda: estimate, due=due, gyro_bias=gyro_bias)
-        if start is None and due and not self.weights.any():  # all failed
+        if start is None and due and not self.weights.any():  # all lanes have failed
             with np.errstate(all="ignore"):  # values that are not finite give no start
                 start = self._check(now, fix, *estimate).start
         if start is not None:
@@ -406,7 +393,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """State estimate (n,), (n, n) with the biases from before the divergence: a reset to a fix forgets them."""
+        """State estimate (n,), (n, n) with the biases from before the divergence; a reset to a fix discards them."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -417,7 +404,7 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Known bias of the gyro, rad/s, for alignments, whose heading would be wrong with a bad gyro."""
+        """Known bias of the gyro, rad/s; an alignment without it would have a wrong heading."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
@@ -449,7 +436,7 @@ class LiveFilterBank(LiveFilter):
         super()._reset(start)
         self._rows_of(self._numbers)[:, 0] = self._belief[:N_KEPT]
         evidence = self._numbers[swarm.EVIDENCE]
-        if not np.isfinite(evidence[0]):  # it had failed: it counts again, as little as any
+        if not np.isfinite(evidence[0]):  # it had failed: it gets the least evidence of all lanes
             evidence[0] = evidence[np.isfinite(evidence)].min(initial=0.0)
         self._begin_history()
 
@@ -463,7 +450,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def bank_restarts(self) -> list[float]:
-        """Resets of all lanes but the first, whose mixture had diverged, s."""
+        """Times of the resets of all lanes but the first, where the mixture had diverged, s."""
         return [] if self._together is None else self._together.restarts
 
     @property
@@ -494,7 +481,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def settled(self) -> FilterParameters:
-        """The tuning moved by `moved`: the filter to save for this car."""
+        """The tuning with the offsets `moved`: the filter to save for this car."""
         return self.spread.parameters(self.moved)
 
     @property
@@ -522,7 +509,7 @@ class LiveFilterBank(LiveFilter):
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:
-        """State rows (s, LANES) and weights (LANES,) now, to mix many moments at once."""
+        """Present state rows (s, LANES) and weights (LANES,), to mix those of many samples together."""
         return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:
@@ -532,12 +519,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def smoothed(self) -> LiveState:
-        """Not available for a filter bank.
-
-        Raises
-        ------
-        InputError
-        """
+        """Not available for a filter bank; raises `InputError`."""
         raise InputError(
             "a filter bank has no smoothed state; use a LiveFilter with a lag, for example lag=2.0"
         )
@@ -560,7 +542,7 @@ def _is_definite(covariance: Array) -> bool:
 
 @cache
 def _searcher() -> ThreadPoolExecutor:
-    """One thread for the searches of all filter banks of a process."""
+    """Return the thread for the searches of all filter banks of a process."""
     return ThreadPoolExecutor(1, thread_name_prefix="swarm")
 
 

@@ -1,4 +1,4 @@
-"""A filter bank over a whole drive: its samples and fixes, one by one, through a `LiveFilterBank`."""
+"""Run a filter bank over a whole drive: a `LiveFilterBank` takes its samples and fixes one by one."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,16 +33,17 @@ _AT_ONCE = 500
 
 @dataclass(frozen=True, eq=False)
 class BankLog:
-    """Log of a filter bank, once a second.
+    """Log of a filter bank, with one row per second.
 
     Attributes
     ----------
     names : tuple of str, length d
         Names of the offsets: see `spread`.
-    time : (k,) s
-    weights : (k, LANES)
-    moved : (k, d)
-        How far the mixture was from the tuning: decades, m for the rear axle.
+    time : ndarray, shape (k,)
+        s
+    weights : ndarray, shape (k, LANES)
+    moved : ndarray, shape (k, d)
+        Offsets of the mixture from the tuning in decades; of the rear axle in m.
     groups : mapping of str to list of int
         See `Spread.groups`.
     """
@@ -70,7 +71,7 @@ class BankLog:
         return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
 
     def to_frame(self) -> pl.DataFrame:
-        """Table of the log: t, the lane of the largest weight, effective, each offset, each lane's weight."""
+        """Table of the log: t, lane of the largest weight, effective number, each offset, weight of each lane."""
         columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
         columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
         columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
@@ -78,22 +79,10 @@ class BankLog:
 
 
 class BankRun:
-    """A filter bank over a replay, as an iterator of pieces; its log after the last one.
+    """A run of a filter bank over a replay, as an iterator of pieces; its log is complete after the last piece.
 
-    Parameters
-    ----------
-    replay : Replay
-    parameters : FilterParameters
-    seed : int
-    searches, recover, as_recorded
-        See `LiveFilterBank`.
-
-    Attributes
-    ----------
-    bank : LiveFilterBank
-    initial : InitialState
-    failure : str or None
-        First time at which all lanes had failed, in the pieces so far.
+    ``seed``, ``searches``, ``recover`` and ``as_recorded`` are those of `LiveFilterBank`. ``failure`` reports the first
+    time at which all lanes had failed, in the pieces so far.
     """
 
     def __init__(
@@ -126,7 +115,7 @@ class BankRun:
 
     @property
     def restarts(self) -> list[float]:
-        """s: times of the bank's resets in the pieces so far."""
+        """Times of the bank's resets in the pieces so far, s."""
         return self.bank.bank_restarts
 
     def __iter__(self) -> Iterator[Piece]:
@@ -174,19 +163,19 @@ class BankRun:
 
     @property
     def log(self) -> BankLog:
-        """Log of the pieces so far."""
+        """The log of the pieces so far."""
         time, weights, moved = (np.array(column) for column in zip(*self._log, strict=True))
         return BankLog(self.bank.spread.names, time, weights, moved, self.bank.spread.groups)
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far: of the last fix before each sample, at its time."""
+        """Innovations of the mixture in the pieces so far: for each sample that of the last fix before it."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 
 
 def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
-    """Rows of columns as Python numbers, converted in parts."""
+    """Yield rows of columns as Python numbers."""
     for first in range(0, len(columns[0]), _AT_ONCE):
         yield from np.column_stack([column[first : first + _AT_ONCE] for column in columns]).tolist()
 
@@ -220,7 +209,7 @@ def run_bank(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run a filter bank of a tuning over a drive: the estimate of a `LiveFilterBank` at each IMU sample.
+    """Run a filter bank over a drive: return the estimate of a `LiveFilterBank` at each IMU sample.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The search of a filter bank: filters of other offsets, replayed over the last minute, by differential evolution.
+"""The search of a filter bank: differential evolution of offsets, whose filters are replayed over the last minute.
 
-R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each
-search begins with the population of the last one.
+R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search begins
+with the population of the previous one.
 """
 
 from collections.abc import Sequence
@@ -34,11 +34,11 @@ GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
 """F and CR of differential evolution."""
 NOT_SCORED = 2.0
-"""s at the beginning of a replay, in which a filter of other offsets settles."""
+"""s at the beginning of a replay that are not scored, since a filter with other offsets must converge first."""
 FEWEST_FIXES = 8
 """Least number of scored fixes for a result."""
 FARTHEST = 8.0
-"""Standard deviations of an offset."""
+"""Bound of an offset, in its standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Evidence:
     at: float
 
     def then(self, time: Array, lost: Array) -> "Evidence":
-        """Add fixes at some times, s, each of which lowers the evidence by its loss."""
+        """Add fixes at some times, s; each fix lowers the evidence by its loss."""
         if not len(time):
             return self
         left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
@@ -65,10 +65,10 @@ class Steps:
     lever: Array
 
     def run(self, lanes: Array) -> Array:
-        """Take lanes (N_KEPT, m), changed, through all steps; the loss over each lane's fixes, (m,).
+        """Run lanes (N_KEPT, m), which are changed, over all steps; return each lane's loss over the fixes, (m,).
 
-        The loss is -log of their likelihood under Student's t, as the objective ``innovation-t``, without the fixes of
-        the first `NOT_SCORED` seconds.
+        The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``, without the
+        fixes of the first `NOT_SCORED` seconds.
         """
         place = self._place
         scored = (
@@ -80,7 +80,7 @@ class Steps:
         return _lost(lanes) - before
 
     def followed(self, lane: Array, known: Evidence) -> tuple[Array, Evidence]:
-        """A lane (N_KEPT,) after all steps, and its evidence then."""
+        """Return a lane (N_KEPT,) after all steps, and its evidence at that time."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
@@ -95,7 +95,7 @@ class Steps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run from a place to before step ``stop``; lanes and place are changed."""
+        """Run from a place to step ``stop``, which is not included; lanes and place are changed."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         arrays = (
@@ -132,7 +132,7 @@ def _lost(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Loss of a lane's evidence at each fix, (f,), from nu (m) and S (m2), as in `compiled.swarm`."""
+    """Return the loss of a lane's evidence at each fix, (f,), from nu (m) and S (m2), as in `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
@@ -140,11 +140,11 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
 
 
 SCALED = R.TIMES_R, R.TIMES_Q
-"""Factors of a fuzzy filter's constants: 1 where the constants are replaced."""
+"""Factors of a fuzzy filter's constants; 1 after the constants are replaced."""
 
 
 def as_at_start(lanes: Array) -> Array:
-    """Lanes (N_KEPT, m) in the same state with their sums at 0."""
+    """Return lanes (N_KEPT, m) in the same state, with all sums at 0."""
     fresh = lanes.copy()
     sums = fresh[SUM_ROWS]
     lasting = R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK
@@ -158,22 +158,13 @@ def as_at_start(lanes: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Result of a search: the best filter.
-
-    Attributes
-    ----------
-    offsets : (d,)
-    lane : (N_KEPT,)
-        The filter at the end of the replay.
-    known : Evidence
-        By the fixes up to then.
-    population : (LANES, d)
-        For the next search.
-    """
+    """Result of a search: the best filter's offsets (d,), and the population (LANES, d) for the next search."""
 
     offsets: Array
     lane: Array
+    """The filter at the end of the replay, (N_KEPT,)."""
     known: Evidence
+    """Its evidence at that time."""
     population: Array
 
 
@@ -187,22 +178,10 @@ def search(
     nominal_interval: float,
     seed: Sequence[int],
 ) -> Found | None:
-    """Look for better offsets over some steps; None where they have too few fixes.
+    """Search for better offsets over some steps; return None where the steps have too few fixes.
 
-    Parameters
-    ----------
-    spread : Spread
-    steps : Steps
-    start : (N_KEPT,)
-        The filter before the first of them.
-    known : Evidence
-        By the fixes up to there.
-    leader : (d,)
-        The offsets of the lane of the largest weight; they replace the last of the population.
-    population : (LANES, d)
-    nominal_interval : s
-    seed : sequence of int
-        Seed of the random numbers.
+    ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
+    of the lane with the largest weight; they replace the last of the ``population`` (LANES, d).
     """
     rng = np.random.default_rng(seed)
     if steps.n_scored < FEWEST_FIXES:
@@ -221,7 +200,7 @@ def search(
         return EVIDENCE_COUNTS * lost + spread.penalty(offsets)
 
     offsets = population.copy()
-    offsets[-1] = leader  # the last place is the leader's, in each search
+    offsets[-1] = leader
     cost = costs(offsets)
     for _ in range(GENERATIONS):
         trial = _trials(offsets, spread, rng)
@@ -236,10 +215,7 @@ def search(
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
-    """Make a trial for each member of the population.
-
-    Another member plus the difference of two more, crossed with it.
-    """
+    """Make a trial for each member: another member plus the difference of two more, crossed with the member."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

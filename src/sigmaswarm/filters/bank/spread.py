@@ -1,7 +1,7 @@
 """Offsets of a bank's filters from the tuning, most of them in decades of variance.
 
-An offset is one quantity that may have changed since the tuning: the noise of the IMU or the receiver, the position of
-the rear axle. One matrix turns offsets into constants of the kernel: a lane costs one power of ten.
+An offset changes one quantity, such as the noise of the IMU or the receiver, or the position of the rear axle. A matrix
+maps the offsets to constants of the kernel.
 """
 
 from dataclasses import dataclass, replace
@@ -19,13 +19,13 @@ OFFSET_DOF = 4.0
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
 R_DOWN_STD = 0.45
-"""The same of an R below the tuning's, in the penalty: in a city fixes are good until they jump."""
+"""The same in the penalty of an R below the tuning's; it is smaller, since fixes in a city are good until they jump."""
 SCALE_STD = 0.7
-"""The same of all variances together: a common factor of the covariance does not change the estimates."""
+"""The same for a common factor of all variances, which hardly changes the estimates."""
 START_STD = 1.5
-"""The same of the biases' variance at the start, which is never less than the tuning's."""
+"""The same for the biases' variance at the start, which is never less than the tuning's."""
 AXLE_STD = 0.7
-"""m."""
+"""Standard deviation of the position of the rear axle, m."""
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = (
     {},
@@ -37,10 +37,11 @@ FIXED = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""The first lanes, which are never replaced: the tuning; other biases; other receivers, two with another IMU."""
+"""Offsets of the first lanes, which are never replaced: the tuning; other biases; other receivers, two of them with
+other biases."""
 
 FAR, FAR_AXLE = 0.5, 0.5
-"""Decades, m: larger offsets are reported."""
+"""Offsets, in decades and in m, above which a warning is given."""
 _MEANS = {
     R: "R is {times}: another receiver?",
     SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
@@ -50,12 +51,7 @@ _MEANS = {
 
 @dataclass(frozen=True)
 class Spread:
-    """The offsets that a tuning can have.
-
-    Parameters
-    ----------
-    tuning : FilterParameters
-    """
+    """The offsets that a tuning can have."""
 
     tuning: FilterParameters
 
@@ -85,7 +81,7 @@ class Spread:
 
     @cached_property
     def lasting(self) -> Array:
-        """1 for offsets that still matter after the start, (d,), 0 for that of the start."""
+        """1 for offsets that have an effect after the start, else 0, (d,)."""
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
@@ -150,7 +146,7 @@ class Spread:
     def warnings(self, moved: Array) -> tuple[str, ...]:
         """Warnings of offsets (d,) that are too large for the vehicle of the tuning.
 
-        A factor that all variances have in common is reported once, and the others relative to it.
+        A common factor of all variances has one warning; the other offsets count relative to it.
         """
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]

@@ -17,7 +17,7 @@ from sigmaswarm.compilation import Recipe, cached, once
 from sigmaswarm.drives import alignment, frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fix_error, fuzzy, models, schedule, student, tilted
-from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
+from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import step_of
@@ -286,6 +286,7 @@ def _machine_code(sources, *, steps_to):
     ):
         if sources == "":  # never; so the name is closed over
             return
+        control = exchange_control(-1)
         w = new_rows(rows.shape[1])
         _load(w, rows)
         steps_to(
@@ -305,6 +306,7 @@ def _machine_code(sources, *, steps_to):
             innovations,
         )
         _store(w, rows)
+        exchange_control(control)
 
     return run_model
 

@@ -15,6 +15,7 @@ from numba import config, float64, int64, types
 from numba.extending import intrinsic
 
 from sigmaswarm.compilation import address_of, once
+from sigmaswarm.filters.compiled.lanes import exchange_control
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
@@ -30,6 +31,7 @@ def _one_step(sources, *, step, kept, tape, taped):
         """A step as in `step`, whose tuples are arrays; ``v`` is the filter before and after."""
         if sources == "":  # never; so the name is closed over
             return
+        control = exchange_control(-1)
         w = new_rows(WIDEST)
         for r in kept:
             for lane in range(w.shape[1]):
@@ -43,6 +45,7 @@ def _one_step(sources, *, step, kept, tape, taped):
         )  # fmt: skip
         for r in kept:
             v[r] = w[r, 0]
+        exchange_control(control)
         if tape >= 0:
             at = tape + 1 + int(v[tape]) * len(taped)
             for r in range(len(taped)):

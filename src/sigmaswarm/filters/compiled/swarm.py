@@ -23,7 +23,7 @@ from numba.extending import intrinsic
 
 from sigmaswarm.compilation import address_of, once
 from sigmaswarm.drives.timeline import DT
-from sigmaswarm.filters.compiled.lanes import OPTIONS
+from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, N_ROWS, P0, R, state_rows
 from sigmaswarm.filters.compiled.live import BEHIND, DIMENSION, FACTOR, TIME, is_definite
 from sigmaswarm.filters.compiled.run import named_by_sources
@@ -165,6 +165,7 @@ def _swarm_step(sources, *, step, kept):
         """A step of all lanes; ``v`` is a live filter's state, and the numbers after it."""
         if sources == "":  # never; so the name is closed over
             return
+        control = exchange_control(-1)
         w = _rows_of(v)
         for lane in range(LANES):
             w[R.FACED_ALL, lane] = 0.0  # some may have been replaced
@@ -175,6 +176,7 @@ def _swarm_step(sources, *, step, kept):
             (z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]), (wheels[0], wheels[1], wheels[2]),
             (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
+        exchange_control(control)
         now = v[TIME] + u[DT]
         if happens & FIX:
             _check_lanes(v, w)

@@ -15,8 +15,8 @@ from sigmaswarm.errors import InputError
 class Log:
     """One recording: inputs, measurements, the start of a filter, and the truth where it is known.
 
-    The filter steps at ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement in between splits
-    that step, as in drives. Measurements outside of ``time`` are left out.
+    The filter steps at ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement between them
+    splits that step. Measurements outside of ``time`` are ignored.
 
     Attributes
     ----------
@@ -28,11 +28,11 @@ class Log:
     measurements : ndarray, shape (f, m)
         (f,) stands for (f, 1).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Of the state at ``time[0]``, where the filter starts. They must not be taken from truth.
+        Mean and covariance of the state at ``time[0]``, where the filter starts. They must not come from truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; (k,) stands for (k, 1). None: f gets an empty array.
     truth : mapping of str to ndarray, shape (j,)
-        True values of some or all states, by name. Never shown to a filter.
+        True values of some or all states, by name. No filter uses them.
     truth_time : ndarray, shape (j,), optional
         s, strictly increasing; ``time`` by default.
 
@@ -69,7 +69,8 @@ class Log:
             if column.shape != moments.shape:
                 clock = "truth_time" if given else "time"
                 raise self.wrong(
-                    f"truth[{name!r}] has shape {column.shape}, {clock} has {len(moments)} values"
+                    f"truth[{name!r}] has shape {column.shape}, but {clock} has {len(moments)} values; "
+                    "give one for each"
                 )
         object.__setattr__(self, "truth", truth)
         if not np.any((fixes >= time[0]) & (fixes <= time[-1])):
@@ -78,7 +79,7 @@ class Log:
             )
 
     def wrong(self, what: str) -> InputError:
-        """Make the error for a fault of this log."""
+        """Return an error about this log."""
         return InputError(f"log {self.name}: {what}")
 
     def _keep(self, name: str, column: Array) -> Array:
@@ -90,7 +91,7 @@ class Log:
         try:
             column = np.array(values, dtype=np.float64)
         except (TypeError, ValueError):
-            raise self.wrong(f"{name} is not an array of numbers") from None
+            raise self.wrong(f"{name} is not an array of numbers; convert it to floats") from None
         bad = np.argwhere(~np.isfinite(column))
         if len(bad):
             place = ", ".join(str(i) for i in bad[0])
@@ -115,7 +116,9 @@ class Log:
         table = table[:, np.newaxis] if table.ndim == 1 else table
         if table.ndim != 2 or len(table) != length:
             clock = {"inputs": "time"}.get(name, "measurement_time")
-            raise self.wrong(f"{name} has shape {np.shape(values)}, {clock} has {length} values")
+            raise self.wrong(
+                f"{name} has shape {np.shape(values)}, but {clock} has {length} values; give one row for each"
+            )
         return table
 
     def _check_start(self, mean: Array) -> None:
@@ -123,7 +126,9 @@ class Log:
             raise self.wrong(f"mean has shape {mean.shape}; give one value for each state")
         n = len(mean)
         if self.covariance.shape != (n, n):
-            raise self.wrong(f"covariance has shape {self.covariance.shape}; for {n} states it is ({n}, {n})")
+            raise self.wrong(
+                f"covariance has shape {self.covariance.shape}; give shape ({n}, {n}), for {n} states"
+            )
         try:
             np.linalg.cholesky(self.covariance)
             sound = np.allclose(self.covariance, self.covariance.T, rtol=1e-9, atol=0)

@@ -1,22 +1,23 @@
 """Users' models: states, functions, and the parameters that are tuned."""
 
+import hashlib
 import keyword
 import math
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from numbers import Real
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any, Literal
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.custom.identity import fingerprint
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
-"""Scaling of the sigma points, which is searched with the model's parameters for every unscented filter."""
+"""Scaling of the sigma points; a tuning of an unscented filter searches it together with the model's parameters."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +27,13 @@ class Tunable:
     Attributes
     ----------
     name : str
-        f, h and the noises find its value as ``p.name``.
+        f, h and the noises read its value as ``p.NAME``.
     lowest, highest : float
-        Its range.
+        Bounds of the search.
     logarithmic : bool
-        Search it in log10, for values that span powers of ten: variances, time constants.
+        Search its log10, for values that span powers of ten, such as variances and time constants.
     unit : str
-        Shown in results.
+        Unit in results.
     """
 
     name: str
@@ -65,11 +66,11 @@ class Model:
     angles : tuple of str
         States that are angles, rad.
     measured_angles : tuple of int
-        Which elements of a measurement are angles, rad.
+        Indices of the elements of a measurement that are angles, rad.
     scored : tuple of str
-        States that truth-rmse compares; empty: all whose truth the log has.
+        States that truth-rmse compares; empty: all states with truth in the log.
     kind : {"ukf", "ekf"}
-        Unscented or extended. The extended one takes derivatives by complex steps, so f and h must take complex
+        Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
         states; it is not compiled.
 
     Raises
@@ -107,7 +108,7 @@ class Model:
             unknown = [name for name in getattr(self, field) if name not in self.states]
             if unknown:
                 raise self.wrong(
-                    f"{field} names {unknown[0]!r}, which is not a state; states are {_listed(self.states)}"
+                    f"{field} names {unknown[0]!r}, which is not a state; the states are {', '.join(self.states)}"
                 )
         self._check_parameters()
 
@@ -124,7 +125,7 @@ class Model:
                     f"{field}: {name!r} is not a name; use letters, digits and _, a letter first"
                 )
             if name in names[:i]:
-                raise self.wrong(f"{field}: {name!r} is there twice")
+                raise self.wrong(f"{field}: {name!r} occurs twice; rename one of them")
 
     def _check_parameters(self) -> None:
         self._check_names("parameters", [t.name for t in self.parameters])
@@ -135,11 +136,11 @@ class Model:
                 )
             if not (np.isfinite([t.lowest, t.highest]).all() and t.lowest < t.highest):
                 raise self.wrong(
-                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g}; give a lower and an upper bound"
+                    f"parameter {t.name}: bounds {t.lowest:g}, {t.highest:g} are not a range; give the lower one first"
                 )
             if t.logarithmic and t.lowest <= 0:
                 raise self.wrong(
-                    f"parameter {t.name}: can't be searched in log10 down to {t.lowest:g}; "
+                    f"parameter {t.name}: a lower bound of {t.lowest:g} has no logarithm; "
                     "give a positive bound, or logarithmic=False"
                 )
 
@@ -149,21 +150,15 @@ class Model:
         return namedtuple("p", [t.name for t in self.parameters])  # pyright: ignore[reportUntypedNamedTuple]
 
     def values(self, parameters: Mapping[str, Any]) -> Any:
-        """p of parameters by name.
-
-        Raises
-        ------
-        InputError
-            If one is missing, unknown or not finite.
-        """
+        """Return p from parameters by name; raise `InputError` if one is missing, unknown or not finite."""
         known = [t.name for t in self.parameters]
         needed = [*SCALING_NAMES, *known] if self.kind == "ukf" else known
         missing = [name for name in needed if name not in parameters]
         if missing:
-            raise self.wrong(f"parameter {missing[0]!r} is missing; it has {_listed(needed)}")
+            raise self.wrong(f"parameter {missing[0]!r} is missing; the parameters are {', '.join(needed)}")
         unknown = [name for name in parameters if name not in needed]
         if unknown:
-            raise self.wrong(f"there is no parameter {unknown[0]!r}; it has {_listed(needed)}")
+            raise self.wrong(f"there is no parameter {unknown[0]!r}; the parameters are {', '.join(needed)}")
         for name in needed:
             value = parameters[name]
             if not isinstance(value, Real) or not math.isfinite(value):
@@ -195,5 +190,54 @@ def as_covariance(noise: Any) -> Array:
     return np.diag(noise) if noise.ndim == 1 else noise
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
+def fingerprint(*things: Any) -> str:
+    """Hash values and functions, which are hashed by their bytecode and the outside values that they use.
+
+    Equal code with equal numbers has the same hash in every process. Lambdas and functions of notebooks have bytecode,
+    too, and comments do not change it.
+    """
+    digest = hashlib.sha256()
+    seen: set[int] = set()
+    for thing in things:
+        _add(digest, thing, seen)
+    return digest.hexdigest()
+
+
+def _add(digest: Any, thing: Any, seen: set[int]) -> None:
+    thing = getattr(thing, "py_func", thing)  # the Python function of a Numba dispatcher
+    digest.update(type(thing).__name__.encode())
+    if isinstance(thing, FunctionType):
+        if id(thing) in seen:  # it calls itself
+            return
+        seen.add(id(thing))
+        cells = dict(zip(thing.__code__.co_freevars, thing.__closure__ or (), strict=True))
+        outside = {name: cell.cell_contents for name, cell in cells.items()}
+        outside |= {n: thing.__globals__[n] for n in _names(thing.__code__) if n in thing.__globals__}
+        parts: list[Any] = [thing.__code__, thing.__defaults__, thing.__kwdefaults__, outside]
+    elif isinstance(thing, CodeType):
+        parts = [thing.co_code, *thing.co_consts, *thing.co_names, *thing.co_varnames]
+    elif isinstance(thing, partial):
+        parts = [thing.func, thing.args, thing.keywords]
+    elif isinstance(thing, dict):
+        parts = [part for key in sorted(thing, key=repr) for part in (key, thing[key])]
+    elif isinstance(thing, tuple | list):
+        parts = list(thing)
+    elif isinstance(thing, np.ndarray):
+        parts = [thing.dtype.str, thing.shape, thing.tobytes()]
+    elif isinstance(thing, ModuleType | BuiltinFunctionType | type | np.ufunc):
+        parts = [thing.__name__]
+    elif isinstance(thing, bool | int | float | complex | str | bytes | np.generic | frozenset | None):
+        parts = []
+        digest.update(repr(sorted(thing, key=repr) if isinstance(thing, frozenset) else thing).encode())
+    else:  # an object: the code of its class, and its attributes
+        call = type(thing).__call__ if callable(thing) else None
+        parts = [type(thing).__qualname__, call, getattr(thing, "__dict__", None)]
+    for part in parts:
+        _add(digest, part, seen)
+    digest.update(b";")
+
+
+def _names(code: CodeType) -> set[str]:
+    """Outside names that a function may use, with those of its inner functions."""
+    inner = (_names(c) for c in code.co_consts if isinstance(c, CodeType))
+    return set(code.co_names).union(*inner)

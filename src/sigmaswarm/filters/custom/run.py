@@ -1,7 +1,7 @@
 """Filters of users' models over logs: compiled where possible, in textbook form otherwise; and their smoother."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -12,10 +12,10 @@ from numba.core.errors import NumbaError
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.compiled.custom import build_kernel
-from sigmaswarm.filters.custom.checks import check, trial_parameters
 from sigmaswarm.filters.custom.log import Log, Steps, build_steps
 from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance
 from sigmaswarm.filters.textbook.custom import TextbookModel
+from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 
@@ -27,19 +27,19 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ModelEstimate:
-    """Estimates of a user's filter at each of a log's times, after all measurements up to then.
+    """Estimates of a user's filter at each time of a log, after all measurements up to that time.
 
     Attributes
     ----------
     time : ndarray, shape (k,)
-        s, the log's.
+        Times of the log, s.
     mean, covariance : ndarray, shapes (k, n), (k, n, n)
-        Of the state, angles wrapped to (-pi, pi]. NaN from a failure on.
+        State estimate, angles wrapped to (-pi, pi]. NaN from a failure on.
     measurement_time : ndarray, shape (f,)
-        s, of the measurements within ``time``.
+        Times of the measurements within ``time``, s.
     nis, nll : ndarray, shape (f,)
-        Of each measurement before its update: normalized innovation squared, whose mean is m for a consistent
-        filter, and negative log-likelihood.
+        Normalized innovation squared and negative log-likelihood of each measurement, before its update. The mean NIS
+        of a consistent filter is m, the number of elements of a measurement.
     failure : str or None
         The failure and its time; None without one.
     """
@@ -62,7 +62,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
         Its truth, if any, is not used.
     model : Model
     parameters : mapping of str to float
-        By name, as `Tuning.parameters` has them: the model's, and alpha, beta, kappa for an unscented filter.
+        The model's parameters by name, as in `Tuning.parameters`; for an unscented filter also alpha, beta, kappa.
 
     Returns
     -------
@@ -82,8 +82,8 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
     """Run the filter of a model of your own over a log, and smooth: each estimate uses all measurements.
 
-    H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. It is in NumPy,
-    some hundred times slower than `run_model`, since it needs every prediction.
+    H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. It runs in NumPy,
+    about a hundred times slower than `run_model`.
 
     Parameters
     ----------
@@ -93,7 +93,8 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     Returns
     -------
     ModelEstimate
-        ``nis`` and ``nll`` are the filter's. With ``failure`` set where it failed; estimates before are smoothed.
+        ``nis`` and ``nll`` are the filter's. Where the filter failed, ``failure`` is set, and the estimates before it
+        are smoothed.
 
     Raises
     ------
@@ -125,7 +126,7 @@ def _estimate(log: Log, model: Model, steps: Steps, run: "Filtered") -> ModelEst
 
 
 def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
-    """Sentence on the step in which a filter failed; None for -1, no failure."""
+    """Message on the step in which a filter failed; None for -1, no failure."""
     if failed < 0:
         return None
     moment = log.time[0] + steps.dt[: failed + 1].sum()
@@ -144,18 +145,7 @@ class Filtered(Trajectory):
 
 
 class Runner:
-    """Logs prepared once, to be filtered with any number of parameter sets.
-
-    Parameters
-    ----------
-    model : Model
-    logs : sequence of Log
-
-    Raises
-    ------
-    InputError
-        If the model does not fit a log.
-    """
+    """Logs that are prepared once for any number of parameter sets; the model must fit them, else `InputError`."""
 
     def __init__(self, model: Model, logs: Sequence[Log]) -> None:
         for log in logs:
@@ -200,7 +190,7 @@ def _run_textbook(
 
 
 def _textbook(model: Model, steps: Steps, parameters: Mapping[str, float]) -> TextbookModel | None:
-    """The textbook filter at the start of a log; None where it has no R."""
+    """The textbook filter at the start of a log; None where the user's functions fail there."""
     try:
         with np.errstate(all="ignore"):  # the result is checked
             return TextbookModel(model, steps, _scaling(parameters), model.values(parameters))
@@ -230,7 +220,7 @@ def kernel_of(model: Model, steps: Steps) -> Any:
 
 
 def _compiled(model: Model, steps: Steps) -> Any:
-    """Compile, and compare with the textbook filter over the first steps; None, with a warning, if it fails."""
+    """Compile the filter, and compare it with the textbook filter over some steps; None, with a warning, on failure."""
     few = replace(
         steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "absorbs", "records")}
     )
@@ -238,7 +228,7 @@ def _compiled(model: Model, steps: Steps) -> Any:
     diagonal = np.ndim(model.process_noise(1.0, model.values(trial))) == 1
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Numba, on how a user's function could be faster
+            warnings.simplefilter("ignore")  # Numba's, on slow constructs in a user's function
             kernel = build_kernel(model.f, model.h, model.process_noise, diagonal=diagonal)
             compiled = _run(model, kernel, few, trial, covariances=True)
     except (NumbaError, TypeError, NotImplementedError) as error:  # Numba's own are not all NumbaErrors
@@ -249,7 +239,7 @@ def _compiled(model: Model, steps: Steps) -> Any:
             return kernel
         why = "the compiled functions return other numbers"
     warnings.warn(
-        f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, some hundred "
+        f"model {model.name}: its functions can't be compiled ({why}); the textbook filter runs them, about a hundred "
         "times slower",
         SigmaswarmWarning,
         stacklevel=2,
@@ -272,3 +262,56 @@ def _reason(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if not line.startswith(("Failed in", "During", "File ", "^"))]
     return (telling or lines or [type(error).__name__])[0].rstrip(".:")
+
+
+def trial_parameters(model: Model) -> dict[str, float]:
+    """Parameters in the middle of their bounds, for trials of the model's functions."""
+    middle = {
+        t.name: float(np.sqrt(t.lowest * t.highest) if t.logarithmic else (t.lowest + t.highest) / 2)
+        for t in model.parameters
+    }
+    return middle | ({"alpha": 0.5, "beta": 2.0, "kappa": 1.0} if model.kind == "ukf" else {})
+
+
+def check(model: Model, log: Log) -> None:
+    """Call the model's functions with the log's first data; raise `InputError` where a result is not usable."""
+    n, m = len(model.states), log.measurements.shape[1]
+    if len(log.mean) != n:
+        raise log.wrong(f"mean has {len(log.mean)} values, the model {model.name} has {n} states")
+    for name in log.truth:
+        if name not in model.states:
+            raise log.wrong(f"truth names {name!r}, which is not a state of the model {model.name}")
+    for i in model.measured_angles:
+        if i not in range(m):
+            raise model.wrong(
+                f"measured_angles has {i}, but a measurement of {log.name} has {m} elements, from 0"
+            )
+    p = model.values(trial_parameters(model))
+    dt = float(np.diff(log.time).mean()) if len(log.time) > 1 else 1.0
+    u = (log.inputs if log.inputs is not None else np.empty((1, 0)))[0]
+
+    def f(state: Any) -> Any:
+        return model.f(state.copy(), dt, u, p)
+
+    def h(state: Any) -> Any:
+        return model.h(state.copy(), p)
+
+    _shape(model, log, "f", lambda: f(log.mean), [(n,)])
+    _shape(model, log, "h", lambda: h(log.mean), [(m,)])
+    _shape(model, log, "process_noise", lambda: model.process_noise(dt, p), [(n,), (n, n)])
+    _shape(model, log, "measurement_noise", lambda: model.measurement_noise(p), [(m,), (m, m)])
+    if model.kind == "ekf":  # its derivatives are complex steps
+        _shape(model, log, "f of a complex state", lambda: complex_step(f, log.mean), [(n, n)])
+        _shape(model, log, "h of a complex state", lambda: complex_step(h, log.mean), [(m, n)])
+
+
+def _shape(model: Model, log: Log, role: str, call: Callable[[], Any], wanted: list[tuple[int, ...]]) -> None:
+    with np.errstate(all="ignore"):
+        try:
+            result = np.asarray(call(), dtype=np.float64)
+        except Exception as error:  # whatever a user's function may raise
+            said = " ".join(str(error).split())
+            raise model.wrong(f"{role} fails on {log.name}: {type(error).__name__}: {said}") from error
+    if result.shape not in wanted:
+        shapes = " or ".join(str(shape) for shape in wanted)
+        raise model.wrong(f"{role} gives shape {result.shape} on {log.name}; it should be {shapes}")

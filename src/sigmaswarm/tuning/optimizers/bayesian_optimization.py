@@ -6,10 +6,9 @@ M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-bo
 L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is assumed to have its predicted cost
 until its cost is known.
 
-The lengths over which costs are alike are found by scikit-learn, from the points and costs alone, each time from these
-alone, so that they and the generator are the whole state. The search for the next point is our own, since it uses the
-slope of the expected improvement in closed form; without the slope it would take several times as long as everything
-else.
+scikit-learn fits the length scales from the points and costs each time, so these and the generator are the whole state.
+The search for the next point is our own, since it uses the slope of the expected improvement in closed form; without
+the slope it would take several times as long as everything else.
 """
 
 import threading
@@ -84,20 +83,11 @@ class BayesianOptimization(AskTell):
 
 
 def leveled(costs: Array) -> Array:
-    """Costs on a scale that keeps their order and the differences between the best.
+    """Costs (n,) on a scale that keeps their order and the differences between the best; one at least is finite.
 
     A diverged filter costs a thousand times as much as a good one, and a process of such costs is flat near the best.
     So the scale is log(1 + (cost - best) / (median - best)): linear below the median, logarithmic above. A failure
     costs as much as the worst of the others.
-
-    Parameters
-    ----------
-    costs : ndarray, shape (n,)
-        At least one of them finite.
-
-    Returns
-    -------
-    ndarray, shape (n,)
     """
     finite = np.isfinite(costs)
     filled = np.where(finite, costs, costs[finite].max())
@@ -109,23 +99,12 @@ def leveled(costs: Array) -> Array:
 def suggested(
     points: Array, costs: Array, count: int, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Select points of the highest expected improvement one by one; each gets its predicted cost before the next.
+    """Select ``count`` points of the highest expected improvement, from points (n, d) of the unit cube with costs (n,).
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, d)
-        Points of the unit cube.
-    costs : ndarray, shape (n,)
-    count : int
-    effort : (int, int)
-        Number of random candidates, and of local searches from the best of them.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray, shape (count, d)
+    They are selected one by one; each gets its predicted cost before the next. ``effort``: number of random candidates,
+    and of local searches from the best of them.
     """
-    # one thread: more gain nothing on matrices so small, and the bits would depend on how many there are
+    # one thread: more gain nothing on small matrices, and the bits would depend on their number
     from threadpoolctl import threadpool_limits
 
     n = len(points)
@@ -148,9 +127,7 @@ def _fitted(points: Array, costs: Array) -> Array:
     kernel: Any = Matern(begin, (SHORTEST, LONGEST), nu=2.5)
     process: Any = GaussianProcessRegressor(kernel, alpha=NOISE, normalize_y=True)
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # that a length is at its bound, as that of a parameter without influence is
+        warnings.simplefilter("ignore")  # the length of a parameter without influence is at its bound
         process.fit(points, costs)
     return np.array(process.kernel_.length_scale)
 
@@ -158,18 +135,11 @@ def _fitted(points: Array, costs: Array) -> Array:
 class Improvement:
     """Expected improvement of a point of the unit cube over the lowest cost, in standard deviations of costs.
 
-    Parameters
-    ----------
-    lengths : ndarray, shape (d,)
-    points : ndarray, shape (n, d)
-    costs : ndarray, shape (n,)
+    Of length scales (d,), and points (n, d) with costs (n,).
     """
 
     def __init__(self, lengths: Array, points: Array, costs: Array) -> None:
-        from scipy.linalg import (
-            cho_factor,
-            cho_solve,
-        )  # takes 0.1 s to import, for each command that knows of it
+        from scipy.linalg import cho_factor, cho_solve  # 0.1 s to import
         from scipy.special import ndtr
 
         self._solved, self._below = cho_solve, ndtr

@@ -10,29 +10,11 @@ from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 
 class Budgeted:
-    """An optimizer with a budget of evaluations; it may end with a Nelder-Mead search (polish).
+    """An optimizer with a budget of evaluations; it may end with a Nelder-Mead search from the best point (polish).
 
-    Parameters
-    ----------
-    first : Optimizer
-        Searches the whole space.
-    low, high : ndarray, shape (d,)
-        Bounds, in search coordinates.
-    rng : numpy.random.Generator
-        The generator of ``first``; its state is saved and restored here.
-    budget : int
-        Largest number of points.
-    polish : int
-        Evaluations of the budget reserved for a Nelder-Mead search from the best point.
-
-    Attributes
-    ----------
-    global_best : ndarray, shape (d,)
-        The best point so far.
-    global_cost : float
-        Its cost; ``inf`` until a point had a finite one.
-    spent : int
-        Evaluations so far.
+    ``first`` searches the whole space; ``rng`` is its generator, whose state is saved and restored here. ``polish``
+    evaluations of the budget are reserved. ``global_best`` (d,) is the best point so far, ``global_cost`` its cost
+    (``inf`` until a point had a finite one), ``spent`` the number of evaluations.
     """
 
     def __init__(

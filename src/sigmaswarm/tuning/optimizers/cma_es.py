@@ -53,9 +53,8 @@ class CmaEs(AskTell):
             1 + 2 * mu_worse / (mu + 2),  # (51)
             (1 - self.c_one - self.c_mu) / (d * self.c_mu),  # (52)
         )
-        self.weights = np.concatenate(
-            [better / np.sum(better), negative * worse / np.sum(np.abs(worse))]
-        )  # (53)
+        worse_weights = negative * worse / np.sum(np.abs(worse))
+        self.weights = np.concatenate([better / np.sum(better), worse_weights])  # (53)
         self.c_step = (mu + 2) / (d + mu + 5)  # (55)
         self.damping = 1 + 2 * max(0.0, np.sqrt((mu - 1) / (d + 1)) - 1) + self.c_step
         self.mu_eff = mu
@@ -88,7 +87,7 @@ class CmaEs(AskTell):
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))
 
     def _learn(self, costs: Array) -> None:
-        if costs.min() == costs.max():  # a plateau teaches nothing: look elsewhere
+        if costs.min() == costs.max():  # a plateau has no information: restart elsewhere
             self._restart(self.rng.random(len(self.mean)))
             return
         n, d = self.positions.shape
@@ -119,6 +118,5 @@ class CmaEs(AskTell):
             + self.c_one * np.outer(self.path, self.path)
             + self.c_mu * (y.T * weights) @ y
         )  # (47)
-        self.step = float(
-            self.step * np.exp(self.c_step / self.damping * (length / self.expected_length - 1))
-        )  # (44)
+        growth = np.exp(self.c_step / self.damping * (length / self.expected_length - 1))
+        self.step = float(self.step * growth)  # (44)

@@ -13,8 +13,6 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
 """The chance that two parents are crossed, and how near to its parents a child stays (eta; higher is nearer)."""
-ATTEMPTS = 10
-"""Attempts to replace children that are copies."""
 
 
 class GeneticAlgorithm(AskTell):
@@ -45,7 +43,7 @@ class GeneticAlgorithm(AskTell):
 
     def _next(self) -> Array:
         children = self._bred(len(self.members))
-        for _ in range(ATTEMPTS):  # a copy of a member would waste an evaluation
+        for _ in range(10):  # a copy of a member would waste an evaluation
             copies = np.any(np.all(children[:, np.newaxis] == self.members, axis=2), axis=1)
             if not copies.any():
                 break
@@ -74,7 +72,7 @@ def offspring(
     ``box``: lower and upper bounds.
     """
     pairs = (n + 1) // 2
-    # neighbors of one round, so that hardly ever someone mates with itself
+    # neighbors of one round, so that a member is rarely paired with itself
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
     low, high = np.minimum(first, second), np.maximum(first, second)
     u = rng.random(first.shape)

@@ -1,0 +1,72 @@
+"""Direction of travel in the IMU's axes: yaw and pitch of the mounting, without the noise of the fixes' positions.
+
+A car's velocity lies along its x axis e. In the axes that the IMU has at the start of a window,
+
+    velocity = C (speed e + rate x lever) = v0 + g t + integral of C force
+
+C is the gyro's integral, to first order in roll and pitch; speed is that of the fixes. Each window has its own v0 and g
+(gravity, slope, bias). The components across e do not contain the speed's errors: they have the larger weight.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.doctor.acceleration_fit import drift_of, usable_windows
+from sigmaswarm.doctor.fixes import Course
+from sigmaswarm.doctor.windows import Complex, integral, regress, smoothed
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.drive import Array, Imu
+
+WINDOW, DEGREE = 20.0, 2
+"""s, and degree of the polynomial in time whose coefficients belong to a window."""
+FORWARD = 4.0
+"""Ratio of the deviations of the velocity along and across the direction of travel."""
+LEAST_STRAIGHT = 0.5
+"""Ratio of the mean velocity to the speed in the sharpest turns."""
+
+
+def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
+    """Slopes (2,) of the direction of travel to the left and up, in axes that about fit the car, and their deviations.
+
+    None if no window is usable. ``late`` is the delay of the fixes, s.
+    """
+    rows = usable_windows(imu.time, course, WINDOW)
+    if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:
+        return None
+    time, at = imu.time, (course.time - late)[rows]
+    rate = imu.gz + drift_of(time, course, imu.gz, late)
+    heading = np.exp(1j * integral(time, rate))
+    force: Complex = heading * (imu.ax + 1j * imu.ay)
+    tilt = integral(time, heading * (imu.gx - imu.gx.mean() + 1j * (imu.gy - imu.gy.mean())))
+
+    def since(values: Complex | Array) -> Complex:
+        """Change of values since the start of each window, (w, n)."""
+        found: Any = np.interp(at, time, values)
+        return found - found[:, :1]
+
+    start, leaned = np.interp(at[:, :1], time, heading), np.interp(at[:, :1], time, tilt)
+    turned = np.interp(at, time, heading) / start
+    lean, gained = since(tilt) / start, since(integral(time, force))
+    level = (gained - 1j * GRAVITY * (since(integral(time, tilt)) - leaned * (at - at[:, :1]))) / start
+    up = since(integral(time, imu.az - np.median(imu.az) + np.imag(np.conj(tilt) * force)))
+    up = up.real - np.imag(np.conj(leaned) * gained)
+    straight = np.abs(
+        smoothed(time, heading, course.time - late, course.span)
+    )  # a mean velocity is less in turns
+    speed = (np.abs(course.velocity) / np.maximum(straight, LEAST_STRAIGHT))[rows]
+    back, zero = np.conj(turned), np.zeros(at.shape)
+
+    def stack(across: Complex, up: Array) -> Complex:
+        """Velocity along the direction of travel, to its left and up, (w, 3n)."""
+        return np.hstack([across.real, across.imag, up]) + 0j
+
+    powers = np.linspace(-1, 1, at.shape[1]) ** np.arange(DEGREE + 1)[:, None]
+    own = [stack(back * factor * power, zero) for power in powers for factor in (1, 1j)]
+    own += [stack(0j * back, zero + power) for power in powers]
+    y = stack(back * level - speed, up - speed * np.imag(np.conj(lean) * turned))
+    yaw_rate, pitch_rate = (np.interp(at, time, v) for v in (rate, imu.gy))
+    columns = [stack(1j * speed, zero), stack(0j * back, speed), stack(1j * yaw_rate, -pitch_rate)]
+    weight = np.hstack([zero + 1 / FORWARD, zero + 1, zero + 1])
+    fit = regress(y, columns, own, weight, 4)
+    return fit.solution[:2], np.sqrt(np.diag(fit.covariance)[:2])

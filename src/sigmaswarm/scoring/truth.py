@@ -1,0 +1,129 @@
+"""The truth of a drive: the weight of each moment, the times at which it is known, and an offset of the fixes from it.
+
+An offset comes from an antenna away from the IMU, or from another origin or datum.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.doctor.windows import Complex
+from sigmaswarm.drives.drive import Array, Drive, Truth
+from sigmaswarm.drives.gaps import MANY, SHORTEST
+
+POSITION_FLOOR = 0.3
+"""m per axis: the accuracy of the best filters of cheap receivers, beyond which better truth gets no more weight.
+
+Without this limit only stretches under open sky would have weight. There the reference is most accurate, and every
+filter is good.
+"""
+HEADING_FLOOR = math.radians(0.3)
+"""rad, likewise."""
+BLOCKS = 8
+"""Number of stretches of a drive, whose means show the spread of correlated errors."""
+CLEAR = 5.0
+"""Standard deviations of the mean from which an offset is reported."""
+LEAST = 0.3, 0.3
+"""m, and share of the fixes' scatter: smaller offsets do not matter."""
+
+
+def weights_at(truth: Truth, time: Array) -> Array | None:
+    """Weights of squared position errors at times, s: floor^2 / (sigma^2 + floor^2); None: 1.
+
+    sigma^2 is the mean of both axes' variances, from linearly interpolated deviations.
+    """
+    if truth.std_x is None or truth.std_y is None:
+        return None
+    std_x, std_y = np.interp(time, truth.time, truth.std_x), np.interp(time, truth.time, truth.std_y)
+    return POSITION_FLOOR**2 / ((std_x**2 + std_y**2) / 2 + POSITION_FLOOR**2)
+
+
+def heading_weights(truth: Truth) -> Array | None:
+    """Weights of the squared heading errors, (m,); None where truth states no deviation of the heading."""
+    return None if truth.std_theta is None else HEADING_FLOOR**2 / (truth.std_theta**2 + HEADING_FLOOR**2)
+
+
+def root_mean(squares: Array, weights: Array | None = None) -> float:
+    """Weighted RMS of squared errors (m,); NaN where there are none."""
+    if not squares.size:
+        return float("nan")
+    return float(np.sqrt(np.mean(squares) if weights is None else np.average(squares, weights=weights)))
+
+
+def is_known(truth: Truth, time: Array) -> NDArray[np.bool_]:
+    """Times (n,), s, at which truth is known, (n,): those outside of its gaps.
+
+    Truth without deviations is known from its first row to its last one.
+    """
+    inside = (time >= truth.time[0]) & (time <= truth.time[-1])
+    if truth.std_x is None or len(truth) < 2:
+        return inside
+    later = np.clip(np.searchsorted(truth.time, time, side="left"), 1, len(truth) - 1)
+    return inside & (~_gaps(truth)[later - 1] | (truth.time[later] == time) | (truth.time[0] == time))
+
+
+def share_known(truth: Truth | None, start: float, end: float) -> float:
+    """Share of the time from ``start`` to ``end``, s, in which truth has rows, without gaps."""
+    if truth is None or len(truth) < 2 or end <= start:
+        return 0.0
+    edges = np.clip(truth.time, start, end)
+    return float(np.sum(np.diff(edges)[~_gaps(truth)]) / (end - start))
+
+
+def _gaps(truth: Truth) -> NDArray[np.bool_]:
+    """Intervals between rows, (m - 1,), that are gaps, as gaps in the IMU: much longer than usual."""
+    intervals = np.diff(truth.time)
+    return intervals > max(MANY * float(np.median(intervals)), SHORTEST)
+
+
+def truth_offset(drive: Drive) -> str:
+    """Return a sentence on a constant offset of the fixes from truth, with its remedy; empty where there is none.
+
+    The fixes' errors are averaged along east and north, and along forward and left of the vehicle. The offset is
+    constant in the frame in which the averages of `BLOCKS` stretches agree better.
+    """
+    gps, truth = drive.gps, drive.truth
+    if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):
+        return ""
+    time = gps.time[used]
+    heading = np.exp(1j * np.interp(time, truth.time, np.unwrap(truth.theta)))
+    x, y = (np.interp(time, truth.time, column) for column in (truth.x, truth.y))
+    arm = complex(*drive.lever_arm)
+    error = gps.x[used] - x + 1j * (gps.y[used] - y) - arm * heading
+    (world, world_clear), (body, body_clear) = _constant(error), _constant(error / heading)
+    offset = world if world_clear > body_clear else body
+    scatter = float(np.median(np.abs(error - np.median(error.real) - 1j * np.median(error.imag))))
+    if max(world_clear, body_clear) < CLEAR or abs(offset) < max(LEAST[0], LEAST[1] * scatter):
+        return ""
+    origin = (
+        f"the truth has another origin or datum: import with --origin, or add {world.real:.2f} and {world.imag:.2f} m "
+        "to x and y of truth.csv"
+    )
+    length = arm + body
+    lever = (
+        "the antenna is not at the position of the truth: write "
+        f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] into drive.toml"
+    )
+    causes = [
+        cause
+        for cause, clear, other in ((lever, body_clear, world_clear), (origin, world_clear, body_clear))
+        if clear > CLEAR and clear > other / 2  # a straight road does not distinguish them
+    ]
+    return (
+        f"the fixes of {drive.name} lie {abs(offset):.2f} m from the truth on average ({world.real:+.2f} m east, "
+        f"{world.imag:+.2f} m north; {body.real:+.2f} m forward, {body.imag:+.2f} m left), and all position errors "
+        f"contain this offset: {'; or '.join(causes)}"
+    )
+
+
+def _constant(error: Complex) -> tuple[complex, float]:
+    """Return the mean of the means of stretches, m, and its ratio to its standard deviation."""
+    if len(error) < 2 * BLOCKS:
+        return 0j, 0.0
+    means = np.array(
+        [np.median(part.real) + 1j * np.median(part.imag) for part in np.array_split(error, BLOCKS)]
+    )
+    mean = complex(np.mean(means))
+    std = float(np.sqrt(np.sum(np.abs(means - mean) ** 2) / (BLOCKS - 1) / BLOCKS))
+    return mean, abs(mean) / max(std, 1e-9)
