@@ -61,7 +61,7 @@ def wheels_at(timeline: Timeline) -> np.ndarray:
 
 def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> set[int]:
     """Of each kind of step n, spread over the drive; and the longest one with all that follows for a second."""
-    flags = schedule.flags_of(timeline, schedule.switches(sets[0]))
+    flags = schedule.flags_of(timeline, schedule.measured_by(sets[0]))
     bits = (schedule.FIX, schedule.LATERAL, schedule.STANDSTILL, schedule.ODOMETER)
     kinds = [flags == schedule.IMU, *(flags & bit != 0 for bit in bits)]
     chosen: set[int] = set()
@@ -212,7 +212,7 @@ def compiled_against_extended(
 ) -> Stepwise:
     """The compiled filter runs over the drive; the oracle takes some of its steps (all by default) beside it."""
     compiled, oracle = CompiledCars(timeline, initial, sets), ExtendedCar(timeline, sets)
-    flags = schedule.flags_of(timeline, schedule.switches(sets[0]))
+    flags = schedule.flags_of(timeline, schedule.measured_by(sets[0]))
     found: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Stepwise)}
     since = 0.0
     for i, fix in steps_with_fixes(timeline, until):
@@ -290,7 +290,7 @@ def textbook_against_filterpy(
     until: int | None = None,
 ) -> Stepwise:
     """FilterPy runs over the drive; the textbook's filter takes some of its steps (all by default) beside it."""
-    flags, per_set = schedule.flags_of(timeline, schedule.switches(sets[0])), []
+    flags, per_set = schedule.flags_of(timeline, schedule.measured_by(sets[0])), []
     for p in sets:
         theirs = FilterPyCar(timeline, p, theta_first=theta_first, redraw=redraw)
         theirs.restart(*schedule.start_of(initial, p))

@@ -23,7 +23,7 @@ from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter, run_textbook
-from sigmaswarm.filters.schedule import FIX, HEADING, Switches, flags_of
+from sigmaswarm.filters.schedule import FIX, HEADING, flags_of
 from sigmaswarm.filters.smoothing import smooth, smooth_textbook
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.geodesy import wrap_angle
@@ -192,7 +192,7 @@ def test_c_lanes_give_the_estimates_of_a_bank(tmp_path: Path):
 def test_headings_count_where_they_were_found():
     drive, p = driven(), filter_of()
     line = prepared(drive).timeline()
-    flags = flags_of(line, Switches(False, False, False, heading=True))
+    flags = flags_of(line, {"heading"})
     used = drive.gps.std_heading[drive.gps.time > line.start] < np.pi
     assert np.array_equal(flags[flags & FIX > 0] & HEADING > 0, used)
     absent = replace(drive, gps=replace(drive.gps, heading=None, std_heading=None))

@@ -18,7 +18,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.run import run_filter, run_textbook
-from sigmaswarm.filters.schedule import ODOMETER, STANDSTILL, Switches, flags_of
+from sigmaswarm.filters.schedule import ODOMETER, STANDSTILL, flags_of
 from stepwise import compiled_against_extended, on_time_line, some_steps, urban, wheeled
 from support import quickly
 
@@ -47,7 +47,7 @@ def test_compiled_takes_the_oracles_steps(model: str, kind: str):
     timeline, initial = town()
     sets = with_odometer(box_sets(model, kind, 32))
     steps = some_steps(timeline, sets, 30)
-    flags = flags_of(timeline, Switches(True, True, True, True))
+    flags = flags_of(timeline, {"velocity", "lateral", "standstill", "odometer"})
     assert sum(bool(flags[i] & ODOMETER) for i in steps) > 30
     errors = compiled_against_extended(timeline, initial, sets, steps)
     known = errors.known
@@ -166,15 +166,15 @@ def test_wheels_that_slip_are_turned_away():
 
 def test_wheels_that_turn_are_no_standstill():
     timeline, _ = town()
-    rests = flags_of(timeline, Switches(False, False, True)) & STANDSTILL > 0
+    rests = flags_of(timeline, {"standstill"}) & STANDSTILL > 0
     assert rests.sum() > 30
     odometer = timeline.drive.odometer
     assert odometer is not None
     turning = replace(odometer, speed=np.full(len(odometer), 3.0))
     moving = build_timeline(replace(timeline.drive, odometer=turning), timeline.start)
-    assert not (flags_of(moving, Switches(False, False, True, True)) & STANDSTILL).any()
-    assert (flags_of(moving, Switches(False, False, True)) & STANDSTILL > 0).sum() == rests.sum()
-    told = flags_of(timeline, Switches(False, False, True, True)) & STANDSTILL > 0
+    assert not (flags_of(moving, {"standstill", "odometer"}) & STANDSTILL).any()
+    assert (flags_of(moving, {"standstill"}) & STANDSTILL > 0).sum() == rests.sum()
+    told = flags_of(timeline, {"standstill", "odometer"}) & STANDSTILL > 0
     assert told.sum() > 0.8 * rests.sum()
 
 

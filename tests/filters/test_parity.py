@@ -25,7 +25,7 @@ from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets, run_replays
 from sigmaswarm.filters.run import run_filter, run_textbook
-from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY, flags_of, switches
+from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY, flags_of, measured_by
 from sigmaswarm.filters.textbook import SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.geodesy import wrap_angle
 from stepwise import (
@@ -76,7 +76,7 @@ def ordinary(n: int, seed: int = 1) -> np.ndarray:
 
 def happens_at(timeline: Timeline, p: FilterParameters, bit: int, n_steps: int | None = None) -> int:
     """How many steps have this at their end."""
-    return int(np.sum(flags_of(timeline, switches(p))[:n_steps] & bit != 0))
+    return int(np.sum(flags_of(timeline, measured_by(p))[:n_steps] & bit != 0))
 
 
 # --- Compiled against the oracle, step by step -------------------------------------------------------------
@@ -263,7 +263,7 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
     timeline, initial = on_time_line(equipped(simulated()))
     n = 600
     sets = [replace(p, gate=None) for p in box_sets(model, kind, LANES)]
-    compiled, flags = CompiledCars(timeline, initial, sets), flags_of(timeline, switches(sets[0]))
+    compiled, flags = CompiledCars(timeline, initial, sets), flags_of(timeline, measured_by(sets[0]))
     means, total = [], np.zeros((3, LANES))
     for i, fix in steps_with_fixes(timeline, n):
         compiled.step(i, int(flags[i]), fix, since=0.0)

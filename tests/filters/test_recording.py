@@ -16,7 +16,6 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets, run_replays
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.filters.schedule import Switches
 from sigmaswarm.scoring.targets import forecast_replay, tracking_replay
 from support import make_drive, quickly
 
@@ -107,7 +106,7 @@ def peak_of_pieces(drive: Drive) -> int:
     start = initial_state(drive)
     line = build_timeline(drive, start.time)
     replay, p = Replay(line, start, Targets.none(line)), parameters("planar8")
-    replay.arrays(Switches(False, False, False))
+    replay.arrays(frozenset())
     for _ in Recording(replay, p, samples=500):  # compiled, and all that is kept is there
         pass
     tracemalloc.start()

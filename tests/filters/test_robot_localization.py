@@ -27,7 +27,7 @@ from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.replay import run_steps, start_replays
 from sigmaswarm.filters.robot_localization import NAME, TextbookRobotLocalization
 from sigmaswarm.filters.run import replay_of, run_filter, run_textbook
-from sigmaswarm.filters.schedule import FIX, HEADING, IMU, LATERAL, ODOMETER, flags_of, switches
+from sigmaswarm.filters.schedule import FIX, HEADING, IMU, LATERAL, ODOMETER, flags_of, measured_by
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.targets import tracking_replay
@@ -242,7 +242,7 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
         array.start([replay.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
     )
     filter = TextbookRobotLocalization(p, mean[0], covariance[0])
-    flags = flags_of(line, switches(p))
+    flags = flags_of(line, measured_by(p))
     fixes, wheels, means, used = (
         iter(line.fixes),
         iter(line.wheels.rows if line.wheels else ()),

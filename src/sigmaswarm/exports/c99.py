@@ -10,9 +10,19 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
+from sigmaswarm.exports.c_emitter import STATES
 from sigmaswarm.exports.c_kernels import kernels_of
 from sigmaswarm.exports.c_rules import rules_of
-from sigmaswarm.exports.features import PARAMETERS, features_of, fill, in_range, listed, plain, values_of
+from sigmaswarm.exports.features import (
+    PARAMETERS,
+    defined,
+    features_of,
+    fill,
+    in_range,
+    listed,
+    plain,
+    values_of,
+)
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters import divergence, schedule
 from sigmaswarm.filters.fix_error import FILTERS
@@ -67,12 +77,14 @@ def c99(
         "USE_AS_RECORDED": as_recorded,
         "USE_LANES": several,
         "USE_EXP": several or features["USE_FIX_ERROR"],
-        "USE_LANES_OR_NIS": several or features["USE_NIS"],
     }
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
-    values["KERNELS"] = kernels_of(parameters, features, values)
+    values |= kernels_of(parameters, features, values)
     values["RULES"] = rules_of(features)
-    return {name: fill(f"{name}.in", features, values) for name in FILES}
+    texts = {name: fill(f"{name}.in", features, values) for name in FILES}
+    numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)
+    texts["ins_gps.c"] = defined(texts["ins_gps.c"], numbers, "#define {} {} /* {} */")
+    return texts
 
 
 def replay_rows(
@@ -176,15 +188,46 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
     return {name: text if used else "" for name, text in texts.items()}
 
 
+def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
+    """Parameters and arguments of C's functions, and what they do with each axis of the IMU."""
+    tilted = MODELS[p.model].tilts is not None
+    axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
+    turning = [axis for axis in axes if axis not in ("ay", "az")]
+
+    def joined(names: list[str], form: str, separator: str = ", ") -> str:
+        return separator.join(form.format(name) for name in names)
+
+    return {
+        "AXES": joined(axes, "ins_gps_real {}"),
+        "GIVEN_AXES": joined(axes, "{}"),
+        "TURNING_AXES": joined(turning, "ins_gps_real {}"),
+        "GIVEN_TURNING_AXES": joined(turning, "{}"),
+        "AXES_OF_SAMPLE": joined(axes, "    sample.{0} = {0};", "\n"),
+        "AXES_IN_GAP": joined(axes, "            sample->{0} = R(0.5) * (f->last.{0} + given.{0});", "\n"),
+        "ALSO_STD": ", const ins_gps_real std[2]" if uses_std else "",
+        "GIVEN_STD": ", std" if uses_std else "",
+    }
+
+
+_STATE_NAMES = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
+"""Names of states in C that are not those of the model."""
+
+
+def _texts_of_states(p: FilterParameters) -> dict[str, str]:
+    """The states' enumerators, and their short names in the filter's source."""
+    states = MODELS[p.model].states
+    names = [f"INS_GPS_{_STATE_NAMES.get(state.name, state.name.upper())}" for state in states]
+    listed = [f"    {name}, /* {state.unit} */" for name, state in zip(names, states, strict=True)]
+    short = [f"#define {own} {name}" for own, name in zip(STATES, names, strict=False)]
+    return {"STATE_ENUMERATORS": "\n".join(listed), "STATE_NAMES": "\n".join(short)}
+
+
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     model = MODELS[p.model]
     stands, names, tilted = p.standstill_noise is not None, model.names, model.tilts is not None
     weighs, lasting = p.accuracy_scale is not None, p.fix_error is not None
     derived: dict[str, float | None] = {
         "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
-        "GAP_TURN": schedule.GAP_TURN_STD,
-        "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
-        "GAP_TILT": schedule.GAP_TILT_STD,
         "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
         "LOST_AFTER": divergence.DIVERGED_AFTER,
         "FEWEST_LOOKS": divergence.FEWEST_CHECKS,
@@ -198,7 +241,12 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
     gyro_note = ", and the gyro shows its bias alone" if model.gyro_bias is not None else ""
-    return _texts_of_heading(p.heading_noise is not None) | {
+    own = (
+        _texts_of_axes(p, weighs or lasting)
+        | _texts_of_states(p)
+        | _texts_of_heading(p.heading_noise is not None)
+    )
+    return own | {
         **plain(derived),
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),

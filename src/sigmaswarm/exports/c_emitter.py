@@ -16,6 +16,7 @@ from copy import copy
 from functools import cache
 from typing import Any
 
+from sigmaswarm.drives import odometer, timeline
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
 from sigmaswarm.filters.compiled.unroll import Kernel
 
@@ -32,21 +33,32 @@ PARAMETERS = {
     "z": ("const InsGpsFix *fix",),
     "lever": ("const real *lever",),
     "wheels": ("const Wheels *wheels",),
+    "happens": ("unsigned happens",),
+    "since": ("InsGpsBelief *b",),
     "l": (),
 }
 """C's parameters in place of a kernel's; a function has those that it uses."""
+_AXES = {"gz": "sample->yaw_rate"}
 INPUTS = {
-    **{"DT": "dt", "Q_SCALE": "steps", "AX": "sample->ax", "AY": "sample->ay", "GZ": "sample->yaw_rate"},
-    **{"AZ": "sample->az", "GX": "sample->gx", "GY": "sample->gy"},
-    **{"FIX_X": "(fix->x - b->origin[0])", "FIX_Y": "(fix->y - b->origin[1])"},
-    **{"FIX_VAR_X": "fix->variance[0]", "FIX_VAR_Y": "fix->variance[1]"},
-    **{"FIX_THETA": "fix->heading", "FIX_VAR_THETA": "fix->heading_variance"},
-    **{"SPEED": "wheels->speed", "AGE": "wheels->age", "MORE": "wheels->more"},
+    "u": {
+        **{timeline.DT: "dt", timeline.Q_SCALE: "steps", timeline.GAP: "sample->gap"},
+        **{
+            k: _AXES.get(axis, f"sample->{axis}") for k, axis in enumerate(timeline.AXES, timeline.FIRST_AXIS)
+        },
+    },
+    "z": {
+        **{timeline.FIX_X: "(fix->x - b->origin[0])", timeline.FIX_Y: "(fix->y - b->origin[1])"},
+        **{timeline.FIX_U: "fix->vx", timeline.FIX_V: "fix->vy"},
+        **{timeline.FIX_VAR_X: "fix->variance[0]", timeline.FIX_VAR_Y: "fix->variance[1]"},
+        **{timeline.FIX_THETA: "fix->heading", timeline.FIX_VAR_THETA: "fix->heading_variance"},
+    },
+    "wheels": {odometer.SPEED: "wheels->speed", odometer.AGE: "wheels->age", odometer.MORE: "wheels->more"},
+    "lever": {k: f"lever[{k}]" for k in range(3)},
 }
-"""C text for an element of a step, a fix and a reading."""
+"""C text for an element of a step, a fix, a reading and the lever arm."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
-RENAMED = {"_": "again", "b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
-"""Local names that C uses for something else."""
+RENAMED = {"_": "again", "b": "b0", "since": "b->steps_since_fix", "near": "is_near", "far": "is_far"}
+"""Names that C uses for something else, or has elsewhere."""
 _SIGNS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
@@ -78,6 +90,12 @@ class Emitter:
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
+
+    def call(self, function: str) -> str:
+        """A call of a printed function, whose arguments have its parameters' names."""
+        name, signature = self.signatures[function]
+        parameters = dict.fromkeys(p.split()[-1].lstrip("*") for each in signature for p in each)
+        return f"{name}({', '.join(parameters)})"
 
     def text(self) -> str:
         """All text: constants, the struct of values that kernels exchange, the functions."""
@@ -129,7 +147,8 @@ class _Function(ast.NodeTransformer):
             ours = self.parameters_of(each.arg)
             signature.append([p for p in ours if _uses(code, p.split()[-1].lstrip("*"))])
         self.emitter.signatures[self.definition.name] = self.name, signature
-        parameters = [p for each in signature for p in each] + [f"real *{out}" for out in self.outs]
+        parameters = dict.fromkeys(p for each in signature for p in each)
+        parameters = [*parameters, *(f"real *{out}" for out in self.outs)]
         parameters = [p.replace(" ", "\0") for p in parameters]  # a line does not end within one
         head = f"static {self.returns or 'void'} {self.name}({', '.join(parameters)})"
         if "P[" in code:
@@ -161,11 +180,13 @@ class _Function(ast.NodeTransformer):
         return chosen
 
     def drop_unused(self) -> None:
-        """Leave out the locals that only dropped terms have read."""
+        """Leave out the locals that only dropped terms have read; a kernel's call stays."""
         for line in reversed(list(self.lines)):
-            match = re.match(r" +const (?:real|bool) (\w+) = [^;]*;$", line)
-            if match and len(re.findall(rf"\b{match[1]}\b", "\n".join(self.lines))) == 1:
-                self.lines.remove(line)
+            match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
+            if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:
+                kept = [f"{match[1]}(void){match[3]}"] if re.match(r"\w+\([^()]*work\);", match[3]) else []
+                place = self.lines.index(line)
+                self.lines[place : place + 1] = kept
 
     # ---- statements ----
 
@@ -174,8 +195,10 @@ class _Function(ast.NodeTransformer):
 
     def block(self, statements: list[ast.stmt], depth: int) -> None:
         for statement in statements:
+            first = len(self.lines)
             for comment in self.comments.get(statement.lineno, []):
                 self.put(f"/* {comment} */", depth)
+            after_comments = len(self.lines)
             match statement:
                 case ast.Assign([ast.Tuple(elts=targets)], ast.Call() as call):
                     self.store_results(targets, call, depth)
@@ -202,6 +225,8 @@ class _Function(ast.NodeTransformer):
                     self.put(f"return {self.c(value)};", depth)
                 case _:
                     raise self.refused(statement)
+            if len(self.lines) == after_comments:
+                del self.lines[first:]
 
     def store_results(self, targets: list[ast.expr], call: ast.Call, depth: int) -> None:
         """Assign the results of a call, which C returns through pointers."""
@@ -224,10 +249,12 @@ class _Function(ast.NodeTransformer):
         folded = [self.fold(value) for value in values]
         written: set[str] = set()
         for k, (target, value) in enumerate(zip(targets, folded, strict=True)):
+            if isinstance(target, ast.Name) and target.id in self.known:
+                continue
             if isinstance(target, ast.Name) and target.id not in self.changing and _number(value) is not None:
                 self.numbers[target.id] = value
                 continue
-            place, mirror = self.place(target)
+            place, mirror = self.written(target)
             if place is None or place in written:
                 continue
             if any(_uses(self.print(v), place) for v in folded[k + 1 :]):
@@ -252,8 +279,8 @@ class _Function(ast.NodeTransformer):
             self.put(f"{declared}{place} = {mirror and mirror + ' = '}{self.print(value)};", depth)
 
     def add_to(self, target: ast.expr, sign: str, value: ast.expr, depth: int) -> None:
-        place, mirror = self.place(target)
-        if place is None or (_number(value) == 0.0 and sign in "+-"):
+        place, mirror = self.written(target)
+        if place is None or place in self.known or (_number(value) == 0.0 and sign in "+-"):
             return
         self.put(f"{place} {sign}= {self.print(value)};", depth)
         if mirror:
@@ -263,8 +290,13 @@ class _Function(ast.NodeTransformer):
         if name == "l":  # the columns
             self.block(body, depth)
             return
-        if isinstance(steps, ast.Tuple) and not isinstance(steps.elts[0], ast.Starred):
-            for value in self.evaluate(steps):  # rows, one after another
+        if isinstance(steps, ast.Name) or (
+            isinstance(steps, ast.Tuple) and not isinstance(steps.elts[0], ast.Starred)
+        ):
+            rows = self.evaluate(steps)
+            nodes = [node for statement in body for node in ast.walk(statement)] if len(rows) > 1 else []
+            self.changing |= {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+            for value in rows:  # one after another
                 self.known, before = {**self.known, name: value}, self.known
                 self.block(body, depth)
                 self.known = before
@@ -280,10 +312,12 @@ class _Function(ast.NodeTransformer):
             assert values == [*range(first, len(values)), *range(first)]
             self.put(f"for (int k = {first}; k < N + {first}; k++) {{", depth)
             self.put(f"const int {name} = k % N;", depth + 1)
-        before = set(self.declared)
+        before, n_lines = set(self.declared), len(self.lines)
         self.block(body, depth + 1)
         self.declared = before
         self.put("}", depth)
+        if len(self.lines) == n_lines + 1:
+            del self.lines[-2:]  # all of its terms are dropped
 
     # ---- places ----
 
@@ -292,6 +326,8 @@ class _Function(ast.NodeTransformer):
 
     def value(self, node: ast.expr) -> Any:
         """The value of an expression, or None where it depends on the filter's state."""
+        if isinstance(node, ast.BinOp) and ast.unparse(node.left) == "happens":
+            return None if self.evaluate(node.right) else 0  # an event that this filter does not have
         try:
             return self.evaluate(node)
         except _UNKNOWN:
@@ -299,6 +335,11 @@ class _Function(ast.NodeTransformer):
 
     def local(self, name: str) -> str:
         return RENAMED.get(name, name)
+
+    def written(self, node: ast.expr) -> tuple[str | None, str]:
+        """As `place`, of what is assigned: None where C computes it from others."""
+        place, mirror = self.place(node)
+        return (None if place is not None and " * " in place else place), mirror
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
         """C text for a local or an element of ``w``, and for its mirror element in the covariance."""
@@ -381,10 +422,8 @@ class _Function(ast.NodeTransformer):
                 if isinstance(number, float):
                     return _numeral(number)
                 return ast.Name(self.place(node)[0] or _MISSING + ast.unparse(node))
-            case ast.Subscript(ast.Name("lever"), index):
-                return ast.Name(f"lever[{ast.unparse(index)}]")
-            case ast.Subscript(_, ast.Name(index)):
-                return ast.Name(INPUTS[index])
+            case ast.Subscript(ast.Name(array), index):
+                return ast.Name(INPUTS[array][self.value(index)])
             case _:
                 raise self.refused(node)
 
@@ -400,6 +439,8 @@ class _Function(ast.NodeTransformer):
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         left, right = self.visit(node.left), self.visit(node.right)
+        if _name(left) == "happens":
+            return ast.Name(f"(happens & EVENT_{ast.unparse(node.right)}) != 0u")
         a, b = _number(left), _number(right)
         match node.op:
             case ast.Add() if a == 0.0:
@@ -416,10 +457,24 @@ class _Function(ast.NodeTransformer):
                 return left
             case ast.Div() if a == 0.0:
                 return left
+            case ast.BitAnd() if "true" in (_name(left), _name(right)):
+                return right if _name(left) == "true" else left
             case _ if a is not None and b is not None:  # computed in double
                 return _numeral(eval(f"{a!r} {_SIGNS[type(node.op)]} {b!r}"))
             case _:
                 return ast.BinOp(left, node.op, right)
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        left, right = self.visit(node.left), self.visit(node.comparators[0])
+        a, b = _number(left), _number(right)
+        if a is None or b is None:
+            return ast.Compare(left, node.ops, [right])
+        return ast.Name(str(eval(f"{a!r} {_SIGNS[type(node.ops[0])]} {b!r}")).lower())
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
+        test, body, orelse = self.visit(node.test), self.visit(node.body), self.visit(node.orelse)
+        known = {"true": body, "false": orelse}.get(_name(test))
+        return ast.IfExp(test, body, orelse) if known is None else known
 
     def call(self, node: ast.Call, outs: list[str] | None = None) -> str:
         name = ast.unparse(node.func)
@@ -429,7 +484,8 @@ class _Function(ast.NodeTransformer):
         arguments: list[str] = []
         for each, theirs in zip(node.args, signature, strict=True):
             if self.is_kernel and isinstance(each, ast.Name) and each.id in PARAMETERS:
-                arguments += [parameter.split()[-1].lstrip("*") for parameter in theirs]
+                names = [parameter.split()[-1].lstrip("*") for parameter in theirs]
+                arguments += [name for name in names if name not in arguments]
             elif theirs:
                 arguments.append(self.c(each))
         return f"{printed}({', '.join([*arguments, *(outs or [])])})"
@@ -446,7 +502,9 @@ class _Function(ast.NodeTransformer):
             case ast.UnaryOp(ast.Not(), operand):
                 text, binds = f"!({self.print(operand)})", 8
             case ast.BinOp(left, ast.BitAnd() | ast.BitOr() as op, right):
-                text, binds = f"{self.print(left, 3)} {_SIGNS[type(op)]} {self.print(right, 3)}", 2
+                chained = isinstance(left, ast.BinOp) and type(left.op) is type(op)
+                text = f"{self.print(left, 2 if chained else 3)} {_SIGNS[type(op)]} {self.print(right, 3)}"
+                binds = 2
             case ast.BinOp(left, op, right) if type(op) in _SIGNS:
                 binds = 5 if isinstance(op, ast.Add | ast.Sub) else 6
                 text = f"{self.print(left, binds)} {_SIGNS[type(op)]} {self.print(right, binds + 1)}"
@@ -473,6 +531,10 @@ def _parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, li
 
 def _numeral(value: float) -> ast.Name:
     return ast.Name("INFINITY" if math.isinf(value) else f"R({value!r})")
+
+
+def _name(node: ast.expr) -> str:
+    return node.id if isinstance(node, ast.Name) else ""
 
 
 def _number(node: ast.expr) -> float | None:

@@ -6,15 +6,22 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sigmaswarm.exports.c_emitter import FIX_ERROR, STATES, Emitter
-from sigmaswarm.filters.compiled import fix_error, lanes, measurements, planar5, planar8, tilted12
+from sigmaswarm.exports.c_emitter import FIX_ERROR, PARAMETERS, STATES, Emitter
+from sigmaswarm.filters import schedule
+from sigmaswarm.filters.compiled import fix_error, lanes, measurements, planar5, planar8, step, tilted12
 from sigmaswarm.filters.compiled.layout import MEAN
 from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
+EVENTS = ("FIX", *map(str.upper, MEASURED))
+"""Bits of `schedule` that a filter in C knows; it uses those for which it has a feature."""
 
-def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
-    """The prediction and the measurements of a filter, in C."""
+
+def kernels_of(
+    p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]
+) -> dict[str, str]:
+    """The template's values: the prediction, the measurements, and the step that calls them, in C."""
     model = FILTERS[p.kernel]
     n, tilted = len(model.states), int(model.tilts is not None)
     states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)
@@ -30,16 +37,21 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
         if p.kind != "ekf":
             emitter.add(lanes.spread_of)
         _add_planar(emitter, p.model, features, n)
+    both = {"n": n, "tilted": tilted}
     if features["USE_HEADING"]:
         measure = tilted12.measure_heading_tilted if tilted else measurements._measure_heading
         emitter.add(measure, "measure_heading", n=n)
         emitter.add(measurements.absorb_heading, tilted=tilted, measure_heading=measure)
     if model.fix_error:
         _add_fix_error(emitter, n, features)
-    both = {"n": n, "tilted": tilted}
     emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
         emitter.add(measurements._take_velocity, n=n, _absorb_two=measurements._absorb_two)
+    if features["USE_VELOCITY"]:
+        emitter.add(measurements.absorb_velocity)
+    if features["USE_STANDSTILL"]:
+        gyro = tuple(model.gyro_axes.values())
+        emitter.add(measurements.absorb_standstill, **both, gyro_biases=gyro)
     emitter.add(measurements._keep_digits, **both, unscented=0, fix_error=int(model.fix_error))
     if features["USE_STRETCH"]:
         emitter.add(measurements._stretch, n=n)
@@ -49,7 +61,49 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
         emitter.add(measurements._weigh)
     if features["USE_ADAPTIVE"]:
         emitter.add(measurements._adapt, n=n)
-    return emitter.text()
+    if features["USE_FUZZY"]:
+        emitter.add(measurements._reason, n=n)
+    _add_step(emitter, p, features)
+    kernels, stepping = emitter.texts[:-1], emitter.texts[-1]
+    emitter.texts = kernels
+    events = [f"#define EVENT_{name} {getattr(schedule, name)}u\n" for name in _events(features)]
+    wheels = "&wheels" if features["USE_ODOMETER"] else "NULL"
+    parts = {"STEP": "".join(events) + "\n" + stepping, "CALL_STEP": emitter.call("_step"), "WHEELS": wheels}
+    return {"KERNELS": emitter.text(), **parts}
+
+
+def _events(features: Mapping[str, bool]) -> list[str]:
+    return [name for name in EVENTS if features.get(f"USE_{name}", True)]
+
+
+def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool]) -> None:
+    """The update with a fix, and the step."""
+    model = FILTERS[p.kernel]
+    looks = features["USE_NIS"] or features["USE_LANES"]
+    if looks:
+        emitter.add(measurements._look)
+    emitter.add(
+        measurements.absorb_fix,
+        **{"looks": looks, "gated": features["USE_GATE"], "adaptive": 1, "note_prior": 0},
+        **{"fading": features["USE_STRONG_TRACKING"], "fuzzy": features["USE_FUZZY"]},
+        **{"robust": features["USE_ROBUST"], "adapting": features["USE_ADAPTIVE"]},
+        fix_error=model.fix_error,
+        _measure_fix=tilted12.measure_fix_tilted if model.tilts else measurements._measure_fix,
+    )
+    emitter.add(step._grow, tilted=int(model.tilts is not None))
+    if model.tilts:  # its prediction is written by hand: see the template
+        state, sample = ["InsGpsBelief *b", "Work *work"], [*PARAMETERS["u"]]
+        emitter.signatures["predict_tilted12"] = "predict_tilted12", [state, sample]
+    absent = {name: 0 for name in (*EVENTS, "HIDDEN") if name not in _events(features)}
+    emitter.add(
+        step._step,
+        predict=step._PREDICTIONS[p.model][0],
+        carry=fix_error.carry if features["USE_PLANAR_FIX_ERROR"] else 0,
+        grow=step._grow,
+        **{name: getattr(measurements, name) for name in vars(measurements) if name.startswith("absorb_")},
+        **{"settle": 0, "note_prior": 0},
+        **absent,
+    )
 
 
 def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: int) -> None:
@@ -71,6 +125,7 @@ def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: i
         emitter.add(measurements.absorb_lateral, tilted=0, measure_lateral=along)
     if features["USE_ODOMETER"]:
         emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
+        emitter.add(measurements.absorb_odometer, tilted=0, measure_odometer=along)
 
 
 def _add_fix_error(emitter: Emitter, n: int, features: Mapping[str, bool]) -> None:
@@ -91,6 +146,7 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
         emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=along)
     if features["USE_ODOMETER"]:
         emitter.add(along, "measure_odometer", n=n, **tilted12.ALONG["odometer"])
+        emitter.add(measurements.absorb_odometer, tilted=1, measure_odometer=along)
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
@@ -111,14 +167,18 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         "RY": r.format(1),
         "ACCURACY": 0.0 if p.accuracy_scale is None else accuracy,
         "LATENCY": "LATENCY" if p.latency else 0.0,
-        "R_LATERAL": "LATERAL_NOISE",
+        **{f"R_{name.upper()}": noise.upper() for name, noise in NOISE_OF.items()},
         "REAR_AXLE": "REAR_AXLE",
         "TIRE_SLIP": "TIRE_SLIP" if features["USE_SLIP"] else 0.0,
-        "R_ODOMETER": "ODOMETER_NOISE",
-        "R_HEADING": "HEADING_NOISE",
+        "R_RATE": "STANDSTILL_RATE_NOISE",
         "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",
-        **{"FORGETTING": "FORGETTING", "FADING": "FORGETTING", "RECENT": "b->recent", "USE": 1.0},
+        **{"FORGETTING": "FORGETTING", "FADING": "FORGETTING", "RECENT": "b->recent"},
+        **{"GATE": "GATE", "REJECTED": "b->rejected"},
+        **{"FUZZY": "FORGETTING", "QUICK": "b->quick", "SLOW": "b->slow"},
+        **{"TIMES_R": "b->times_r", "TIMES_Q": "b->times_q"},
+        **{name: name for name in ("WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q")},
+        **dict.fromkeys(("NIS", "DET", "TAIL", "SQ_FIX")),
         **{"DOF": "ROBUST_DOF", "PATIENCE": "PATIENCE", "OUTLIERS": "b->outliers", "SPAN": "b->span"},
         "OK": "b->failed",
         **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
@@ -127,4 +187,10 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
     }
     if turns_along:
         rows |= {"COS": "b->cos", "SIN": "b->sin"}
+    if not features["USE_GATE"]:
+        rows["USE"] = 1.0
+    if not (features["USE_LANES"] or fuzzy):
+        rows |= dict.fromkeys(("V11", "V12", "V22"))
+    if not features["USE_LANES"]:
+        rows |= dict.fromkeys(("NU1", "NU2"))
     return rows

@@ -14,14 +14,15 @@ from sigmaswarm.drives import alignment, gyro_seen, standstill, timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import divergence, fuzzy, schedule, student, tilted
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
     """Return flags of the template parts that a filter needs."""
-    velocity, lateral, stands, wheels, _, heading = schedule.switches(p)
+    measured = schedule.measured_by(p)
+    lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     has_tilts = MODELS[p.model].tilts is not None
     biases, gate, robust = bool(MODELS[p.model].sensors), p.gate is not None, p.robust_dof is not None
     adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))
@@ -45,27 +46,71 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "SINCE": adaptive or robust or p.fix_error is not None,
         "ROBUST": robust,
         "STRETCH": tracking or robust,
-        "VELOCITY": velocity,
-        "HEADING": heading,
-        "LATERAL": lateral,
+        **{name.upper(): name in measured for name in MEASURED},
         "SLIP": lateral and p.tire_slip != 0.0,
-        "STANDSTILL": stands,
-        "VELOCITY_OR_STANDSTILL": velocity or stands,
+        "VELOCITY_OR_STANDSTILL": "velocity" in measured or stands,
         "LATERAL_OR_STANDSTILL": lateral or stands,
-        "ODOMETER": wheels,
-        "ALONG": lateral or wheels,
         "SLOTS": lateral or stands or wheels,
-        "SCALAR": lateral or wheels or heading or (stands and biases),
+        "SCALAR": lateral or wheels or "heading" in measured or (stands and biases),
     }
     return {f"USE_{name}": value for name, value in used.items()}
 
 
 PARAMETERS = (
-    *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof"),
-    *("velocity_noise", "heading_noise", "lateral_noise", "rear_axle", "tire_slip", "standstill_noise"),
-    *("odometer_noise", "odometer_scale", "odometer_latency", "fix_error"),
+    *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof", "fix_error"),
+    *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
 )
 """Parameters that have the same name in templates and in `FilterParameters`."""
+NUMBERS = {
+    "LATENCY": "s: age of a fix at its time stamp",
+    "QUARTER_GAMMA": "gamma / 4, gamma^2 = alpha^2 (n + kappa)",
+    "SHORTENS": "-8 / gamma^2",
+    "SPREAD": "alpha^2 (n + kappa - 1) + beta",
+    **{f"{sensor.upper()}_BIAS_STD": f"{of.unit}, at the start" for sensor, of in SENSORS.items()},
+    "TILT_STD": "rad, of roll and pitch at the start",
+    "GRAVITY": "m/s2",
+    "FORGETTING": "forgetting factor per fix",
+    "WIDTH_RATIO": 'ratio at which "large" has membership 1',
+    "WIDTH_TREND": 'trend at which "rises" has membership 1',
+    "GAIN_R": "largest factor of R",
+    "GAIN_Q": "largest factor of Q",
+    "LARGEST_RATIO": "limit of NIS / 2 in these rules",
+    "SLOWER": "ratio of the two time constants of the trend",
+    "GATE": "largest normalized innovation squared (NIS) of a fix that is used",
+    "MOST_REJECTED": "after so many rejected fixes the next one is used: a diverged filter recovers",
+    "ACCURACY_SCALE": "the stated variance of a fix times this is added to its R",
+    "FIX_ERROR": "g: variance of the correlated fix error over the stated one",
+    "FIX_ERROR_RATE": "nominal interval over its time constant",
+    "FIX_VAR": "m2, of a fix that states no deviation",
+    "ROBUST_DOF": "degrees of freedom of Student's t, the distribution of the errors of fixes",
+    "ITERATIONS": "of its weight",
+    "OUTLYING": "a fix of a smaller weight is an outlier",
+    "OUTLIERS": "number of consecutive outliers that show that the filter is wrong, if they span enough time",
+    "PATIENCE": "nominal steps that these span",
+    "OUTLIERS_SPAN": "s that these span",
+    **{noise.upper(): MEASURED[name] for name, noise in NOISE_OF.items()},
+    "REAR_AXLE": "m from the rear axle forward to the IMU",
+    "TIRE_SLIP": "s2/m: slip angle of the rear tires per lateral acceleration",
+    "LATERAL_INTERVAL": "s between two lateral updates",
+    "CORNERING": "m/s2 of lateral acceleration: above it, tires slip too much",
+    "STANDSTILL_INTERVAL": "s between two standstill updates",
+    "STANDSTILL_RATE_NOISE": "rad2/s2: the gyro around its bias",
+    "PER_ODOMETER_SCALE": "true speed over a reading",
+    "ODOMETER_LATENCY": "s: age of a reading at its time stamp",
+    "EVIDENCE_LASTS": "s in which evidence fades to 1/e",
+    "EVIDENCE_COUNTS": "fix errors are correlated: each counts as this share of an independent one",
+    "LARGEST_NIS": "limit of a fix's NIS in the evidence",
+}
+"""Numbers that a template's text may use, and the comment of their definition."""
+
+
+def defined(text: str, numbers: Mapping[str, str], form: str) -> str:
+    """Replace ``@NUMBERS@`` in a text by definitions of the `NUMBERS` that it uses and does not define."""
+    names = set(re.findall(r"\w+", text)) - set(re.findall(r"#define (\w+)", text))
+    used = [name for name in NUMBERS if name in names and name in numbers]
+    return text.replace("@NUMBERS@", "\n".join(form.format(n, numbers[n], NUMBERS[n]) for n in used))
+
+
 CONSTANTS: Mapping[ModuleType, str] = {
     alignment: "REFITS",
     divergence: "LOOK_INTERVAL LATEST_LOOK MANY_SIGMAS HEADING_OFF POSITION_OFF SPEED_STD",
@@ -93,15 +138,15 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
             **{name.upper(): getattr(p, name) for name in PARAMETERS},
             "NOMINAL_INTERVAL": interval,
             **dict(zip(("ACCEL_BIAS_STD", "GYRO_BIAS_STD"), p.bias_std, strict=True)),
-            **dict(zip(("FUZZY_WIDTH_RATIO", "FUZZY_WIDTH_TREND"), p.fuzzy_widths, strict=True)),
-            **dict(zip(("FUZZY_GAIN_R", "FUZZY_GAIN_Q"), p.fuzzy_gains, strict=True)),
+            **dict(zip(("WIDTH_RATIO", "WIDTH_TREND"), p.fuzzy_widths, strict=True)),
+            **dict(zip(("GAIN_R", "GAIN_Q"), p.fuzzy_gains, strict=True)),
             "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
             "FIX_ERROR_RATE": interval / p.fix_error_time,
             "FIX_VAR": p.fix_std**2,
             "FIX_ERROR_START": (p.fix_error or 0.0) * p.fix_std**2,
         }
     )
-    return numbers | texts
+    return numbers | texts | {"NUMBERS": "@NUMBERS@"}
 
 
 def in_range(value: float, of: str) -> float:

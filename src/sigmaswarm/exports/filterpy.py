@@ -11,7 +11,7 @@ from types import ModuleType
 from sigmaswarm import geodesy
 from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill, tables
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import features_of, fill, listed, values_of
+from sigmaswarm.exports.features import defined, features_of, fill, listed, values_of
 from sigmaswarm.filters import models, schedule
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook import ekf
@@ -57,7 +57,7 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
         ),
         "STANDSTILL_SOURCE": source_of(standstill),
     }
-    return {FILE: fill("filterpy.py.in", features, values)}
+    return {FILE: defined(fill("filterpy.py.in", features, values), values, "{} = {}  # {}")}
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:

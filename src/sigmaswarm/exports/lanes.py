@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import listed, plain
+from sigmaswarm.exports.features import NUMBERS, listed, plain
 from sigmaswarm.filters.bank.spread import Spread
 from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
 
 
@@ -39,18 +39,19 @@ class Lanes:
 
     def values(self, tuning: FilterParameters) -> dict[str, str]:
         """Return values for the template: the numbers of a single filter, or columns of the table of lanes."""
-        filters, numbers = self.filters(tuning), _numbers(tuning)
+        filters = self.filters(tuning)
         biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # at the start
         if self.n == 1:
-            own = {f"OF_{name.upper()}": f"R({value!r})" for name, value in numbers.items()}
-            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"} | biases
+            return {"Q": "process_noise", "R": "measurement_noise", "LANES": "1", **biases}
         spread = Spread(tuning)
         penalties = spread.penalty(self._offsets(spread)).tolist()
         constants = ("EVIDENCE_LASTS", "EVIDENCE_COUNTS", "LARGEST_NIS")
         return {
             **biases,
             **plain({name: getattr(swarm, name) for name in constants}),
-            **{f"OF_{name.upper()}": f"lanes[b->lane].{name}" for name in numbers},
+            "LANE_FIELDS": "\n".join(
+                f"    real {name}; /* {NUMBERS[name.upper()]} */" for name in _numbers(tuning)
+            ),
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
             "LANES": str(self.n),
@@ -59,16 +60,23 @@ class Lanes:
             "LANE_ROWS": ",\n".join(map(_row, filters, penalties)),
         }
 
+    def numbers(self, tuning: FilterParameters) -> dict[str, str]:
+        """C text of the numbers in which the lanes differ, by name."""
+        return {name.upper(): f"lanes[b->lane].{name}" for name in _numbers(tuning)} if self.n > 1 else {}
+
+
+_NUMBERS = ("accuracy_scale", *NOISE_OF.values(), "rear_axle", "tire_slip")
+"""Numbers in which columns may differ, in addition to Q, R and the biases at the start."""
+
 
 def _numbers(p: FilterParameters) -> dict[str, float]:
     """Return the scalar parameters that may differ between lanes, if the filter has them."""
-    numbers: dict[str, float | None] = {}
-    if MODELS[p.model].sensors:
-        numbers |= dict(zip(("accel_bias_std", "gyro_bias_std"), p.bias_std, strict=True))
-    numbers |= {name: getattr(p, name) for name in ("accuracy_scale", "velocity_noise", "lateral_noise")}
-    if p.lateral_noise is not None:
-        numbers |= {"rear_axle": p.rear_axle, "tire_slip": p.tire_slip or None}
-    numbers |= {name: getattr(p, name) for name in ("heading_noise", "odometer_noise", "standstill_noise")}
+    biases = zip(SENSORS, p.bias_std, strict=True) if MODELS[p.model].sensors else ()
+    numbers: dict[str, float | None] = {f"{sensor}_bias_std": std for sensor, std in biases}
+    numbers |= {name: getattr(p, name) for name in _NUMBERS}
+    numbers["tire_slip"] = numbers["tire_slip"] or None
+    if p.lateral_noise is None:
+        del numbers["rear_axle"], numbers["tire_slip"]
     return {name: float(value) for name, value in numbers.items() if value is not None}
 
 

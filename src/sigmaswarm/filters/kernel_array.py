@@ -28,10 +28,10 @@ from sigmaswarm.filters.compiled.layout import (
     most_lanes,
 )
 from sigmaswarm.filters.fix_error import FILTERS
-from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.models import NOISE_OF, THETA
 from sigmaswarm.filters.packing import SHOWN, pack_states, sound_lanes
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, start_std, starts_of, switches
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, measured_by, start_std, starts_of
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.filters.table import ParameterTable
 
@@ -101,7 +101,7 @@ class KernelArray:
     size : int
         Number of sets.
     reads : tuple
-        Requirements on a drive: the axes of its model; whether fixes state their accuracy; its `Switches`.
+        Requirements on a drive: the axes of its model; whether fixes state their accuracy; its `measured_by`.
 
     Raises
     ------
@@ -127,7 +127,7 @@ class KernelArray:
             error = np.sqrt(table.column("fix_error")) * table.column("fix_std")
             self._start_std = np.column_stack([table.column("bias_std"), error])[columns]
         accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
-        self.reads = self.like.model, accuracy, switches(self.like)
+        self.reads = self.like.model, accuracy, measured_by(self.like)
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
@@ -289,11 +289,9 @@ def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
         R.WIDTH_TREND: width_trend,
         R.GAIN_R: gain_r,
         R.GAIN_Q: gain_q,
-        R.R_VELOCITY: r_accel if measures else of("velocity_noise"),
-        R.R_LATERAL: of("lateral_noise"),
-        R.R_STANDSTILL: r_left[0] if r_left else of("standstill_noise"),
-        R.R_ODOMETER: of("odometer_noise"),
-        R.R_HEADING: of("heading_noise"),
+        **{getattr(R, f"R_{name.upper()}"): of(noise) for name, noise in NOISE_OF.items()},
+        **({R.R_VELOCITY: r_accel} if measures else {}),
+        **({R.R_STANDSTILL: r_left[0]} if r_left else {}),
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),
         R.REAR_AXLE: gyro_gate if measures else of("rear_axle"),

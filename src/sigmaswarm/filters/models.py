@@ -23,6 +23,20 @@ from sigmaswarm.filters.names import FilterKind
 
 Array = NDArray[np.float64]
 
+MEASURED = {
+    "velocity": "m2/s2",
+    "lateral": "m2/s2",
+    "standstill": "m2/s2",
+    "odometer": "m2/s2",
+    "heading": "rad2",
+}
+"""Measurements other than fixes, and the unit of their variance.
+
+A filter uses the measurement NAME if its parameter NAME_noise is a number. The option of a tuning has the same name.
+The names of the event (`schedule`), the row R_NAME of kernels, and USE_NAME and NAME_NOISE in C are made of it.
+"""
+NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
+
 THETA = 4
 """Index of the heading, in every model."""
 ACCEL_BIAS = 5

@@ -17,7 +17,7 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
-from sigmaswarm.filters.models import MODELS, SENSORS
+from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.robot_yaml import IMU_NOISE, YAML, read_configuration
 from sigmaswarm.records import read_content
@@ -284,15 +284,7 @@ class FilterParameters:
 
 _EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof", "fix-error": "fix_error"}
 """Options that exclude others, and the fields that switch them on."""
-_SCALED = (
-    "velocity_noise",
-    "lateral_noise",
-    "standstill_noise",
-    "odometer_noise",
-    "heading_noise",
-    "accuracy_scale",
-    "fix_error",
-)
+_SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
 """Variances, or factors of them, in addition to Q and R."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
@@ -328,15 +320,11 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "fuzzy_gains": "of R and Q, dimensionless",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
         "imu_noise": ["rad2/s2", "m2/s4", "m2/s4"][: len(parameters.imu_noise)],
-        "velocity_noise": "m2/s2",
-        "lateral_noise": "m2/s2",
+        **{noise: MEASURED[name] for name, noise in NOISE_OF.items()},
         "rear_axle": "m",
         "tire_slip": "s2/m",
-        "standstill_noise": "m2/s2",
-        "odometer_noise": "m2/s2",
         "odometer_scale": "reading over true speed",
         "odometer_latency": "s",
-        "heading_noise": "rad2",
         "gate": "NIS, dimensionless",
         "imu_gate": ["NIS, dimensionless"] * 2,
         "latency": "s",

@@ -17,7 +17,6 @@ from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     COMPARED,
-    Switches,
     flags_of,
     require_accuracy,
     require_axes,
@@ -96,21 +95,21 @@ class Replay:
     timeline: Timeline
     initial: InitialState
     targets: Targets
-    _arrays: dict[Switches, "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
-    readable: set[tuple[ModelName, bool, Switches]] = field(default_factory=set)  # pyright: ignore[reportUnknownVariableType]
+    _arrays: dict[frozenset[str], "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
+    readable: set[tuple[ModelName, bool, frozenset[str]]] = field(default_factory=set)  # pyright: ignore[reportUnknownVariableType]
 
     @cached_property
     def n_hidden(self) -> int:
         """Number of fixes that are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
-    def arrays(self, used: Switches) -> "DriveArrays":
+    def arrays(self, used: frozenset[str]) -> "DriveArrays":
         """Return the drive in the form that the kernel reads; its flags depend on the measurements that are used."""
         if used not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, used)
             flags[targets.compared(line)] |= COMPARED
-            speeds = line.wheels.rows if used.odometer and line.wheels else NO_SPEEDS
+            speeds = line.wheels.rows if "odometer" in used and line.wheels else NO_SPEEDS
             read = line.steps, line.sample, line.driving, flags, line.fixes, speeds, line.lever
             self._arrays[used] = *read, targets.columns, targets.end
         return self._arrays[used]
@@ -163,11 +162,11 @@ def require_readable(replay: Replay, array: KernelArray) -> None:
     """Raise `InputError` where a drive lacks data that the filters read."""
     if array.reads in replay.readable:
         return
-    model, accuracy, (_, _, _, odometer, *_) = array.reads
+    model, accuracy, measured = array.reads
     require_axes(replay.timeline.drive, model)
     if accuracy:
         require_accuracy(replay.timeline)
-    if odometer:
+    if "odometer" in measured:
         require_odometer(replay.timeline.drive)
     replay.readable.add(array.reads)
 

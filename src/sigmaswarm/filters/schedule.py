@@ -1,8 +1,7 @@
 """The measurements at the end of each step, and the start: the same for every form of a filter."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Sequence, Set
 from dataclasses import fields
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from sigmaswarm.drives.odometer import slot_of
 from sigmaswarm.drives.timeline import FIX_VAR_THETA, Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.fix_error import FILTERS, add_start, known_states
-from sigmaswarm.filters.models import MODELS, SENSORS, THETA, CarModel
+from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS, THETA, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -57,27 +56,10 @@ GAP_TILT_STD = 0.01
 """rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 is as good on a real drive."""
 
 
-class Switches(NamedTuple):
-    """Measurements other than fixes that a filter uses."""
-
-    velocity: bool
-    lateral: bool
-    standstill: bool
-    odometer: bool = False
-    ay: bool = False
-    heading: bool = False
-
-
-def switches(p: FilterParameters) -> Switches:
-    """Measurements other than fixes that a parameter set uses."""
-    return Switches(
-        velocity=p.velocity_noise is not None,
-        lateral=p.lateral_noise is not None,
-        standstill=p.standstill_noise is not None,
-        odometer=p.odometer_noise is not None,
-        ay=len(p.imu_noise) > 2,
-        heading=p.heading_noise is not None,
-    )
+def measured_by(p: FilterParameters) -> frozenset[str]:
+    """Names in `MEASURED` of the measurements that a parameter set uses; "ay" with a noise of its own."""
+    used = {name for name, noise in NOISE_OF.items() if getattr(p, noise) is not None}
+    return frozenset(used | ({"ay"} if len(p.imu_noise) > 2 else set()))
 
 
 def require_odometer(drive: Drive) -> None:
@@ -151,29 +133,29 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
     return added
 
 
-def flags_of(line: Timeline, used: Switches) -> NDArray[np.uint16]:
-    """Events at the end of each step, as bits FIX ... HEADING, shape (k,).
+def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
+    """Events at the end of each step, as bits FIX ... HEADING, shape (k,), of a filter that uses some of `MEASURED`.
 
-    With an odometer, the car does not stand while the wheels turn. ``ay``: robot-localization fuses it; it has no
-    standstills, and their bit marks these samples.
+    With an odometer, the car does not stand while the wheels turn. With "ay" robot-localization fuses the lateral
+    acceleration. That model has no standstills, and their bit marks these samples.
     """
-    wheels = line.wheels if used.odometer else None
+    wheels = line.wheels if "odometer" in used else None
     flags = np.zeros(len(line.absorbs), dtype=np.uint16)
     flags[line.absorbs] |= FIX
     flags[line.hides] |= HIDDEN
     flags[line.sampled] |= IMU
-    if used.velocity and line.has_velocity:
+    if "velocity" in used and line.has_velocity:
         flags[line.absorbs] |= VELOCITY
-    if used.heading:
+    if "heading" in used:
         found = np.zeros(len(flags), dtype=np.bool_)
         found[line.absorbs | line.hides] = line.fixes[:, FIX_VAR_THETA] < np.inf
         flags[found & line.absorbs] |= HEADING
-    if used.lateral:
+    if "lateral" in used:
         flags[_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)] |= LATERAL
-    if used.standstill:
+    if "standstill" in used:
         stands = line.stands if wheels is None else line.stands & ~wheels.turn
         flags[_every(line, stands & line.sampled, STANDSTILL_INTERVAL)] |= STANDSTILL
-    if used.ay:
+    if "ay" in used:
         flags[line.sampled] |= STANDSTILL
     if wheels is not None:
         flags[wheels.absorbs] |= ODOMETER

@@ -29,7 +29,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
-from sigmaswarm.filters.schedule import IMU, switches
+from sigmaswarm.filters.schedule import IMU, measured_by
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import smooth_steps
 from sigmaswarm.geodesy import wrap_angle
@@ -100,7 +100,7 @@ class _Forward(Recording):
         super().__init__(replay, parameters, samples=samples, recover=recover)
         require_readable(replay, self._array)
         self.checkpoints: list[_Checkpoint] = []
-        self._switches = switches(parameters)
+        self._measured = measured_by(parameters)
         name = parameters.kernel
         self._kernel: Any = taped_kernel(name)
         self._width = len(taped_rows(name)) + 1  # the last column is 1 while the filter is sound
@@ -134,7 +134,7 @@ class _Forward(Recording):
     def _steps_to(self, stop: int, record: Array) -> None:
         first = int(self._place[NEXT_STEP])
         logged = self._logged[first - self._first : stop - self._first]
-        steps, sample, driving, flags, *rest = self._replay.arrays(self._switches)
+        steps, sample, driving, flags, *rest = self._replay.arrays(self._measured)
         # The kernel records the steps with the flag IMU: here all of them.
         self._kernel(
             *(steps, sample, driving, flags | IMU, *rest),

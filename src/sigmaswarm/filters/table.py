@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.models import NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import Switches, switches
+from sigmaswarm.filters.schedule import measured_by
 
 _ABSENT: dict[str, float] = {
-    **dict.fromkeys(
-        ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "heading_noise", "gate"),
-        math.inf,
-    ),
+    **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
 """The number that stands for None in the fields that can be None."""
@@ -85,7 +83,7 @@ def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[NDArray[
     """Return a table for each kernel and choice of measurements, and the indices of its sets."""
     if isinstance(parameter_sets, ParameterTable):
         return [(np.arange(len(parameter_sets)), parameter_sets)]
-    alike: dict[tuple[str, Switches], list[int]] = {}
+    alike: dict[tuple[str, frozenset[str]], list[int]] = {}
     for i, p in enumerate(parameter_sets):
-        alike.setdefault((p.kernel, switches(p)), []).append(i)
+        alike.setdefault((p.kernel, measured_by(p)), []).append(i)
     return [(np.array(at), ParameterTable.of([parameter_sets[i] for i in at])) for at in alike.values()]

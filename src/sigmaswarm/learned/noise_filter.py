@@ -26,7 +26,7 @@ from sigmaswarm.filters.schedule import (
     STANDSTILL_RATE_NOISE,
     converted,
     flags_of,
-    switches,
+    measured_by,
 )
 from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, ITERATIONS
 from sigmaswarm.learned.cells import gru
@@ -54,7 +54,7 @@ def require_supported(p: FilterParameters) -> None:
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
     """Return the steps of a replay for `run`, (k, N_COLUMNS), and their ends, (k,) s."""
     line = replay.timeline
-    flags = flags_of(line, switches(parameters))
+    flags = flags_of(line, measured_by(parameters))
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
     fix = fixes[np.maximum(np.cumsum(line.absorbs | line.hides) - 1, 0)]
     happens = [(flags & bit > 0).astype(np.float64) for bit in (FIX, IMU, LATERAL, STANDSTILL)]

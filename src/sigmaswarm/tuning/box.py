@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.models import NOISE_OF
 from sigmaswarm.tuning.options import Scale
 
 BoxEnd = Literal["lower", "upper"]
 NOISES = (
     *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
-    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "heading_noise"),
+    *NOISE_OF.values(),
 )
 """Fields of `FilterParameters` that are noise variances; all of them times one factor scale the covariance."""
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0
@@ -40,20 +40,12 @@ FIXED = (
 """Offsets of the first lanes, which are never replaced: the tuning; other biases; other receivers, two of them with
 other biases."""
 
-_MEASURED = {
-    "velocity": ("velocity_noise", "R_VELOCITY"),
-    "lateral": ("lateral_noise", "R_LATERAL"),
-    "standstill": ("standstill_noise", "R_STANDSTILL"),
-    "odometer": ("odometer_noise", "R_ODOMETER"),
-    "heading": ("heading_noise", "R_HEADING"),
-}
-"""The parameter and the kernel's constant of each offset, by name."""
 FAR, FAR_AXLE = 0.5, 0.5
 """Offsets, in decades and in m, above which a warning is given."""
 _MEANS = {
     R: "R is {times}: another receiver?",
     SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
-    **dict.fromkeys(_MEASURED, "the noise of {name} is {times}: another vehicle, or another mounting?"),
+    **dict.fromkeys(NOISE_OF, "the noise of {name} is {times}: another vehicle, or another mounting?"),
 }
 
 
@@ -70,7 +62,7 @@ class Spread:
         for state in MODELS[p.model].states:
             found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
         found |= {R: R_STD, SCALE: SCALE_STD}
-        found |= {name: OTHER_STD for name, (of, _) in _MEASURED.items() if getattr(p, of) is not None}
+        found |= {name: OTHER_STD for name, of in NOISE_OF.items() if getattr(p, of) is not None}
         if MODELS[p.model].sensors:
             found[START] = START_STD
         if p.lateral_noise is not None:
@@ -138,9 +130,9 @@ class Spread:
             grows(f"Q_{LETTERS[state.name]}", f"q_{state.shared}")
         for constant in ("RX", "RY", "ACCURACY"):
             grows(constant, R)
-        for name, (_, constant) in _MEASURED.items():
-            if name in self.names:
-                grows(constant, name)
+        for name in self.names:
+            if name in NOISE_OF:
+                grows(f"R_{name.upper()}", name)
         found[:, self.names.index(SCALE)] = found.any(axis=1)
         return found
 
@@ -181,7 +173,7 @@ class Spread:
         scale = 10.0 ** by[SCALE]
         r = scale * 10.0 ** by[R]
         changed = {
-            of: scale * 10.0 ** by[name] * getattr(p, of) for name, (of, _) in _MEASURED.items() if name in by
+            of: scale * 10.0 ** by[name] * getattr(p, of) for name, of in NOISE_OF.items() if name in by
         }
         q = [scale * 10.0 ** by[name] * q for name, q in zip(shared, p.process_noise, strict=True)]
         return replace(

@@ -69,10 +69,11 @@ def axis_of(bias):
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
-def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
-    """A position fix of the antenna, a row of `Timeline.fixes`; ``since`` is Q's scale since the last fix.
+def absorb_fix(w, z, lever, since, *, looks, gated, adaptive, fix_error, note_prior):
+    """Update with a position fix of the antenna.
 
-    Parts that no lane needs are left out; this does not change a bit of the others.
+    ``z`` is a row of `Timeline.fixes`, ``since`` Q's scale since the last fix. Parts that no column needs are left out,
+    which does not change a bit of the others.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
@@ -86,10 +87,13 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
     _measure_fix(w, z, lever)
     if fix_error:
         see_fix_error(w)
-    for l in range(LANES):
-        inside = (_look(w, l) <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
-        w[R.USE, l] = 1.0 if inside else 0.0
-        w[R.REJECTED, l] = 0.0 if inside else w[R.REJECTED, l] + 1.0
+    if looks:
+        for l in range(LANES):
+            nis = _look(w, l)
+            if gated:
+                inside = (nis <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
+                w[R.USE, l] = 1.0 if inside else 0.0
+                w[R.REJECTED, l] = 0.0 if inside else w[R.REJECTED, l] + 1.0
     if adaptive and fading > 0:
         _fade(w)
     if adaptive and fuzzy > 0:
@@ -107,8 +111,8 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, fix_error, note_prior):
         e1, e2 = g11 * n1 + g12 * n2, g12 * n1 + g22 * n2
         w[R.OK, l] = w[R.OK, l] if (s11 > 0.0) & (det > 0.0) & (rx > 0.0) & (ry > 0.0) else 0.0
         w[R.G11, l], w[R.G12, l], w[R.G22, l] = use * g11, use * g12, use * g22
-        # The residual after the update is R S^-1 nu; all of nu where the fix was turned away.
         r1, r2 = (rx * e1 if use > 0.0 else n1), (ry * e2 if use > 0.0 else n2)
+        # The residual after the update is R S^-1 nu; after a rejected fix it is nu.
         w[R.SQ_FIX, l] += r1 * r1 + r2 * r2
         w[R.GEE, l] += rx
         w[R.GNN, l] += ry
@@ -256,8 +260,8 @@ def _reason(w, *, n):
     """
     for l in range(LANES):
         memory = w[R.FUZZY, l]
-        used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # a fix that was turned away teaches nothing
-        v11, v12, v22, n1, n2 = w[R.V11, l], w[R.V12, l], w[R.V22, l], w[R.NU1, l], w[R.NU2, l]
+        used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # a rejected fix is not used
+        v11, v12, v22, n1, n2 = w[R.V11, l], w[R.V12, l], w[R.V22, l], w[R.N1, l], w[R.N2, l]
         newest = 0.5 * (v22 * n1 * n1 - 2.0 * v12 * n1 * n2 + v11 * n2 * n2) / (v11 * v22 - v12 * v12)
         newest = newest if newest < LARGEST_RATIO else LARGEST_RATIO
         quick = w[R.QUICK, l] + (1.0 - memory) * (newest - w[R.QUICK, l])
@@ -355,7 +359,7 @@ def _adapt(w, since, *, n):
     span = since if since > 0.0 else math.inf
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
-        weight = 1.0 - w[R.FORGETTING, l] if g11 > 0.0 else 0.0  # a fix that was turned away teaches nothing
+        weight = 1.0 - w[R.FORGETTING, l] if g11 > 0.0 else 0.0  # a rejected fix is not used
         e1, e2 = g11 * w[R.N1, l] + g12 * w[R.N2, l], g12 * w[R.N1, l] + g22 * w[R.N2, l]
         rx, ry = w[R.RX, l], w[R.RY, l]
         w[R.RX, l] = rx + weight * rx * rx * (e1 * e1 - g11)  # H P+ H^T = R - R S^-1 R
@@ -554,6 +558,8 @@ def absorbers(name: str, note_prior=None, noted=0):
     ready = {
         "note_prior": note_prior,
         "n": len(model.states),
+        "looks": 1,
+        "gated": 1,
         "gyro_biases": tuple(model.gyro_axes.values()),
         "adaptive": int(name in ("planar5", "planar8", UNSCENTED)),
         "tilted": int(model.tilts is not None),

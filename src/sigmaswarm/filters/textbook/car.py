@@ -28,11 +28,11 @@ from sigmaswarm.filters.schedule import (
     converted,
     flags_of,
     gap_covariance,
+    measured_by,
     require_accuracy,
     require_axes,
     require_odometer,
     start_of,
-    switches,
 )
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
@@ -104,7 +104,7 @@ class TextbookCar:
         if p.odometer_noise is not None:
             require_odometer(timeline.drive)
         self._imu = timeline.imu(self.model.imu)
-        self.flags = flags_of(timeline, switches(p))
+        self.flags = flags_of(timeline, measured_by(p))
         self._wheels_of_step = np.cumsum(self.flags & ODOMETER != 0) - 1
         self._fix_of_step = np.cumsum(timeline.absorbs | timeline.hides) - 1
         self._rejected = 0
