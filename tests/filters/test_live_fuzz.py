@@ -36,7 +36,7 @@ Call = tuple[str, float, float, float, float, bool]
         lambda model, kind, option: (model == "planar8") == (option == "all"),
     ),
 )
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=max(15, settings.default.max_examples // 4), deadline=None)
 @given(calls=st.lists(CALL, max_size=40))
 def test_it_is_finite_or_says_that_it_failed(model: str, kind: str, option: str, calls: list[Call]):
     live = LiveFilter(

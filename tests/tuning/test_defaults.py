@@ -148,7 +148,7 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
         return with_filter(options, drives)[0]["use"]
 
     assert chosen_for([lasting]) == (*used, "fix-error")
-    assert with_filter({}, [lasting])[1].endswith("correlated fix errors")
+    assert with_filter({}, [lasting])[1].endswith("fixes that differ by less than the receiver errs")
     assert chosen_for([lasting, replace(lasting, truth=truth)]) == (*used, "fix-error")
     assert chosen_for([replace(lasting, truth=truth)]) == used
     assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")
@@ -159,6 +159,12 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
     assert chosen_for([noisy(make_drive(duration=60.0), 0.05)]) == (*CAR, "fix-error")  # unstated: 2.1 m
     assert chosen_for([noisy(make_drive(duration=60.0), 0.05, stated=0.05)]) == CAR
     assert chosen_for([noisy(make_drive(duration=60.0), 1.0)]) == CAR
+    white = noisy(make_drive(duration=60.0), 1.0)
+    held = {name: np.repeat(getattr(white.gps, name), 5) for name in ("x", "y")}
+    times = np.ravel(white.gps.time[:, None] + np.linspace(0.0, 0.16, 5))
+    assert (
+        chosen_for([replace(white, gps=replace(white.gps, time=times, **held))]) == CAR
+    )  # each fix five times
     assert chosen_for([six(lasting)], model="planar8") == used
     assert chosen_for([lasting], model="planar5") == ()
     for kind in ("fuzzy-ukf", "strong-tracking-ukf"):

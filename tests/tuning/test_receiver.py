@@ -9,6 +9,7 @@ import pytest
 from sigmaswarm.doctor import evidence
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.receiver import FixNoise, accuracy_warnings, fix_noise, noise_warnings
@@ -76,6 +77,15 @@ def test_a_drive_tells_what_is_stated_and_how_the_fixes_scatter():
     assert found.scatter == pytest.approx(1.0, rel=0.2)  # white noise of 1 m
     assert np.isnan(fix_noise(unstated()).stated)
     assert fix_noise(replace(unstated(), metadata={"gps_std_m": 2.0})).stated == 2.0
+
+
+def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
+    """Where the receiver states nothing, no log shows whether it smooths or is precise."""
+    p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
+    (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
+    assert said.startswith("TO DO: write the receiver's deviation")
+    assert "modeled as correlated, 2.1 m per axis" in said
+    assert noise_warnings(p, [FixNoise(2.0, 0.1)]) == noise_warnings(p, [FixNoise(np.nan, 1.0)]) == []
 
 
 def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():

@@ -72,7 +72,7 @@ def completion(shell: Literal["bash", "zsh", "fish", "powershell"], /) -> None:
 
     Nothing is installed or written.
 
-    Examples:
+    For example:
 
         source <(sigmaswarm --completion bash)
         sigmaswarm --completion bash > ~/.local/share/bash-completion/completions/sigmaswarm

@@ -42,7 +42,7 @@ def compare(
     comparison.png, times.csv and all tunings. The result is valid for these drives: the intervals cover other
     seeds, not other drives.
 
-    Examples:
+    For example:
 
         sigmaswarm compare drives/training --validation drives/held-out --out compared
         sigmaswarm compare drives/training --optimizers pso de cma-es --scales log10 linear --out compared

@@ -21,7 +21,7 @@ def convert(
     Parquet is smaller and much faster to read; both have the same bits, and every command reads either. Columns that
     sigmaswarm does not know are dropped with a warning.
 
-    Examples:
+    For example:
 
         sigmaswarm convert drives/monday drives/tuesday --to parquet compact
         sigmaswarm convert drives compact --to parquet

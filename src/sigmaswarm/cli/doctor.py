@@ -30,7 +30,7 @@ def doctor(
     The IMU is compared with the motion of the fixes; truth is not used. Exit code 0: no serious fault; 1: a serious
     fault (with --fix: one that remains in a copy); 2: a drive can't be read.
 
-    Examples:
+    For example:
 
         sigmaswarm doctor drives/friday
         sigmaswarm doctor drives

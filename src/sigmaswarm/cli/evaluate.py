@@ -84,7 +84,7 @@ def evaluate(
     the tuning never saw. All methods start at the same time from the same state. Without truth the scores are the
     drift over outages, against the hidden fixes, and the consistency of the innovations.
 
-    Examples:
+    For example:
 
         sigmaswarm evaluate tuned drives/friday
         sigmaswarm evaluate tuned drives/friday --out evaluation

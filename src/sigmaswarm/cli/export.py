@@ -61,7 +61,7 @@ def export(
 
     Trajectories are written by `sigmaswarm run`.
 
-    Examples:
+    For example:
 
         sigmaswarm export tuned --to filterpy --out filter-py
         sigmaswarm export tuned --to c99 --out filter-c --replay drives/friday

@@ -155,7 +155,7 @@ def import_(
     ROS bags, MCAP, CSV, Parquet, data sets, receivers, flight logs and phones; the format is detected. Begin with
     --show, which writes nothing.
 
-    Examples:
+    For example:
 
         sigmaswarm import monday.mcap --show
         sigmaswarm import monday.mcap --out drives/monday --imu-topic /imu/data --mount 90

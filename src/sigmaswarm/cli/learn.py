@@ -63,7 +63,7 @@ def learn(
     Training needs the extra `learned`; a trained network does not. By default the last quarter of each drive is held
     out; outage-lstm holds out the last third of three drives or more.
 
-    Examples:
+    For example:
 
         sigmaswarm learn outage-lstm tuned drives/training --out learned
         sigmaswarm learn outage-lstm tuned drives/training --out learned --validation drives/monday --search 8

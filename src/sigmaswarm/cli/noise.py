@@ -59,7 +59,7 @@ def noise(
     The log needs no fixes. An hour at rest determines all noise terms; the standstills of a drive determine the white
     noise only.
 
-    Examples:
+    For example:
 
         sigmaswarm noise static.csv
         sigmaswarm noise static.bag --imu-topic /imu/data --to kalibr --out noise

@@ -20,7 +20,7 @@ def plot(
 
     For a simulated drive the plot also shows the target speed.
 
-    Examples:
+    For example:
 
         sigmaswarm plot drives/friday
         sigmaswarm plot drives/brake-rain-00 --out brake.png

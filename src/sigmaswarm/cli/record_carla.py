@@ -78,7 +78,7 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
     for an older server `python -m sigmaswarm_carla.pack carla_recorder.pyz` writes the recorder as one file, to be run
     with the Python of its client (docs/carla.md).
 
-    Examples:
+    For example:
 
         sigmaswarm record-carla --out drives --maneuver brake --environment clear --runs 1
         sigmaswarm record-carla --out drives --host 192.168.0.7 --map Town06 --brake-sweep

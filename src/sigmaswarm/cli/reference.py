@@ -61,7 +61,7 @@ def reference(
     Its fixes are smoothed with the drive's IMU. The new drive gets a truth.csv at the IMU's times, with standard
     deviations, with gaps where the solution is float or an outage is too long for the IMU.
 
-    Examples:
+    For example:
 
         sigmaswarm reference drives/monday --fixes rtk.pos --out drives/monday-rtk --lever-arm 0.9,-0.4,1.2
         sigmaswarm tune drives/monday-rtk --out tuned

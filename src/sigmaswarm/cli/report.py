@@ -21,7 +21,7 @@ def report(
     The page needs no network and no other file. The folder is one of `sigmaswarm tune`, `sigmaswarm evaluate` or
     `sigmaswarm study`.
 
-    Examples:
+    For example:
 
         sigmaswarm report evaluation
         sigmaswarm report tuned --out tuning.html

@@ -75,7 +75,7 @@ def run(
     Smoothing ends and restarts at a reset. The bank adapts to changes of sensors or surroundings; with NAME.csv it also
     writes NAME.swarm.csv, a log of the bank each second, and NAME.swarm.toml, its last filter.
 
-    Examples:
+    For example:
 
         sigmaswarm run tuned drives/friday --out estimate.csv
         sigmaswarm run tuned drives/friday --out estimate.tum --truth truth.tum

@@ -98,7 +98,7 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     The car is a Tesla Model 3; maneuvers and weathers are the paper's; sensor errors are those of real sensors. By
     default the paper's 25 conditions, 20 runs of each. The same seed gives the same bytes.
 
-    Examples:
+    For example:
 
         sigmaswarm simulate --out drives
         sigmaswarm simulate --out town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration

@@ -95,7 +95,7 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     The tables show the paper's figures, too. A killed study continues with --resume and gives the same bytes, on any
     number of workers.
 
-    Examples:
+    For example:
 
         sigmaswarm study --out study
         sigmaswarm study --out study --resume

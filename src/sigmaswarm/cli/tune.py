@@ -45,7 +45,7 @@ def tune(
     The filter is written to OUT/tuning.toml. Without truth.csv it is tuned to forecast the fixes. Without --model and
     --use the filter is chosen by the sensors in the logs. Hold some drives back for `sigmaswarm evaluate`.
 
-    Examples:
+    For example:
 
         sigmaswarm tune drives/monday drives/tuesday --out tuned
         sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate

@@ -22,7 +22,7 @@ def workbench(
     The page is served on this machine only, at an address with a secret token. OUT is an ordinary folder of drives,
     tunings and evaluations, with which the other commands work, too. An interrupted tuning is resumed there.
 
-    Examples:
+    For example:
 
         sigmaswarm workbench monday.mcap
         sigmaswarm workbench

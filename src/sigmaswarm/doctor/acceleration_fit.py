@@ -150,9 +150,7 @@ class _Fit:
         self._matrix = found.solution[:4].reshape(2, 2)
         self._usual = self._usual + found.solution[5:]
         position, columns, own = self._terms(late)
-        rest = position - sum(
-            (s * c for s, c in zip(found.solution[:5], columns, strict=False)), 0 * position
-        )
+        rest = position - sum(s * c for s, c in zip(found.solution[:5], columns[:5], strict=True))
         root = np.sqrt(found.weight[:, :-1])
         a = np.stack([root * c for c in own], axis=-1)
         extra = np.einsum("wkn,wn->wk", np.linalg.pinv(a), root * rest)[:, 2]

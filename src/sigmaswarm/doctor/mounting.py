@@ -2,7 +2,7 @@
 
 Roll and pitch of the sensor follow from the direction of the specific force, minus the vehicle's own motion, and from
 the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. The direction
-of travel gives yaw and pitch more exactly, once they are about known. Each round rotates the recorded axes by the
+of travel gives yaw and pitch more exactly, once both are known roughly. Each round rotates the recorded axes by the
 result of the last one, until the rotation is zero.
 """
 
@@ -213,7 +213,9 @@ def _round(drive: Drive, course: Course, last: _Round | None) -> _Round | None:
     far = np.abs((ANGLES - yaw + np.pi) % (2 * np.pi) - np.pi) >= np.pi / 2
     margin, mirrored = float(straight[far].min() - at), float(at - mirror.min())
     tilt, tilt_std, spread = _tilt(drive, fit, yaw)
-    std = np.append(tilt_std, math.hypot(YAW_FLOOR, yaw_std))
+    std = np.append(
+        tilt_std[::-1], math.hypot(YAW_FLOOR, yaw_std)
+    )  # the slope along y is roll, along x pitch
     lateral = _lateral(drive, course, fit, rate, yaw)
     gyro = _scaled(drive.imu, "g", math.copysign(1.0, yaw_fit.gain))
     if travel := direction_of_travel(turned(gyro, about_z(yaw)), course, fit.late):

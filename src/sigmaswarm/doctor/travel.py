@@ -51,9 +51,8 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     level = (gained - 1j * GRAVITY * (since(integral(time, tilt)) - leaned * (at - at[:, :1]))) / start
     up = since(integral(time, imu.az - np.median(imu.az) + np.imag(np.conj(tilt) * force)))
     up = up.real - np.imag(np.conj(leaned) * gained)
-    straight = np.abs(
-        smoothed(time, heading, course.time - late, course.span)
-    )  # a mean velocity is less in turns
+    # In turns the mean velocity is less than the speed.
+    straight = np.abs(smoothed(time, heading, course.time - late, course.span))
     speed = (np.abs(course.velocity) / np.maximum(straight, LEAST_STRAIGHT))[rows]
     back, zero = np.conj(turned), np.zeros(at.shape)
 

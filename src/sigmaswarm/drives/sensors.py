@@ -210,12 +210,15 @@ def has_white_errors(drive: Drive) -> bool:
 def has_lasting_errors(drive: Drive) -> bool:
     """Return whether the receiver's errors, see `receiver_std`, would show from fix to fix if white, and do not.
 
-    They are correlated then. Where a white error of the stated deviation is small next to the motion between fixes, as
-    with RTK, nothing is known.
+    They are correlated then, or the receiver is better than it states. Where a white error of the stated deviation is
+    small next to the motion between fixes, as with RTK, nothing is known. A repeated fix counts once.
     """
-    gps, std = drive.gps, receiver_std(drive)
-    least, moved = WHITE * max(std), motion_in_noise(float(np.median(np.diff(gps.time))))
-    return white_noise(gps.x + 1j * gps.y) <= least and least > 3 * moved
+    position, least = drive.gps.x + 1j * drive.gps.y, WHITE * max(receiver_std(drive))
+    new = np.append(True, np.diff(position) != 0)
+    if np.count_nonzero(new) < 4:
+        return False
+    moved = motion_in_noise(float(np.median(np.diff(drive.gps.time[new]))))
+    return white_noise(position[new]) <= least and least > 3 * moved
 
 
 def motion_in_noise(interval: float) -> float:

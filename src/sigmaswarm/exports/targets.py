@@ -90,7 +90,8 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     absent += ["heading"] if parameters.heading_noise is not None and target == "filterpy" else []
     if absent:
         raise InputError(
-            f"{target} has no {absent[0]}; tune without it for this target, or run the filter with LiveFilter"
+            f"{target} has no {absent[0]}; tune for it with --use lateral standstill robust, or run the filter with "
+            "LiveFilter"
         )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)

@@ -98,7 +98,7 @@ class LeverArmEstimate:
             times = (1.96 * max(self.std) / self.within) ** 2
             said.append(
                 f"the turns of this log do not determine {' and '.join(unknown)} to {self.within:g} m, which needs "
-                f"{times:.1f} times as many; drive.toml keeps its value"
+                f"{times:.1f} times as many" + ("; drive.toml keeps its value" if any(self.stated) else "")
             )
         return "; ".join(said)
 
@@ -114,7 +114,13 @@ class LeverArmEstimate:
         repaired = [*drive.metadata.get("repaired", []), "lever-arm"]
         found = zip((self.forward, self.left), drive.lever_arm, self.observable, strict=True)
         arm = tuple(round(value, 4) if known else float(stated) for value, stated, known in found)
-        return _with_arm(drive, arm, repaired=repaired)
+        stds = [
+            s if known else p
+            for s, p, known in zip(self.std, _stated_std(drive), self.observable, strict=True)
+        ]
+        return _with_arm(
+            drive, arm, repaired=repaired, gps_lever_arm_std_m=[round(float(std), 4) for std in stds]
+        )
 
 
 def estimate_lever_arm(

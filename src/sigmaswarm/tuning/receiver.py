@@ -95,10 +95,13 @@ def noise_warnings(
 
     ``use``: the measurements of the filter, to which the remedy adds.
     """
-    if parameters.accuracy_scale is not None or parameters.fix_error is not None or not drives:
+    if parameters.accuracy_scale is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
+    if parameters.fix_error is not None:
+        why = f"the receiver states no deviation; its errors are modeled as correlated, {UNSTATED_GPS_STD:g} m per axis"
+        return [to_do(STATE, why)] if np.isnan(stated) and scatter < SMOOTH else []
     lasting = stated > LASTS * scatter
     remedy = STATE if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
     remedy += ", or score against a reference receiver"

@@ -133,10 +133,10 @@ class CheckPage(Page):
     def _steps(self) -> None:
         """The applied steps, each with a button to undo it."""
         for number, step in enumerate(self.steps):
-            said = (
-                "repaired: " + ", ".join(step["repair"]) if "repair" in step else "kept only {:g} to {:g} s"
-            )
-            said = said.format(*step.get("keep", ()))
+            if "repair" in step:
+                said = "repaired: " + ", ".join(step["repair"])
+            else:
+                said = "kept only {:g} to {:g} s".format(*step["keep"])
             rest = [*self.steps[:number], *self.steps[number + 1 :]]
             with card("done"), line("between"):
                 text("h3", said)

@@ -88,14 +88,13 @@ class LogPage(OpenLog):
 
     async def _dropped(self, event: MultiUploadEventArguments) -> None:
         """Save the files of one drop: a single file as it is, several as a folder."""
-        files = event.files
+        files, dropped = event.files, await ui.run_javascript("window.nameOfDrop()")
         if odd := [file.name for file in files if not NAME.fullmatch(file.name)]:
             self.wrong = (
                 f"{odd[0]}: this name can't be used; rename the file with letters, digits, - and _ only"
             )
             self.status.refresh()
             return
-        dropped = await ui.run_javascript("window.nameOfDrop()")
         folder = self.bench.path("logs", self.bench.free("logs", dropped or Path(files[0].name).stem))
         folder.mkdir()
         for file in files:
