@@ -1,4 +1,4 @@
-"""The compiled run: up to `most_lanes` filters over one time line, with scores along the way."""
+"""The compiled run: up to `most_lanes` filters over one time line, with scores."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -28,8 +28,7 @@ from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
 
-# Where a run goes on that is made in pieces: the next step, fix and target, Q's scale since the last fix, and
-# the next speed of the wheels.
+# Place of a run in pieces: the next step, fix and target, Q's scale since the last fix, and the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 """Recorded rows of a run that records nothing."""
@@ -50,7 +49,7 @@ NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, 
 
 
 def new_place() -> Array:
-    """Where a run begins."""
+    """Return the place at the start of a run."""
     return np.zeros(5)
 
 
@@ -263,7 +262,7 @@ def named_by_sources(make, name, known=None):
 
 
 def cached_by_sources(make, name, known=None):
-    """Compiled for use by Python: see `named_by_sources`."""
+    """Compile a function for use by Python: see `named_by_sources`."""
     return cached(named_by_sources(make, name, known), **OPTIONS)
 
 
@@ -362,16 +361,16 @@ def run_lanes(
 
     Parameters
     ----------
-    model : its name
+    model : name of the model
     steps : (k, 3) as `Timeline.steps`
-    sample : (k,) which row of ``driving`` drives each step
+    sample : (k,) row of ``driving`` for each step
     driving : (n, 3 or 6) as `Timeline.driving`; with all the axes that the model reads
     flags : (k,) bits of each step: see `schedule`
     fixes : (f, 8) as `Timeline.fixes`, in the order in which steps absorb them
     speeds : (o, 3) as `drives.odometer.Wheels.rows`
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval
-    target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
+    target_end : (k,) number of targets before the end of each step (constant where flags lack IMU)
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane, and what it remembers
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which to stop; at k, sums are complete

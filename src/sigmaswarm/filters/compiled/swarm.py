@@ -3,7 +3,7 @@
 It replaces a live filter's `single_step`. The filter itself is the bank's first lane; all lanes are after its state
 (`live.BEHIND`), so that late fixes take them back, too:
 
-    NUMBERS   a few numbers, then what is known of each lane: its evidence, what is held against it, its weight
+    NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the marks of a live filter reach to here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
     TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
@@ -32,9 +32,9 @@ from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.schedule import FIX
 
 EVIDENCE_LASTS = 60.0
-"""s in which evidence fades to 1/e."""
+"""Time in which evidence decays to 1/e, s."""
 LARGEST_NIS = 200.0
-"""Limit of a fix's NIS, so that one fix alone does not decide.
+"""Upper limit of a fix's NIS, so that one fix alone does not decide.
 
 Student's t would forgive too much: between high buildings fixes are good until they jump, and with it a small R would
 explain the jumps.
