@@ -250,7 +250,7 @@ def _record(counts, history, k):
 
 @_plain
 def _keep(v, counts, fixes, history, z):
-    """Insert a fix by time; if there is no room, remove those that are not needed any more."""
+    """Insert a fix by time; without free rows, first remove fixes that are no longer needed."""
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -290,7 +290,7 @@ def _keep(v, counts, fixes, history, z):
 
 @_plain
 def _keep_speed(v, counts, speeds, history, t, speed):
-    """Insert a reading by time; if there is no room, remove those that are not needed any more."""
+    """Insert a reading by time; without free rows, first remove readings that are no longer needed."""
     if counts[N_SPEEDS] == speeds.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -359,7 +359,7 @@ def _mark(v, marks, number):
 
 @_plain
 def _first_after(counts, history, t):
-    """The first of the kept samples that is not before a time, or -1 if the filter can't go back to before it."""
+    """Return the first stored sample not before a time, or -1 if the filter can't return to before this sample."""
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
         back -= 1
@@ -458,7 +458,7 @@ def _is_due(v, counts, fixes, t):
 
 def _take_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
-        """Process an IMU sample; one that is not after the last one is ignored, one far ahead waits for a second."""
+        """Process an IMU sample; ignore it if it is not after the last one; far ahead, it waits for a second sample."""
         step, v, counts, memory, fixes, speeds, history, marks, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
@@ -497,7 +497,7 @@ def _take_sample(sources):
 
 def _take_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-        """Process a fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
+        """Process a fix: it waits for its sample, or is processed as late; far ahead, it waits for a second fix."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 # Place of a run in pieces: the next step, fix and target, Q's scale since the last fix, and the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
-"""Recorded rows of a run that records nothing."""
+"""Record of a run without recorded rows."""
 
 
 def kept(column: Array) -> Array:
@@ -59,7 +59,7 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 
 @kernel
 def _take_logarithm(w):
-    """Move the products of the last fixes into the sums of their logarithms (a slow call: once in a while)."""
+    """Add the logarithms of the last fixes' products to the sums, and reset the products; slow, so called rarely."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -71,7 +71,7 @@ def _wrapped(angle):
 
 
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
-    """Errors in x, y and heading; the estimate is linear between two IMU samples."""
+    """Errors in x, y and heading, with the estimate interpolated linearly between two IMU samples."""
     x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
     y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
     turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])
@@ -93,7 +93,7 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
 
 
 def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
-    """As `_score` at the very time of an IMU sample."""
+    """`_score` at the time of an IMU sample."""
     for l in range(LANES):
         x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, _wrapped(w[heading, l] - true_theta)
         _add(w, l, x, y, wrong, scores_heading)
