@@ -8,7 +8,7 @@ from sigmaswarm.filters.models import THETA
 
 
 def tilts_of(n: int) -> tuple[int, ...]:
-    """Indices of roll and pitch in a state of n numbers; none for planar models."""
+    """Indices of roll and pitch in a state of n numbers; empty for planar models."""
     return tilted.ATTITUDE[:2] if n == tilted.N else ()
 
 
@@ -31,13 +31,13 @@ def rotations(mean: Array) -> Array:
 
 
 def body_velocity(mean: Array) -> tuple[Array, Array]:
-    """Velocity forward and left along the body axes, (k, 2) m/s, of means (k, n), and its Jacobian (k, 2, 3 or 5).
+    """Velocity along the body axes x and y, (k, 2) m/s, from means (k, n), and its Jacobian (k, 2, 3 or 5).
 
-    It is R' (vx, vy, vz); vz is such that the velocity along the body's z axis is 0. The Jacobian is with respect to
+    The velocity is R' (vx, vy, vz). vz makes the velocity along the body's z axis 0. The Jacobian is with respect to
     vx, vy, theta and, for a tilted model, roll and pitch.
     """
     c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
-    ahead, left = c * vx + s * vy, c * vy - s * vx  # in the plane
+    ahead, left = c * vx + s * vy, c * vy - s * vx  # planar
     tilts = tilts_of(mean.shape[1])
     roll, pitch = mean[:, tilts].T if tilts else np.zeros((2, len(mean)))
     cr, cp, tr, tp = np.cos(roll), np.cos(pitch), np.tan(roll), np.tan(pitch)

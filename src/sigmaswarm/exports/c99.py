@@ -48,14 +48,14 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""s: shortest interval of an IMU; the history of one second would otherwise take megabytes."""
+"""Shortest IMU interval, s. A shorter one would need megabytes for the history of one second."""
 ALONE = Lanes()
 
 
 def c99(
     parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
 ) -> dict[str, str]:
-    """Return the files by name; Q refers to steps of ``interval`` s, and ``as_recorded`` is that of `PreparedDrive`.
+    """Return the files by name; Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def c99(
 def replay_rows(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> str:
-    """Rows of a drive for replay.c: those of `replay_events`, as text."""
+    """Rows of replay.c's input: the events of `replay_events` as text."""
     events = replay_events(drive, model, as_recorded=as_recorded, heading=heading)
     return "".join(",".join([name, *(repr(float(z)) for z in numbers)]) + "\n" for name, numbers in events)
 
@@ -98,10 +98,10 @@ def replay_rows(
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Inputs of a filter from a drive, in the order of time.
+    """Inputs of a filter from a drive, sorted by time.
 
-    The first one is ``start``; ``imu``, ``fix`` and ``odometer`` follow. Their numbers are those of replay.c's rows:
-    ``model`` sets the axes of the IMU and of the lever arm, and with ``heading`` fixes have headings.
+    The first event is ``start``; ``imu``, ``fix`` and ``odometer`` events follow. Each event has the numbers of a row
+    of replay.c's input. ``model`` sets the axes of the IMU and of the lever arm. ``heading``: fixes have headings.
 
     Raises
     ------
@@ -120,7 +120,9 @@ def replay_events(
     seen = initial.gyro
     assert seen is not None  # every alignment estimates the gyro bias
     start += [*seen.bias, *seen.variance, seen.taken, *seen.turns]  # as InsGpsGyro
-    events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)]  # a fix before the sample of its time
+    events = [
+        (z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)
+    ]  # a fix precedes a sample of the same time
     if drive.odometer is not None:
         readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
         events += [(t, 0, "odometer", [t, speed]) for t, speed in readings]
@@ -131,10 +133,10 @@ def replay_events(
 
 
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
-    """Time, s, and position, m; velocity, m/s, and standard deviations, m, east and north, where the log has them.
+    """Times, s; positions, m; where logged, velocities, m/s, and standard deviations, m, east and north.
 
-    With ``heading`` all columns are there, NaN without a velocity and 0 without a standard deviation; the heading and
-    its standard deviation, rad, follow.
+    With ``heading``, the array has all columns (NaN without a velocity, 0 without a standard deviation). The last two
+    are the heading and its standard deviation, rad.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]
@@ -189,7 +191,7 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
 
 
 def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
-    """Parameters and arguments of C's functions, and what they do with each axis of the IMU."""
+    """Parameters and arguments of the C functions, and their statements for each axis of the IMU."""
     tilted = MODELS[p.model].tilts is not None
     axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
     turning = [axis for axis in axes if axis not in ("ay", "az")]
@@ -210,7 +212,7 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
 
 
 _STATE_NAMES = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
-"""Names of states in C that are not those of the model."""
+"""C names of states that differ from the model's names."""
 
 
 def _texts_of_states(p: FilterParameters) -> dict[str, str]:
@@ -231,9 +233,9 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
         "LOST_AFTER": divergence.DIVERGED_AFTER,
         "FEWEST_LOOKS": divergence.FEWEST_CHECKS,
-        "SLOTS": round(1.0 / schedule.LATERAL_INTERVAL),  # of the standstill and the odometer, too
+        "SLOTS": round(1.0 / schedule.LATERAL_INTERVAL),  # same slots for standstill and odometer
         "BLOCKS": round(1.0 / standstill.BLOCK),
-        "HISTORY": max(1, math.ceil(1.0 / interval)),  # as LiveFilter's default
+        "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
         "FIXES": 64,  # 6 s at 10 Hz
     }
     if p.kind != "ekf":

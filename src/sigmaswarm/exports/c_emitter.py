@@ -1,7 +1,7 @@
-"""Print the compiled filter's kernels as C99 for one column: the same text, without the loop over columns.
+"""Print the compiled filter's kernels as C99 for one column, without the loop over columns.
 
-A function is printed statement by statement. An expression is first rewritten for this filter, which leaves out the
-terms that its numbers make 0, and its leaves are replaced by their C text; then it is printed.
+A function is printed statement by statement. Each expression is rewritten before it is printed: terms that are 0 in
+this filter are removed, and names are replaced by their C text.
 """
 
 import ast
@@ -26,7 +26,7 @@ STATES = (
 )
 """Names of the elements of a state in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
-"""Those of the states that are appended to any model."""
+"""Names of the states of the correlated fix error, which can be appended to any model."""
 PARAMETERS = {
     "w": ("InsGpsBelief *b", "Work *work"),
     "u": ("real dt", "real steps", "const InsGpsSample *sample"),
@@ -37,7 +37,7 @@ PARAMETERS = {
     "since": ("InsGpsBelief *b",),
     "l": (),
 }
-"""C's parameters in place of a kernel's; a function has those that it uses."""
+"""C parameters that replace a kernel's parameter. A function gets only the parameters that it uses."""
 _AXES = {"gz": "sample->yaw_rate"}
 INPUTS = {
     "u": {
@@ -58,7 +58,7 @@ INPUTS = {
 """C text for an element of a step, a fix, a reading and the lever arm."""
 CALLS = {"math.sqrt": "SQRT", "math.exp": "EXP", "np.floor": "FLOOR", "abs": "FABS", "angle_of": "ATAN2"}
 RENAMED = {"_": "again", "b": "b0", "since": "b->steps_since_fix", "near": "is_near", "far": "is_far"}
-"""Names that C uses for something else, or has elsewhere."""
+"""C names of Python names that C reserves or stores elsewhere."""
 _SIGNS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
@@ -74,10 +74,9 @@ class Emitter:
     Parameters
     ----------
     rows : dict
-        C's text for rows that hold parameters, or a number: terms that it makes 0 are left out. None: a row that C
-        does not have.
+        C text of the rows of parameters, or a number. Terms that become 0 are left out. None: C has no such row.
     states : sequence of str
-        Names in C of the filter's states.
+        C names of the filter's states.
     """
 
     def __init__(self, rows: Mapping[str, str | float | None], states: Sequence[str] = STATES) -> None:
@@ -86,13 +85,13 @@ class Emitter:
         self.signatures: dict[str, tuple[str, list[list[str]]]] = {}  # by name in Python
 
     def add(self, function: Any, name: str = "", **known: Any) -> None:
-        """Print a kernel or a plain function, under another ``name`` if given."""
+        """Print a kernel or a plain function; ``name`` renames it."""
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def call(self, function: str) -> str:
-        """A call of a printed function, whose arguments have its parameters' names."""
+        """A call of a printed function; arguments are named like the parameters."""
         name, signature = self.signatures[function]
         parameters = dict.fromkeys(p.split()[-1].lstrip("*") for each in signature for p in each)
         return f"{name}({', '.join(parameters)})"
@@ -115,9 +114,9 @@ class Emitter:
 
 
 class _Function(ast.NodeTransformer):
-    """One function on its way to C; as a transformer it rewrites expressions.
+    """Translation of one function to C; as a transformer it rewrites expressions.
 
-    In a rewritten expression names are C text, a number among them as ``R(0.5)``.
+    In a rewritten expression, each name is C text; a number is a name such as ``R(0.5)``.
     """
 
     def __init__(
@@ -135,7 +134,7 @@ class _Function(ast.NodeTransformer):
             n.target.id for n in nodes if isinstance(n, ast.AugAssign) and isinstance(n.target, ast.Name)
         ]
         self.changing = {n for n in stored if stored.count(n) > 1}
-        self.numbers: dict[str, ast.expr] = {}  # locals that are a number
+        self.numbers: dict[str, ast.expr] = {}  # locals with a known value
         self.declared, self.lines, self.outs, self.returns = set[str](), list[str](), list[str](), ""
 
     def text(self) -> str:
@@ -149,7 +148,7 @@ class _Function(ast.NodeTransformer):
         self.emitter.signatures[self.definition.name] = self.name, signature
         parameters = dict.fromkeys(p for each in signature for p in each)
         parameters = [*parameters, *(f"real *{out}" for out in self.outs)]
-        parameters = [p.replace(" ", "\0") for p in parameters]  # a line does not end within one
+        parameters = [p.replace(" ", "\0") for p in parameters]  # no line break within a parameter
         head = f"static {self.returns or 'void'} {self.name}({', '.join(parameters)})"
         if "P[" in code:
             self.lines.insert(0, "    real(*P)[N] = b->covariance;")
@@ -160,12 +159,12 @@ class _Function(ast.NodeTransformer):
         return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
-        """C's parameters in place of one."""
+        """C parameters that replace one parameter."""
         ours = PARAMETERS.get(name) if self.is_kernel else None
         return (f"real {self.local(name)}",) if ours is None else ours
 
     def chosen(self, statements: list[ast.stmt]) -> list[ast.stmt]:
-        """The statements whose conditions hold, where those are known."""
+        """Statements without the branches that are known not to run."""
         chosen: list[ast.stmt] = []
         for statement in statements:
             known = self.value(statement.test) if isinstance(statement, ast.If) else None
@@ -180,7 +179,7 @@ class _Function(ast.NodeTransformer):
         return chosen
 
     def drop_unused(self) -> None:
-        """Leave out the locals that only dropped terms have read; a kernel's call stays."""
+        """Remove locals that only removed terms have read; keep calls of kernels."""
         for line in reversed(list(self.lines)):
             match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
             if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:
@@ -231,7 +230,7 @@ class _Function(ast.NodeTransformer):
     def store_results(self, targets: list[ast.expr], call: ast.Call, depth: int) -> None:
         """Assign the results of a call, which C returns through pointers."""
         if ast.unparse(call.func) == "spread_of" and _number(self.fold(call.args[0])) == 0.0:
-            # of sigma points that do not spread; d/4 is divided by only
+            # sigma points without spread; d/4 is only a divisor
             self.store_all(targets, [ast.Constant(1.0), ast.Constant(1.0), ast.Constant(0.0)], depth)
             return
         outs: list[str] = []
@@ -245,7 +244,7 @@ class _Function(ast.NodeTransformer):
         self.put(f"{self.call(call, outs)};", depth)
 
     def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
-        """Simultaneous assignments, one after another where none reads what an earlier one has written."""
+        """Print simultaneous assignments; they are sequential where none reads a target of an earlier one."""
         folded = [self.fold(value) for value in values]
         written: set[str] = set()
         for k, (target, value) in enumerate(zip(targets, folded, strict=True)):
@@ -325,9 +324,9 @@ class _Function(ast.NodeTransformer):
         return eval(ast.unparse(node), self.names | self.known)
 
     def value(self, node: ast.expr) -> Any:
-        """The value of an expression, or None where it depends on the filter's state."""
+        """Value of an expression; None if it depends on the filter's state."""
         if isinstance(node, ast.BinOp) and ast.unparse(node.left) == "happens":
-            return None if self.evaluate(node.right) else 0  # an event that this filter does not have
+            return None if self.evaluate(node.right) else 0  # an event that never occurs in this filter
         try:
             return self.evaluate(node)
         except _UNKNOWN:
@@ -337,7 +336,7 @@ class _Function(ast.NodeTransformer):
         return RENAMED.get(name, name)
 
     def written(self, node: ast.expr) -> tuple[str | None, str]:
-        """As `place`, of what is assigned: None where C computes it from others."""
+        """`place` of an assignment's target; None where C computes the target from other values."""
         place, mirror = self.place(node)
         return (None if place is not None and " * " in place else place), mirror
 
@@ -388,14 +387,14 @@ class _Function(ast.NodeTransformer):
         return TypeError(f"{self.name}: {ast.unparse(node)} is not in the emitter's subset")
 
     def fold(self, node: ast.expr) -> ast.expr:
-        """The expression with C's names, without terms that this filter's numbers make 0."""
+        """Rewrite an expression with C names, without terms that are 0 in this filter."""
         return self.visit(node)
 
     def c(self, node: ast.expr) -> str:
         return self.print(self.fold(node))
 
     def generic_visit(self, node: ast.AST) -> ast.AST:
-        """Rewrite a copy, since a function is parsed once."""
+        """Rewrite a copy: the parsed function is reused."""
         new = copy(node)
         for name, value in ast.iter_fields(node):
             if isinstance(value, list):
@@ -553,7 +552,7 @@ def _uses(text: str, name: str) -> bool:
 
 
 def _wrapped(lines: list[str]) -> list[str]:
-    """The lines, none too long, declarations of one kind together."""
+    """Wrap long lines, and merge declarations of one type."""
     joined = [""]
     for line in lines:
         match = re.match(r"( +(?:const )?(?:real|bool) )(\w+.*;)$", line)
@@ -576,7 +575,7 @@ def _wrapped(lines: list[str]) -> list[str]:
 
 
 def _comments(source: str) -> dict[int, list[str]]:
-    """By line of a statement: the comments above it and behind it."""
+    """Comments above and after each statement, by its line number."""
     found: dict[int, list[str]] = {}
     waiting: list[str] = []
     for token in tokenize.generate_tokens(io.StringIO(source).readline):

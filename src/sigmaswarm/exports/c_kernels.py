@@ -1,7 +1,7 @@
-"""The kernels that an exported filter is made of, printed as C for its model and its parameters."""
+"""Print the kernels of an exported filter as C for its model and parameters."""
 
 # pyright: reportPrivateUsage=false, reportArgumentType=false
-# Parts of kernels are private to their files; nothing else than the printer reads them.
+# Parts of kernels are private to their modules; only this module reads them from outside.
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,13 +15,13 @@ from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 EVENTS = ("FIX", *map(str.upper, MEASURED))
-"""Bits of `schedule` that a filter in C knows; it uses those for which it has a feature."""
+"""Bits of `schedule` that C supports. A filter uses the bits of its features."""
 
 
 def kernels_of(
     p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]
 ) -> dict[str, str]:
-    """The template's values: the prediction, the measurements, and the step that calls them, in C."""
+    """Values of the template: C text of the prediction, the measurements and the step."""
     model = FILTERS[p.kernel]
     n, tilted = len(model.states), int(model.tilts is not None)
     states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)
@@ -77,7 +77,7 @@ def _events(features: Mapping[str, bool]) -> list[str]:
 
 
 def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool]) -> None:
-    """The update with a fix, and the step."""
+    """Add the update with a fix, and the step."""
     model = FILTERS[p.kernel]
     looks = features["USE_NIS"] or features["USE_LANES"]
     if looks:
@@ -91,7 +91,7 @@ def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool
         _measure_fix=tilted12.measure_fix_tilted if model.tilts else measurements._measure_fix,
     )
     emitter.add(step._grow, tilted=int(model.tilts is not None))
-    if model.tilts:  # its prediction is written by hand: see the template
+    if model.tilts:  # the template contains the prediction
         state, sample = ["InsGpsBelief *b", "Work *work"], [*PARAMETERS["u"]]
         emitter.signatures["predict_tilted12"] = "predict_tilted12", [state, sample]
     absent = {name: 0 for name in (*EVENTS, "HIDDEN") if name not in _events(features)}

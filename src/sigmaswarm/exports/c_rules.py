@@ -1,7 +1,7 @@
 """Print the rules of samples as C99 (standstill, stale fixes, gaps), from the library's own functions.
 
-They are plain functions over times, fixes and small arrays. A time is a type of its own in C, whose float build counts
-ticks: a difference of two times becomes ``since``, and a number of seconds that is added to a time ``SECONDS``.
+The functions use times, fixes and small arrays. C has a separate type for times, because the float build counts ticks.
+A difference of two times is printed as ``since``. Seconds that are added to a time are printed as ``SECONDS``.
 """
 
 # pyright: reportPrivateUsage=false
@@ -25,9 +25,9 @@ POINTERS = {
     **{"fixes": "const InsGpsFix *", "readings": "const InsGpsReading *", "wheels": "Wheels *"},
     **{"memory": "InsGpsBlock *", "means": "const real *", "until": "ins_gps_time *"},
 }
-"""Types of arrays, others being ``real *``. The array ``kinds`` is a field of the fixes."""
+"""C types of arrays; the default is ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")}
-"""Names of columns."""
+"""Names of the columns of arrays."""
 TIMES = ("now", "before", "taken")
 ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "FROZEN": "FROZEN", "FROZEN_MOVING": "FROZEN_MOVING"}
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
@@ -37,7 +37,7 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 
 def rules_of(features: Mapping[str, bool]) -> str:
-    """The rules that a filter needs in C, after the constants that they use."""
+    """C text of the rules that a filter needs, preceded by their constants."""
     stands, wheels = features["USE_STANDSTILL"], features["USE_ODOMETER"]
     functions = [*ALWAYS, *(STANDSTILL if stands else ()), *([odometer.mean_reading] if wheels else [])]
     functions += [odometer.wheels_turn] if stands and wheels else []
@@ -57,7 +57,7 @@ def _described(module: Any) -> dict[str, str]:
 
 
 class _Rule(_Function):
-    """One rule on its way to C. A local variable has one type, that of its first value."""
+    """Translation of one rule to C. The first value of a local variable determines its type."""
 
     def __init__(self, emitter: Emitter, compiled: Any) -> None:
         function = getattr(compiled, "py_func", compiled)
@@ -106,7 +106,7 @@ class _Rule(_Function):
                     self.branch("} else if", other, depth)
                 case body:
                     self.nested("} else {", body, depth)
-        elif head != "if":  # as MISRA's rule 15.7 asks
+        elif head != "if":  # MISRA rule 15.7
             self.lines.pop()
             self.put("} else {", depth)
             self.put("/* nothing */", depth + 1)
@@ -175,7 +175,7 @@ class _Rule(_Function):
         return ast.Name(name if isinstance(self.names[name], int) else f"R({name})")
 
     def constant(self, name: str) -> str:
-        """Note that a constant is used."""
+        """Record the use of a constant."""
         comment = f" /* {self.described[name]} */" if name in self.described else ""
         self.used[name] = f"#define {name} {self.names[name]!r}{comment}\n"
         return name

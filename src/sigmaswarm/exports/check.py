@@ -29,9 +29,9 @@ _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
 
 @dataclass(frozen=True)
 class Difference:
-    """The largest differences between a run in C and `run_filter`; NaN where one of them failed.
+    """Largest differences between a run in C and `run_filter`; NaN where one of them failed.
 
-    They are of any state, relative to max(1, |x|), of the position, m, and of the heading, rad.
+    The differences are: any state, relative to max(1, |x|); position, m; heading, rad.
     """
 
     state: float
@@ -41,7 +41,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """Results on a drive: in double, and in float (None where the filter is beyond the range of float)."""
+    """Results on a drive in double and in float precision (float: None where the filter exceeds the range)."""
 
     drive: str
     double: Difference

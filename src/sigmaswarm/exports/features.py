@@ -1,4 +1,4 @@
-"""Templates of exported files, the parts of them that a filter uses, and its numbers.
+"""Templates of exported files: selection of their parts, and values of their placeholders.
 
 ``@NAME@`` is replaced by a value. Between a line ``#if FEATURE`` and its ``#else`` or ``#endif``, lines stay only if
 the feature is used. Other ``#if`` lines belong to the C preprocessor and stay.
@@ -101,11 +101,11 @@ NUMBERS = {
     "EVIDENCE_COUNTS": "fix errors are correlated: each counts as this share of an independent one",
     "LARGEST_NIS": "limit of a fix's NIS in the evidence",
 }
-"""Numbers that a template's text may use, and the comment of their definition."""
+"""Numbers that a template may use, each with the comment of its definition."""
 
 
 def defined(text: str, numbers: Mapping[str, str], form: str) -> str:
-    """Replace ``@NUMBERS@`` in a text by definitions of the `NUMBERS` that it uses and does not define."""
+    """Replace ``@NUMBERS@`` in a text by definitions of the `NUMBERS` that the text uses without a definition."""
     names = set(re.findall(r"\w+", text)) - set(re.findall(r"#define (\w+)", text))
     used = [name for name in NUMBERS if name in names and name in numbers]
     return text.replace("@NUMBERS@", "\n".join(form.format(n, numbers[n], NUMBERS[n]) for n in used))
@@ -123,7 +123,7 @@ CONSTANTS: Mapping[ModuleType, str] = {
     tilted: "GRAVITY",
     timeline: "CORNERING",
 }
-"""Names of the library's constants in templates, by module."""
+"""Template names of the library's constants, by module."""
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
@@ -150,7 +150,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def in_range(value: float, of: str) -> float:
-    """Return a finite number; raise `InputError` for another one, with ``of`` as its description."""
+    """Return a number; raise `InputError` if it is not finite. ``of`` describes the number in the message."""
     if not math.isfinite(value):
         raise InputError(
             f"the filter can't be exported: {of} is beyond the range of numbers; tune it again or correct it"
@@ -159,7 +159,7 @@ def in_range(value: float, of: str) -> float:
 
 
 def plain(numbers: Mapping[str, float | None]) -> dict[str, str]:
-    """Return numbers as text that keeps every bit; None is left out."""
+    """Return numbers as text without loss of precision; omit None."""
     return {
         name: str(value) if isinstance(value, int) else repr(float(value))
         for name, value in numbers.items()
@@ -184,7 +184,7 @@ def fill(name: str, features: Mapping[str, bool], values: Mapping[str, str]) -> 
 def _chosen(text: str, features: Mapping[str, bool]) -> str:
     """Return the lines of used features."""
     lines: list[str] = []
-    open_parts: list[bool | None] = []  # True if a part is used; None: it belongs to the C preprocessor
+    open_parts: list[bool | None] = []  # True: used; None: for the C preprocessor
     for line in text.splitlines():
         directive = _DIRECTIVE.match(line)
         ours = True

@@ -1,7 +1,7 @@
 """The filter as a Python script that needs only NumPy and FilterPy.
 
-The script contains the library's source of everything that FilterPy lacks: alignment, standstills, geodesy and models.
-So the script and the library give the same results.
+The script contains the library's source of alignment, standstills, geodesy and models, which FilterPy lacks. So the
+script and the library give the same results.
 """
 
 import ast
@@ -61,7 +61,7 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
 
 
 def source_of(module: ModuleType, names: list[str] | None = None) -> str:
-    """Return the source of a module's constants, functions and classes: all of them, or those in ``names``.
+    """Return the source of a module's constants, functions and classes; ``names`` selects some of them.
 
     Imports, Numba's decorators and overloads for type checkers are left out.
     """

@@ -1,6 +1,6 @@
-"""The noise of an IMU in the files and units of other packages, and in drive.toml.
+"""Files with the noise of an IMU, in the units of other packages, and as keys of drive.toml.
 
-Each package gets the biases in its own model: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
+The model of the biases is the package's: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
 """
 
 from collections.abc import Callable, Sequence
@@ -67,7 +67,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return the random walk of an axis' bias, unit/sqrt(s); that of a usual sensor where no bias was measured."""
+    """Return the random walk of an axis' bias, unit/sqrt(s); a usual sensor's value if no bias was measured."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)
@@ -97,7 +97,7 @@ def _drive(noise: Noise) -> list[str]:
 
 def _kf_gins(noise: Noise) -> list[str]:
     times = [axis.bias(noise.longest)[1] for axis in noise.axes]
-    time = sum(times) / len(times)  # the file has one correlation time; the random walks are kept
+    time = sum(times) / len(times)  # one correlation time per file; the random walks do not change
     white, bias = (DEG_PER_SQRT_HOUR, MPS_PER_SQRT_HOUR), (DEG_PER_HOUR, MGAL)
     arw, vrw = (
         [scale * v for v in noise.of(s, _white)] for s, scale in zip(("gyro", "accel"), white, strict=True)

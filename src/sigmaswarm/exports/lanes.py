@@ -17,7 +17,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 class Lanes:
     """Number of filters of a bank, and the seed of their random parameters.
 
-    The filters are the first ones of a `LiveFilterBank` with this seed, without searches.
+    The filters equal the first lanes of a `LiveFilterBank` with this seed, without searches.
     """
 
     n: int = 1
@@ -40,7 +40,7 @@ class Lanes:
     def values(self, tuning: FilterParameters) -> dict[str, str]:
         """Return values for the template: the numbers of a single filter, or columns of the table of lanes."""
         filters = self.filters(tuning)
-        biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # at the start
+        biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # initial
         if self.n == 1:
             return {"Q": "process_noise", "R": "measurement_noise", "LANES": "1", **biases}
         spread = Spread(tuning)

@@ -18,13 +18,13 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.files import finite, write_whole
 
 _UNIX_TIMES = (1e9, 2.5e11)
-"""s: times in this range count from 1970 (years 2001 to 9892)."""
+"""Range of times that count from 1970, s (years 2001 to 9892)."""
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 (section 2.2) does not allow, not even escaped; JSON does not allow half a surrogate pair."""
+"""Characters that XML 1.0 (section 2.2) forbids even when escaped; JSON forbids half a surrogate pair."""
 
 
 _EASTMOST = 179.999999999
-"""deg: the largest longitude in GPX, which excludes 180; the error is 0.1 mm."""
+"""Largest longitude in GPX, deg. GPX excludes 180 deg; the error is 0.1 mm."""
 
 
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
@@ -90,7 +90,7 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
     """Cut a track at the antimeridian: return times (k,), s, and places (k, 2), deg, of each part.
 
-    A part ends on the antimeridian and the next one begins there, between two points of the track.
+    A cut is a point on the antimeridian between two points of the track: the end of one part and the start of the next.
     """
     turned = np.unwrap(places[:, 1], period=360.0)
     if (turned == places[:, 1]).all():
@@ -103,7 +103,7 @@ def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
     on_it = track[at] + share[:, np.newaxis] * (track[at + 1] - track[at])
     on_it[:, 2] = edge[at]
     track = np.insert(track, at + 1, on_it, axis=0)
-    turn = np.floor((0.5 * (track[:-1, 2] + track[1:, 2]) + 180.0) / 360.0)  # around the earth, of each step
+    turn = np.floor((0.5 * (track[:-1, 2] + track[1:, 2]) + 180.0) / 360.0)  # full turns
     ends = [0, *(np.flatnonzero(np.diff(turn)) + 1), len(turn)]
     parts: list[tuple[Array, Array]] = []
     for first, last in pairwise(ends):
@@ -121,7 +121,7 @@ def _escaped(text: str) -> str:
 
 
 def _stamps(time: Array) -> list[str]:
-    """Return times in UTC, or none where the clock has no date."""
+    """Return times in UTC; none if the clock has no date."""
     if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [
@@ -131,4 +131,4 @@ def _stamps(time: Array) -> list[str]:
 
 
 MAPS: dict[str, Callable[[Array, Array, Path, str], None]] = {".geojson": geojson, ".gpx": gpx, ".kml": kml}
-"""Writers by the ending of the file, of times (n,), s, places (n, 2), deg, and the name of the track."""
+"""Writers by the ending of the file. Arguments: times (n,), s; places (n, 2), deg; the name of the track."""

@@ -1,7 +1,7 @@
-"""Configuration of ROS's robot_localization: of its own tuned model, or of the settings that another filter shares.
+"""Configuration of ROS's robot_localization, from its tuned model or from the shared settings of another filter.
 
-Its filters add ``process_noise_covariance`` times the time step, so Q per nominal interval is divided by that
-interval. Its gate is a Mahalanobis distance, the square root of a NIS. Its state has 15 elements. Source:
+robot_localization adds ``process_noise_covariance`` times the time step, so Q per nominal interval is divided by that
+interval. The gate is a Mahalanobis distance, the square root of a NIS. The state has 15 elements. Source:
 https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel, filter_base.cpp.
 """
 
@@ -23,13 +23,13 @@ DEFAULT_PROCESS_NOISE = (
     *(0.01, 0.01, 0.02),
     *(0.01, 0.01, 0.015),
 )
-"""Its defaults per second: of x, y, z; of roll, pitch, yaw; of the rates of both; of the accelerations (reset)."""
+"""Default process noise per second: x, y, z; roll, pitch, yaw; their rates; the accelerations (reset)."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Variances at the start: of states that stay at 0; least of x and y, m2."""
+"""Initial variances: of states that stay at 0; lower bound for x and y, m2."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
-"""Measures in the README.md of the export."""
+"""Measures listed in the exported README.md."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
-"""At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md explains."""
+"""Initial variances of vx, vy, yaw, ax, ay, yaw rate, for an initial_state set as in README.md."""
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
@@ -63,7 +63,7 @@ def _shared(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Return the files for the model robot-localization, which is the same filter."""
+    """Return the files for the model robot-localization, which is this ROS filter."""
     of = "process_noise / nominal_interval"
     noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
@@ -122,7 +122,7 @@ def accuracy_section(evaluation: Evaluation) -> str:
 
 
 def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:
-    """A sentence on the error of ekf.yaml relative to another filter's."""
+    """Sentence that compares the error of ekf.yaml with another filter's."""
     tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
     if not tuned or not theirs:
         return f"The errors of ekf.yaml and of {name} can't be compared: one of these filters failed."
@@ -147,7 +147,7 @@ def process_noise(p: FilterParameters, interval: float) -> list[float]:
 
 
 def yaml_number(value: float) -> str:
-    """Return a number that every YAML reader recognizes: some read 1e-05, without a dot, as text."""
+    """Return a number with a dot: some YAML readers read 1e-05 as text."""
     text = repr(float(value))
     return text if "." in text else text.replace("e", ".0e")
 

@@ -1,7 +1,7 @@
 """An estimate as a ROS 2 bag with a layout for Foxglove, optionally with the topics of a recorded bag; needs rosbags.
 
-The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. As REP-105 and the message require, its pose is in ``map``,
-east-north-up, and its twist in ``base_link``, forward and left.
+The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. By REP-105 and the message's definition, the pose is in ``map``
+(east-north-up) and the twist in ``base_link`` (x forward, y left).
 """
 
 import heapq
@@ -33,7 +33,7 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
     f"/sigmaswarm/{name}" for name in ("innovation", "innovation_sigma", "nis")
 )
 INTERVAL = 0.1
-"""s between two messages of SIGMA or FIX."""
+"""Interval between two messages of SIGMA or FIX, s."""
 NOT_ESTIMATED = 1e6
 """Variance of quantities that a filter does not estimate: height, rates, and roll and pitch of a planar model."""
 RawMessage = tuple[int, Any, Any]
@@ -55,13 +55,13 @@ def ros2(
     """Write a bag, which is a folder, with MCAP storage and a layout of its topics for Foxglove.
 
     The parameters are those of `write_pieces`; ``path`` must not exist. Topics of ``merge`` with an unknown type are
-    left out, with a warning.
+    omitted, with a warning.
 
     Raises
     ------
     InputError
-        If rosbags is not installed, a time is before 0, or ``merge`` is not a bag of these times, is damaged, or has
-        the topic already. No file remains then.
+        If rosbags is not installed; a time is before 0; or ``merge`` is not a bag of these times, is damaged, or
+        already has the topic. No file remains in these cases.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -96,7 +96,7 @@ def ros2(
 
 @contextmanager
 def _reader(path: Path, first: float, last: float) -> Generator[Any]:
-    """Open a ROS 2 bag (a folder, or a .db3 or .mcap file) that was recorded from ``first`` to ``last``, s."""
+    """Open a ROS 2 bag (folder, .db3 or .mcap file) whose messages lie between ``first`` and ``last``, s."""
     highlevel, typesys = library("rosbags.highlevel", "ros"), library("rosbags.typesys", "ros")
     if not path.exists():
         raise InputError(f"{path}: no such bag; name the one that the drive was imported from")
@@ -135,14 +135,14 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
 
 
 def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
-    """Add the topics of a bag to the new bag; return their messages by time, read one by one.
+    """Add the topics of a bag to the new bag; return an iterator of their messages, by time.
 
-    A topic is left out, with a warning, if neither the bag nor the latest ROS defines its type.
+    A topic is omitted, with a warning, if neither the bag nor the latest ROS defines its type.
     """
     added: dict[tuple[str, str], Any] = {}
     for old in reader.connections:
         kind = old.topic, old.msgtype
-        if kind in added:  # a bag in several files
+        if kind in added:  # a bag of several files
             continue
         if old.msgtype not in reader.typestore.fielddefs:
             warnings.warn(
@@ -187,7 +187,7 @@ def _serialized(
 
 @dataclass(frozen=True)
 class Made:
-    """Makes messages of rosbags' types on the clock of the bag."""
+    """Factory of rosbags' messages with times of the bag's clock."""
 
     types: Any
     time_origin: float
@@ -197,7 +197,7 @@ class Made:
         return self.types[name.replace("/", "/msg/")](*fields)
 
     def nanoseconds(self, time: float) -> int:
-        """Return a time on the bag's clock; both parts are rounded separately, so that no digit is lost."""
+        """Return a time on the bag's clock, ns; both parts are rounded separately to keep all digits."""
         return round(float(time) * 1e9) + round(self.time_origin * 1e9)
 
     def header(self, nanoseconds: int) -> Any:
@@ -212,7 +212,7 @@ class Made:
 
 
 def _messages(pieces: Iterable[Estimate], made: Made, origin: Origin | None) -> Iterator[Message]:
-    """Yield the estimates, and ten times per second the std of x, y, m, and heading, rad, and a NavSatFix."""
+    """Yield the estimates; ten times per second also the std of x, y (m) and heading (rad), and a NavSatFix."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)
@@ -237,7 +237,7 @@ def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
     """Yield the innovations of the fixes, m east and north, their standard deviations, m, and the NIS."""
     if found is None:
         return
-    sound = definite(found.covariance)  # not where the filter has failed
+    sound = definite(found.covariance)  # False where the filter has failed
     found = Innovations(found.time[sound], found.innovation[sound], found.covariance[sound])
     sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     for t, nu, std, nis in zip(found.time, found.innovation, sigma, found.nis, strict=True):
@@ -267,7 +267,7 @@ def _pose_of(n: int) -> dict[int, int]:
 
 
 def _odometry(made: Made, nanoseconds: int, mean: Array, pose: Array, velocity: Array, twist: Array) -> Any:
-    """Make the message; covariances are 6 x 6: x, y, z and the rotations about these axes."""
+    """Make an Odometry message; covariances are 6 x 6: x, y, z and the rotations about these axes."""
     still = made.message("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
     moves = made.message("geometry_msgs/Vector3", *map(float, velocity), 0.0)
     position = made.message("geometry_msgs/Point", *map(float, mean[:2]), 0.0)

@@ -1,4 +1,4 @@
-"""The targets of an export: one function each, which returns the texts of files for a filter."""
+"""Targets of an export. Each target is a function that returns the texts of a filter's files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -23,7 +23,7 @@ TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]]
     "c99": c99,
     "robot_localization": robot_localization,
 }
-"""Functions of the parameters, the nominal interval, s, and ``as_recorded``, which return texts by file name."""
+"""Functions that return texts by file name. Arguments: parameters, nominal interval (s), ``as_recorded``."""
 
 
 def export_texts(
@@ -48,7 +48,7 @@ def export_texts(
     as_recorded : bool
         filterpy, c99: use stale fixes, and treat gaps in the IMU as ordinary steps.
     lanes : int
-        c99: number of filters with different parameters. Their mixture is the estimate, as of a `LiveFilterBank`
+        c99: number of filters with different parameters. The estimate is their mixture, as in a `LiveFilterBank`
         without searches.
     seed : int
         c99: seed of the parameters of the lanes.
@@ -78,7 +78,7 @@ def export_texts(
 
 
 def _checked(parameters: FilterParameters, target: Target) -> float:
-    """Check that a target can take a filter, and return the IMU interval (s) that Q refers to."""
+    """Check that a target supports a filter; return the IMU interval of Q, s."""
     if target not in TARGETS:
         raise InputError(f"there is no export target {target!r}; choose one of {', '.join(TARGETS)}")
     if MODELS[parameters.model].tilts and target != "c99":
@@ -120,5 +120,5 @@ def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
 def export_filter(
     parameters: FilterParameters, target: Target | Alias, folder: str | Path, **options: Any
 ) -> list[Path]:
-    """Write the files of a filter for a target; parameters as of `export_texts` and `write_texts`."""
+    """Write the files of a filter for a target; parameters as in `export_texts` and `write_texts`."""
     return write_texts(export_texts(parameters, target, **options), folder)

@@ -1,4 +1,4 @@
-"""Estimates as files: one writer per format, chosen by the ending of the file."""
+"""Writers of estimates, one per file format; the ending of the file selects the format."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -35,18 +35,18 @@ def write_pieces(
     merge: str | Path | None = None,
     name: str | None = None,
 ) -> None:
-    """Write an estimate in the format of the file's ending; the bytes do not depend on the pieces.
+    """Write an estimate in the format of the file's ending; the division into pieces does not affect the file.
 
-    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise, and
-    tilted12's roll and pitch.
+    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also planar8's biases, and tilted12's
+    roll and pitch, with std.
     ``.mat``, for MATLAB: t, the states by name, and covariance (n, states, states).
     ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
-    ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row; it has no times.
-    ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry; with an origin also as
+    ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row, without time.
+    ``.ros2``: a ROS 2 bag (a folder) with the estimate as nav_msgs/Odometry; with an origin also as
     sensor_msgs/NavSatFix; standard deviations, innovations, NIS, and a layout for Foxglove.
     ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
 
-    Maps and .mat need all pieces in memory, the other formats one at a time. If a piece can't be computed, no file is
+    Maps and .mat need all pieces in memory, the other formats one piece. If a piece can't be computed, no file is
     written.
 
     Parameters
@@ -58,13 +58,13 @@ def write_pieces(
     origin : (latitude deg, longitude deg, altitude m), optional
         Position of x = y = 0; maps need it.
     time_origin : float
-        s on the clock of the log at which the estimate's times are 0, for bags and maps: see `time_origin_of`.
+        Time on the log's clock, s, at which the estimate's times are 0; for bags and maps. See `time_origin_of`.
     innovations : Innovations, optional
         .ros2: innovations of the filter.
     merge : str or Path, optional
-        .ros2: a ROS 2 bag; its messages are copied unchanged into the new one.
+        .ros2: a ROS 2 bag whose messages are copied unchanged into the new bag.
     name : str, optional
-        Name of the track in a map; by default that of the file.
+        Name of the track in a map; by default the file's name.
 
     Raises
     ------
@@ -97,10 +97,10 @@ def write_fixes(
     origin: Origin | None = None,
     time_origin: float = 0.0,
 ) -> int:
-    """Write the fixes before the start of a filter, ``until`` (s), and return their number.
+    """Write the fixes before the start of a filter at ``until`` s; return their number.
 
-    ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a separate track. The other formats contain poses, so
-    they raise `InputError`.
+    ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a separate track. The other formats contain poses and
+    raise `InputError`.
     """
     path = Path(path)
     check_fixes_target(path, origin)
@@ -115,7 +115,7 @@ def write_fixes(
 
 
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
-    """Raise `InputError` where `write_fixes` could not write."""
+    """Raise `InputError` if `write_fixes` can't write to a file."""
     if path.suffix not in (endings := (".csv", *MAPS)):
         raise InputError(
             f"{path}: this format contains poses, and fixes are not poses; end the name in {', '.join(endings)}"
@@ -124,14 +124,14 @@ def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
 
 
 def time_origin_of(drive: Drive) -> float:
-    """Return the time on the log's clock, s, at which a drive's times are 0: as its import stated it, else 0."""
+    """Return the time on the log's clock, s, at which a drive's times are 0: stated by its import, else 0."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0
 
 
 def check_target(path: Path, origin: Origin | None = None, merge: str | Path | None = None) -> None:
-    """Raise `InputError` where `write_estimate` could not write."""
+    """Raise `InputError` if `write_estimate` can't write to a file."""
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
@@ -167,7 +167,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
-    """Write a MATLAB file. Its format states the size of an array first, so all pieces stay in memory."""
+    """Write a MATLAB file. The format begins with the array size, so all pieces stay in memory."""
     from scipy.io import savemat
 
     parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]
@@ -192,7 +192,7 @@ def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 _LATEST_ORIGIN = 1e12
-"""s: largest time origin of a log."""
+"""Largest time origin of a log, s."""
 BAG = ".ros2"
 """Ending of a folder that `ros2` writes."""
 _WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {

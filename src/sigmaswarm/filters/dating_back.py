@@ -1,8 +1,8 @@
-"""A start that is dated back: tilts and accelerometer biases from the fixes before it.
+"""Initial state with tilts and accelerometer biases from the fixes before the start.
 
 An alignment (`drives.alignment`) is a fit in the plane: it determines position, velocity, heading and the gyro's bias
-about up, but no tilts and no accelerometer biases. A filter that runs over the same fixes, and those before them,
-estimates these. It has no more information on the others, and would be too sure of them.
+about up, but no tilts and no accelerometer biases. A filter that runs over these and earlier fixes estimates the tilts
+and biases. It has no more information on the other states, and its covariance of them would be too small.
 """
 
 from dataclasses import replace
@@ -24,9 +24,9 @@ from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.schedule import start_of
 
 LONGEST = 60.0
-"""s before the start from which fixes are used."""
+"""Longest time before the start from which fixes are used, s."""
 PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])
-"""Standard deviations of the prior at the first of these fixes, m, m/s, rad: about those of an alignment."""
+"""Standard deviations of the prior at the first of these fixes, m, m/s, rad; similar to an alignment's."""
 
 
 def dated_back(
@@ -34,21 +34,21 @@ def dated_back(
 ) -> InitialState:
     """Estimate the states that an alignment lacks, for a better start at the same time.
 
-    The filter runs from the first of the fixes before the start up to it. Its roll, pitch and biases, except that of
-    the gyro about up, complete the alignment's start. Only data before the start are used.
+    The filter runs over the fixes before the start. The result has the filter's roll, pitch and biases, and the
+    alignment's other states and gyro bias about up. Only data before the start are used.
 
     Parameters
     ----------
     drive : Drive or PreparedDrive
     parameters : FilterParameters
     longest : float
-        s: fixes earlier than this before the start are not used.
+        Longest time of a fix before the start, s; earlier fixes are not used.
 
     Returns
     -------
     InitialState
-        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. The alignment's start
-        where the filter fails, has no such states, or no earlier fix is usable.
+        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. It is the alignment's
+        start if the filter fails or has no such states, or if no earlier fix is usable.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDr
 
 
 def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
-    """The prior at a fix before the start: its position, the heading minus the turns since, the velocity of a chord."""
+    """Prior at a fix before the start: the fix's position, the heading minus later turns, the velocity of a chord."""
     gps, imu = drive.gps, drive.imu
     time = float(gps.time[fix])
     inside = (imu.time > time) & (imu.time <= found.time)
@@ -107,7 +107,7 @@ def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
 
 
 def _ended(ready: PreparedDrive, parameters: FilterParameters, until: float) -> tuple[Array, Array] | None:
-    """Run to a time; mean (n,) and covariance (n, n) of all states there, None where the filter fails."""
+    """Run to a time; return mean (n,) and covariance (n, n) of all states, None if the filter fails."""
     replay, array = replay_of(ready), KernelArray([parameters])
     rows = start_replays([replay], array)[0]
     stop = int(np.searchsorted(replay.timeline.end, until, side="right"))

@@ -1,12 +1,13 @@
 """Detection of a diverged filter, and its reset.
 
-The fixes of the last seconds determine position, speed and heading by themselves (`drives.alignment`). A filter has
-diverged if it contradicts them for a long time, and by far more than its covariance allows. It is reset to such an
-alignment. Runs and live filters use the same rule.
+The fixes of the last seconds determine position, speed and heading without a filter (`drives.alignment`). A filter has
+diverged if it contradicts this alignment for a long time, by far more than its covariance allows. It is then reset to
+the alignment. Runs and live filters use the same rule.
 
 The thresholds come from nine recordings, each run with filters that were tuned on it and on others. The heading of a
 sound filter differs by 20 deg from the alignments for at most 8 s (fixes drift sideways in a city). Its position
-differs by 20 m and 5 sigma from the fixes for at most 6 s. For a diverged filter both last at least 18 s.
+differs by 20 m and 5 sigma from the fixes for at most 6 s. For a diverged filter, both differences persist for at least
+18 s.
 """
 
 import math
@@ -26,19 +27,19 @@ from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0
-"""s of uninterrupted contradiction; errors of fixes in a city, and the recovery of a robust filter, are shorter."""
+"""Duration of a contradiction that is a divergence, s; longer than errors in a city and a robust filter's recovery."""
 FEWEST_CHECKS = 5
 """Least number of checks in that time."""
 MANY_SIGMAS = 5.0
-"""Least difference for a divergence, in standard deviations of filter and fixes together."""
+"""Least difference for a divergence, in combined standard deviations of filter and fixes."""
 HEADING_OFF = np.radians(20.0)
-"""rad: least difference between the headings of the filter and of an alignment for a divergence."""
+"""Least difference between the headings of filter and alignment for a divergence, rad."""
 POSITION_OFF = 20.0
-"""m: least difference between a fix and the filter's prediction for a divergence."""
+"""Least difference between a fix and the filter's prediction for a divergence, m."""
 SUSPECT = np.radians(10.0)
-"""rad between the filter's heading and a rough course: an alignment is computed if the difference is larger."""
+"""Difference between the filter's heading and a rough course, rad, above which an alignment is computed."""
 SPEED_STD = 10.0
-"""m/s per axis: standard deviation of the velocity while the estimate is the last fix."""
+"""Standard deviation of the velocity per axis while the estimate is the last fix, m/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ class CheckTimes:
 def check_times(line: Timeline) -> CheckTimes:
     """Find the first IMU sample after new fixes in each `LOOK_INTERVAL`.
 
-    A sample after a long gap is left out, since a live filter accepts it only with the next sample.
+    A sample after a long gap is omitted, since a live filter accepts this sample only with the next one.
     """
     sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.absorbs)
     before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
@@ -106,7 +107,7 @@ class Check:
 
     @property
     def position_contradicts(self) -> bool:
-        """True if the fix is far from its prediction."""
+        """Return True if the fix is far from its prediction."""
         x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
         east, north = self.fix.tolist()  # Python numbers are faster here
@@ -125,7 +126,7 @@ class Check:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """True if the heading is far from that of the alignment; None without an alignment."""
+        """Return True if the heading is far from the alignment's; None without an alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -139,7 +140,7 @@ class Check:
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
     def _turned_by_bias(self, aligned: InitialState) -> float:
-        """Change of an alignment's heading, rad, by the gyro bias of the filter."""
+        """Change of an alignment's heading due to the filter's gyro bias, rad."""
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
@@ -148,7 +149,7 @@ class Check:
 
     @property
     def start(self) -> InitialState | None:
-        """The state for a reset at this moment: the alignment, propagated by the steps since the fix."""
+        """State for a reset at the check: the alignment, propagated by the steps since the fix."""
         aligned = self.align()
         if aligned is None:
             return None
@@ -161,12 +162,12 @@ class Check:
 
 
 class DivergenceMonitor:
-    """Checks one filter periodically, and decides when it is reset.
+    """Monitor that checks one filter periodically and decides on its reset.
 
     Attributes
     ----------
     restarts : list of float
-        s: times of the resets.
+        Times of the resets, s.
     lost : bool
         True while the filter has diverged and there is no alignment for a reset: the estimate is the last fix, see
         `at_fix`.
@@ -186,11 +187,11 @@ class DivergenceMonitor:
     def take_all(
         self, times: Sequence[float], check_at: Callable[[int], Check]
     ) -> tuple[int | None, InitialState | None]:
-        """Check a filter at some times, s; return the index of the first divergence, and the state for a reset there.
+        """Check a filter at some times, s; return the index of the first divergence, and the state for a reset.
 
         ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is made.
         """
-        with np.errstate(all="ignore"):  # values that are not finite do not count as a contradiction
+        with np.errstate(all="ignore"):  # non-finite values are no contradiction
             first = 0 if self.lost else self._first_diverged(times, check_at)
             if first is None:
                 return None, None
@@ -209,7 +210,7 @@ class DivergenceMonitor:
 
 
 def said_of_restarts(drive: str, times: Sequence[float]) -> str:
-    """Return the predicate of a sentence on the resets of a filter on a drive."""
+    """Return the predicate of a sentence about a filter's resets on a drive."""
     at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
     often = f"{len(times)} times" if len(times) > 1 else "once"
     return f"diverged on {drive} and was reset {often}, at t = {at} s"
@@ -224,8 +225,8 @@ class _Contradiction:
     def first_lasting(self, times: Sequence[float], contradicts: Callable[[int], bool | None]) -> int | None:
         """Find the first check at which the contradiction has lasted `DIVERGED_AFTER`; else return None.
 
-        ``contradicts`` is slow. So it is called backwards from the next check at which the contradiction could have
-        lasted, until a check without contradiction; earlier checks have no effect.
+        ``contradicts`` is slow. So it is called backwards from the next check that could complete a contradiction of
+        this length, until a check without contradiction; earlier checks have no effect.
         """
         begin = 0
         while begin < len(times):
@@ -242,7 +243,7 @@ class _Contradiction:
         return None
 
     def _soonest(self, times: Sequence[float]) -> int:
-        """Return the first check at which the contradiction could have lasted; else the last check."""
+        """Return the first check that could complete a contradiction of `DIVERGED_AFTER`; else the last check."""
         since = self._since if self._checks else times[0]
         lasting = (
             t - since >= DIVERGED_AFTER and self._checks + k + 1 >= FEWEST_CHECKS for k, t in enumerate(times)
@@ -260,20 +261,20 @@ class _Contradiction:
 
 
 def steps_since(samples: Array, time: float) -> Array:
-    """Return the steps from a time to the last sample, (k, 4), as `Check.since`, from samples (m, 4 or more)."""
+    """Return the steps from a time to the last sample, (k, 4), as in `Check.since`; samples are (m, 4 or more)."""
     steps = samples[samples[:, 0] >= time, :4]
     steps[:, 0] = np.diff(steps[:, 0], prepend=time)
     return steps
 
 
 _ABSURD = 1e12
-"""m, m/s2 or rad/s: with larger numbers a fit fails, and LAPACK prints a message on the terminal."""
+"""Largest number in a fit, m, m/s2 or rad/s. With larger numbers a fit fails, and LAPACK prints a message."""
 
 
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
     """Align with the last seconds of a stream: samples (k, 4 or 6): time, ax, ay, gz, gx, gy; fixes (m, 3): s, m, m.
 
-    ``gyro_bias``: known bias about the up axis, rad/s.
+    ``gyro_bias``: known gyro bias about the up axis, rad/s.
     """
     columns = samples[(np.abs(samples[:, 1:]) < _ABSURD).all(axis=1)].T
     fixes = fixes[(np.abs(fixes[:, 1:]) < _ABSURD).all(axis=1)]
@@ -285,7 +286,7 @@ def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> 
     try:
         alignments = Alignments(drive)
         found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
-    except (ArithmeticError, np.linalg.LinAlgError):  # of samples such as 1e200
+    except (ArithmeticError, np.linalg.LinAlgError):  # samples such as 1e200
         return None
     if found is None or found.gyro is None or not gyro_bias:
         return found

@@ -1,14 +1,14 @@
-"""Correlated fix errors, as two Gauss-Markov states: an option of every model that the IMU drives.
+"""Correlated fix errors as two Gauss-Markov states: an option of every model with the IMU as input.
 
 Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
-those of a model. They do not enter its process. A fix measures p + b + v; between two fixes dt apart
+the model's states. They do not enter its process. A fix measures p + b + v; between two fixes dt apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
-with s the standard deviation that the receiver states of the later fix, or that of the receiver. A filter starts at a
-fix, so that its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2.
+with s the stated standard deviation of the later fix, or the receiver's if the fix states none. A filter starts at a
+fix, so its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2.
 
-The estimates that users see have the states of the model alone.
+Returned estimates contain only the model's own states.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
 SUFFIX = "+fix-error"
-"""Suffix of the name of a model with these states."""
+"""Suffix in the name of a model with the states b."""
 
 
 @dataclass(frozen=True)
@@ -93,13 +93,13 @@ def _tilts(own: Tilts) -> Tilts:
 
 
 UNSCENTED = "tilted12, unscented"
-"""The kernel of tilted12's filters with sigma points; a planar model's kernel runs all types of filters."""
+"""Kernel of tilted12's filters with sigma points. A planar model has one kernel for all filter types."""
 FILTERS = (
     MODELS
     | {name + SUFFIX: augmented(model) for name, model in MODELS.items() if not model.measures_imu}
     | {UNSCENTED: MODELS["tilted12"]}
 )
-"""The models that are compiled, by the name of the kernel."""
+"""Compiled models, by the name of the kernel."""
 
 
 def kernel_name(model: str, kind: str, fix_error: bool = False) -> str:
@@ -124,12 +124,12 @@ def known_states(n: int, given: int) -> int:
 
 
 def transition(n: int, phi: float) -> Array:
-    """F of n states from fix to fix, (n, n)."""
+    """Transition F of n states between two fixes, (n, n)."""
     return np.diag([1.0] * (n - 2) + [phi] * 2)
 
 
 def grown(variance: Array, phi: float) -> Array:
-    """Q of b from fix to fix, (2, 2), of its stationary variance g s^2, (2,) m2."""
+    """Q of b between two fixes, (2, 2), from the stationary variance g s^2, (2,) m2."""
     return np.diag(variance * (1.0 - phi * phi))
 
 

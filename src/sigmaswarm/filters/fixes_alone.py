@@ -1,8 +1,8 @@
 """A Kalman filter on the fixes alone: constant velocity with white acceleration, no IMU.
 
-A filter with an IMU should be better. Its two noises maximize the likelihood of the fixes of each training drive; the
-median over these drives is used. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking
-and Navigation, 2001, section 6.2.2.
+This filter is a reference that a filter with an IMU should beat. The two noises are the median over the training drives
+of maximum-likelihood estimates from the fixes. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications
+to Tracking and Navigation, 2001, section 6.2.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,9 +22,9 @@ from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import replay_of
 
 UNKNOWN_SPEED = 30.0
-"""m/s: standard deviation of the velocity before the first fix."""
+"""Standard deviation of the velocity before the first fix, m/s."""
 FIRST_GUESS = (0.0, 0.0)
-"""log10 of the noises from which the likelihood is searched."""
+"""Starting points of the search, log10 of the noises."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def _filter(
 
 
 def _variances(line: Timeline) -> Array:
-    """Return the variances of the fixes, m2: as stated, or of a receiver that states none."""
+    """Return the variances of the fixes, m2: as stated, else a usual value."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
     return (
         stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)

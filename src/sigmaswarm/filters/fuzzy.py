@@ -1,23 +1,23 @@
-"""The rules by which a fuzzy filter scales R and Q, and their constants in every form of it.
+"""Rules of a fuzzy filter for scaling R and Q, and their constants in every form of the filter.
 
 The ratio d of the actual to the theoretical innovation covariance is NIS / 2, on average 1 for a consistent filter. It
-is averaged from fix to fix, quickly and, for its trend, `SLOWER` times as slowly. Both averages are brought to (-1, 1),
-``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) / (quick + slow)``. Straight edges of tuned widths
-give "small", "right", "large" and "rises" memberships between 0 and 1:
+has two moving averages over the fixes: a quick one, and a slow one with a time constant `SLOWER` times as long, for the
+trend. Both are mapped to (-1, 1), ``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) / (quick +
+slow)``. Linear edges with tuned widths give "small", "right", "large" and "rises" memberships between 0 and 1:
 
     ratio is small                       R / g_R    Q / g_Q     the covariance is too large
     ratio is right                       R          Q
     ratio is large, and rises            R g_R      Q           first R grows,
-    ratio is large, and does not rise    R g_R      Q g_Q       and when it lasts Q, too
+    ratio is large, and does not rise    R g_R      Q g_Q       later also Q
 
 The factors are the mean of the consequents, weighted by the memberships of their rules, which sum to 1: T. Takagi and
 M. Sugeno, Fuzzy identification of systems and its applications to modeling and control, IEEE Trans. SMC 15(1), 1985, of
 order zero, with the product for "and". The rules use the ratio of innovation covariances by the principle of P. J.
 Escamilla-Ambrosio and N. Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion architectures, CDC
-2003, and of the filters after it; the rules, their edges and the two averages are ours.
+2003, and of later filters; the rules, their edges and the two averages are new here.
 
-The S before a fix gives the ratio; the update uses the new R, and the next predictions the new Q. With gains of 1 it is
-the unscented filter.
+S before the update gives the ratio. The update uses the new R, and the next predictions use the new Q. With gains of 1
+the filter is the unscented filter.
 """
 
 LARGEST_RATIO = 10.0

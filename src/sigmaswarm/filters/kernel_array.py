@@ -1,7 +1,7 @@
 """Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
-The work for each drive and block is slow compared with a kernel of 0.2 ms, and other threads wait for Python's lock
-meanwhile. So it is done for all sets, and all drives, together.
+Python code for each drive and block would be slow compared with a kernel call of 0.2 ms, and it would block other
+threads. So this module processes all sets and all drives together.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,12 +36,12 @@ from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.filters.table import ParameterTable
 
 Starts = dict[InitialState, tuple[Array, Array]]
-"""State rows (N_STATE, columns) of filters at starts, and their headings (columns,), rad; one column if all agree."""
+"""Initial state rows (N_STATE, columns) and headings (columns,), rad; one column if all columns are equal."""
 
 MOST_STARTS = 20_000
-"""Starts of columns, 3 kB each, that are computed in advance; more are computed when they are used."""
+"""Number of column starts, 3 kB each, that are computed in advance; further starts are computed when they are used."""
 MOST_CACHED = 1_000
-"""Starts, 3 kB each, that are kept from one generation to the next."""
+"""Number of cached starts, 3 kB each, that the next generations reuse."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +75,12 @@ class Sums:
 
     @classmethod
     def empty(cls, n_replays: int, n_sets: int) -> "Sums":
-        """Make arrays that `put` fills in."""
+        """Make empty arrays for `put`."""
         numbers = np.empty((9, n_replays, n_sets))
         return cls(*numbers, failed=np.empty((n_replays, n_sets), dtype=np.bool_))
 
     def put(self, replays: slice, sets: NDArray[np.intp], part: "Sums") -> None:
-        """Fill in the sums of some replays and sets."""
+        """Store the sums of some replays and sets."""
         for name, column in vars(self).items():
             column[replays, sets] = getattr(part, name)
 
@@ -88,7 +88,7 @@ class Sums:
 class KernelArray:
     """Parameter sets of one kernel and with the same measurements, which run together.
 
-    Each block has ``width`` columns, up to `most_lanes`. A block that is not full repeats a set.
+    Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set.
 
     Parameters
     ----------
@@ -131,14 +131,14 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Some of its sets, which share the values computed for all."""
+        """Array of some of the sets; it shares the values computed for all sets."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part
 
     @property
     def kernel(self) -> str:
-        """Name in `fix_error.FILTERS` of the kernel that runs all its sets."""
+        """Name in `fix_error.FILTERS` of the kernel of all sets."""
         return self.like.kernel
 
     @property
@@ -153,21 +153,21 @@ class KernelArray:
 
     @property
     def _columns(self) -> slice:
-        """Columns of all blocks; the surplus ones have sets that do not belong to the array."""
+        """Columns of all blocks; surplus columns contain sets from outside the array."""
         return slice(self._first, self._first + self.blocks * self.width)
 
     @property
     def plausible(self) -> NDArray[np.bool_]:
         """Sets with Q >= 0 and R > 0, shape (size,): only rounding can make their P indefinite.
 
-        The P of others may be indefinite for a long time without notice.
+        For other sets, P may be indefinite for a long time without detection.
         """
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
 
     def constants(self, nominal_interval: float) -> Array:
-        """The kernel's constants, shape (N_CONSTANTS, columns), on a drive of that IMU interval, s."""
+        """The kernel's constants, shape (N_CONSTANTS, columns), for a drive with this IMU interval, s."""
         constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
         constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
         constants[R.PATIENCE - CONSTANT_ROWS.start] = _patience(nominal_interval)
@@ -175,13 +175,13 @@ class KernelArray:
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
-        """Compute the starts of all sets, for the parts made afterwards: it takes as long as for a few sets."""
+        """Compute the starts of all sets at once, for later parts; this takes as long as for a few sets."""
         unknown = tuple(dict.fromkeys(initial))
         if len(unknown) * len(self._start_std) <= MOST_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
-        """Rows of the filters at m starts, shape (blocks * m, N_KEPT, width); intervals (s) are the drives'."""
+        """Rows of the filters at m starts, shape (blocks * m, N_KEPT, width); intervals of the IMUs in s."""
         columns, blocks, m = self._columns, self.blocks, len(initial)
         shared = len(self._start_std) == 1
         starts, chosen = self._starts, slice(None) if shared else columns
@@ -208,9 +208,9 @@ class KernelArray:
         return _starts_of(initial, self.kernel, std)
 
     def sums(self, rows: Array) -> Sums:
-        """Sums of the sets from the final rows of m replays, which began with the rows of `start`."""
+        """Sums of the sets from the final rows of m replays that began with the rows of `start`."""
         found, sums = sound_lanes(rows, self.kernel), rows[:, SHOWN].swapaxes(0, 1)
-        if self.blocks > 1:  # all of a replay's side by side
+        if self.blocks > 1:  # all columns of a replay side by side
             found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
         sound = found[:, : self.size] & self.plausible
         return Sums(*np.where(sound, sums[..., : self.size], np.nan), failed=~sound)
@@ -225,7 +225,7 @@ _FRESH[R.RECENT] = -1.0
 
 
 def _patience(nominal_interval: float) -> float:
-    """Nominal steps that outliers span, minus a margin for the rounding of times since 1970."""
+    """Nominal steps that a run of outliers spans, minus a margin for the rounding of times since 1970."""
     return (OUTLIERS_SPAN - 1e-6) / nominal_interval
 
 
@@ -237,12 +237,12 @@ def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Sta
 
 @lru_cache(4)
 def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
-    """Starts of sets that agree in `start_std`; cached, since all generations of a search have the same."""
+    """Starts of sets with equal `start_std`, cached: they are the same in all generations of a search."""
     return _starts_of(initial, model, np.array([std]))
 
 
 def _in_blocks(rows: Array, blocks: int) -> Array:
-    """Rows (r, columns) as (blocks, r, width); a single column, for all, as (1, r, 1)."""
+    """Rows (r, columns) as (blocks, r, width); a single column for all sets as (1, r, 1)."""
     return rows.reshape(len(rows), blocks if rows.shape[1] > 1 else 1, -1).swapaxes(0, 1)
 
 
@@ -254,7 +254,7 @@ def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
 
 
 def _constants(table: ParameterTable) -> Array:
-    """The kernel's constants, shape (N_CONSTANTS, n). Q is per the sets' own interval; PATIENCE is left at 0."""
+    """The kernel's constants, shape (N_CONSTANTS, n). Q is per the sets' own interval; PATIENCE is 0."""
     constants = np.zeros((len(CONSTANTS), len(table)))
     for row, value in _values(table.field, table.like.kernel).items():
         constants[row - CONSTANT_ROWS.start] = value
@@ -262,7 +262,7 @@ def _constants(table: ParameterTable) -> Array:
 
 
 def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
-    """The value of each constant, by its row, from a function that returns a field's values."""
+    """Values of the constants by row; ``of`` returns the values of a field."""
     kind, forgetting = of("kind"), of("forgetting")
     q = np.transpose(of("process_noise"))
     alpha2, n_kappa = np.square(of("alpha")), len(FILTERS[model].states) + np.asarray(of("kappa"))

@@ -12,13 +12,13 @@ from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 
 NEARLY = 1e-6
-"""s: rounding error of a lag."""
+"""Rounding error of a lag, s."""
 
 
 class FixedLag:
-    """A fixed-lag smoother on the memory of a live filter: it repeats and logs the last samples, then smooths them.
+    """Fixed-lag smoother on the memory of a live filter: it processes the last samples again, logs them, and smooths.
 
-    The memory, of a fixed size, already includes late fixes.
+    The memory has a fixed size and includes late fixes.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class FixedLag:
     lag : float
         s
     most_steps : int
-        That the memory can hold.
+        Largest number of steps in the memory.
     """
 
     def __init__(self, kernel: str, lag: float, *, most_steps: int) -> None:
@@ -37,7 +37,7 @@ class FixedLag:
         nothing = np.zeros((0, len(self._state)))
         self._no_starts = np.zeros(0, dtype=np.int64), nothing
         self._out = nothing
-        # Compiled now: no sample waits for it.
+        # Compiled now, so that no sample waits for the compiler.
         nobody = np.zeros((0, live.N_FIX)), np.zeros((0, 2)), np.zeros((1, live.N_RECORD)), np.zeros((0, 0))
         again_call()(
             self._step.address, self._belief, np.zeros(live.N_COUNTS, dtype=np.int64), *nobody, 0, False
@@ -45,7 +45,7 @@ class FixedLag:
         self._back(np.zeros((0, self._width)), np.zeros(len(self._state)), np.zeros(len(self._state)))
 
     def smoothed(self, memory: LiveArrays) -> tuple[float, Array]:
-        """The moment, s, and its state rows, (s,)."""
+        """Return the time of the smoothed state, s, and its state rows, (s,)."""
         belief, counts, _, fixes, speeds, history, marks, _ = memory
         now, kept = float(belief[live.TIME]), int(counts[live.N_HISTORY])
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)

@@ -1,4 +1,4 @@
-"""LiveFilter: one sample at a time, for real-time use, with the results of `run_filter` on the same data."""
+"""LiveFilter: a real-time filter, one sample at a time, with the results of `run_filter` for the same data."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -31,17 +31,17 @@ from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
 MOST_RESTARTS = 1000
-"""Resets whose times are kept."""
+"""Number of resets in the record of reset times."""
 MOST_READINGS = 2000
-"""Odometer readings: ten seconds at 200 Hz."""
+"""Largest number of stored odometer readings: ten seconds at 200 Hz."""
 FASTER_IMU = 4
-"""Largest ratio of an IMU's rate to the stated one at which the monitor covers the same time."""
+"""Largest ratio of the IMU's rate to the stated rate at which the divergence monitor covers its full time."""
 MOST_HISTORY = 100_000
-"""Intervals between IMU samples that history and lag may take: 100 s at 1 kHz, and 0.2 GB."""
+"""Largest number of IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB."""
 MOST_WAITING = 1000
-"""Approximate number of fixes that may wait for an IMU sample; more of them mean that the IMU is silent."""
+"""Approximate number of fixes that can wait for an IMU sample while the IMU is silent."""
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Errors raised by texts, None, too few numbers, or integers of 400 digits."""
+"""Errors that invalid input raises: texts, None, too few numbers, integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class LiveState:
 
     Attributes
     ----------
-    time : s, of the last IMU sample
+    time : time of the last IMU sample, s
     mean : ndarray, shape (n,); heading wrapped to (-pi, pi]
     covariance : ndarray, shape (n, n)
     failed : bool: the covariance lost its definiteness, or something became NaN
@@ -65,20 +65,22 @@ class LiveState:
 
 
 class LiveFilter:
-    """A filter that receives one sample at a time.
+    """A Kalman filter that processes one sample at a time.
 
-    A fix waits for the next IMU sample, which propagates the filter to the fix's time and on. A fix that is at most
-    ``history`` seconds late takes the filter back to its time and forward again, so the state is that of `run_filter`
-    for the same data in order. Fixes of the same time, as from two receivers, are used one after the other; an
-    identical fix is a repeated message and is ignored. A stale fix is stored but not used: see `drives.frozen`.
+    A fix waits for the next IMU sample, which propagates the filter to the fix's time and then to its own. For a fix
+    that is at most ``history`` seconds late, the filter returns to the fix's time and processes the later samples
+    again. So the state equals the result of `run_filter` for the same data in order. Fixes of the same time, as from
+    two receivers, are used one after the other; an identical fix is a repeated message and is ignored. A stale fix is
+    stored but not used: see `drives.frozen`.
 
-    While the IMU is silent, the state stays that of the last sample and fixes wait; the next sample bridges the gap
-    (`drives.gaps`). A sample stamped more than 10 s ahead waits until a second one within a second of it confirms
-    it; then both are used, as after a silence. Otherwise it is dropped and counted. The same holds for fixes, which IMU
-    samples of that time also confirm.
+    While the IMU is silent, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`).
+    A sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
+    after a silence. Without a second sample, it is dropped and counted. The same rule applies to fixes; IMU samples
+    near their stamps confirm them, too.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
-    (`divergence`), later than in a run by the delay of the fixes. Earlier fixes are then too late.
+    (`divergence`). The reset is later than in a run by the delay of the fixes. Fixes from before the reset are then too
+    late.
 
     The memory has a fixed size, and samples and fixes are processed by compiled code (`compiled.live`), which the first
     filter of a process loads or compiles.
@@ -89,29 +91,29 @@ class LiveFilter:
     initial : InitialState
         Start state and time.
     nominal_interval : float
-        s between IMU samples.
+        Interval between IMU samples, s.
     lever_arm : sequence of float
-        m forward and left from the IMU to the antenna: a drive's ``lever_arm``. tilted12 reads a third number, up:
+        Forward and left from the IMU to the antenna, m: a drive's ``lever_arm``. tilted12 reads a third number, up:
         ``[*drive.lever_arm, drive.antenna_height]``; without it the antenna is as high as the IMU.
     history : float
-        s: largest delay of a fix.
+        Largest delay of a fix, s.
     recover : bool
         Reset the filter where it diverges.
     as_recorded : bool
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     lag : float, optional
-        s: delay of the `smoothed` state.
+        Delay of the `smoothed` state, s.
 
     Attributes
     ----------
     restarts : list of float
-        s: times of resets, the last `MOST_RESTARTS`.
+        Times of the last `MOST_RESTARTS` resets, s.
     too_late : int
-        Fixes and odometer readings that were ignored: later than ``history``, or no IMU sample came for too long.
+        Number of ignored fixes and odometer readings: later than ``history``, or during a long silence of the IMU.
     time_jumps : int
-        Samples, fixes and readings that were dropped since their stamps were far ahead and not confirmed.
+        Number of dropped samples, fixes and readings with unconfirmed stamps far ahead.
     frozen : int
-        Stale fixes, which were not used.
+        Number of stale fixes, which are not used.
     """
 
     def __init__(
@@ -151,7 +153,7 @@ class LiveFilter:
         samples = max(
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
-        seen = samples + int(FIX_WINDOW / nominal_interval)  # fixes come as often as samples at most
+        seen = samples + int(FIX_WINDOW / nominal_interval)  # at most as many fixes as samples
         belief = _believe(p, initial, nominal_interval, lever_arm)
         belief[live.AS_RECORDED], belief[live.LATE_BY] = as_recorded, history
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
@@ -170,11 +172,11 @@ class LiveFilter:
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._monitor = DivergenceMonitor() if recover else None
-        self._holds = False  # it has diverged, and the estimate is a fix, updated at each sample
+        self._holds = False  # diverged: the estimate is the last fix at each sample
         self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=MOST_WAITING + seen + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample. One not after the last one is ignored, one more than 10 s ahead waits.
+        """Process an IMU sample; ignore it if it is not after the last one; defer it if it is more than 10 s ahead.
 
         Samples before the start only set the noise at rest for the standstill.
 
@@ -188,7 +190,7 @@ class LiveFilter:
         Raises
         ------
         InputError
-            If these are not as many numbers as the model reads.
+            If the number of axes is not the model's.
         """
         if len(imu) != len(self._axes):
             raise InputError(
@@ -199,7 +201,7 @@ class LiveFilter:
             took = self._calls.sample(self._memory.handle, t, *imu, *self._no_axes)
         except _NO_NUMBERS as error:
             raise InputError(f"an IMU sample that is not all numbers: {error}") from None
-        # Most samples bring nothing to look at.
+        # Most samples need no check.
         if took == live.DUE or (self._holds and took and t > self._belief[live.START]):
             self._check_divergence(t, due=took == live.DUE)
 
@@ -214,18 +216,18 @@ class LiveFilter:
         """Process a fix: x, y (m), and optionally its velocity, m/s east and north.
 
         ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
-        needs it, one with ``fix_error`` uses it. ``heading``: rad, and its stated standard deviation, 0 where none is
-        stated; a filter with ``heading_noise`` uses it.
+        needs it, a filter with ``fix_error`` uses it. ``heading``: heading and its stated standard deviation, rad; 0 if
+        none is stated; a filter with ``heading_noise`` uses it.
 
         Returns
         -------
         bool
-            False if it was ignored (before the start, too late, or a repeat) or waits.
+            False if the fix was ignored (before the start, too late, or a repeat) or waits.
 
         Raises
         ------
         InputError
-            If the filter needs ``std`` and does not get it.
+            If the filter needs ``std`` and it is missing.
         """
         try:
             takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
@@ -245,13 +247,13 @@ class LiveFilter:
     def update_odometer(self, t: float, speed: float) -> bool:
         """Process a reading of the odometer: m/s, forward positive.
 
-        It waits for the IMU sample that follows it; one that comes late takes the filter back, as a late fix does.
+        The reading waits for the next IMU sample. A late reading is processed like a late fix.
 
         Returns
         -------
         bool
-            False if it was left out: the filter takes none, it came too late, is more than 10 s ahead, or was there
-            already.
+            False if the reading was ignored: the filter uses no odometer, or the reading is too late, more than 10 s
+            ahead, or a repeat.
         """
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
@@ -278,7 +280,7 @@ class LiveFilter:
         due: bool,
         gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """The state after a reset of a state estimate, if it is reset; ``gyro_bias``: known bias of the gyro, rad/s."""
+        """The reset state for a state estimate, None without a reset; ``gyro_bias``: known bias of the gyro, rad/s."""
         start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
         if monitor.lost:
             theta = float(estimate()[0][THETA])
@@ -314,7 +316,7 @@ class LiveFilter:
 
     @property
     def _samples(self) -> Array:
-        """The samples of the last `WATCHED` seconds, and one before, (k, 4 or 6).
+        """The samples of the last `WATCHED` seconds and the sample before, (k, 4 or 6).
 
         Time, ax, ay, gz, and gx, gy if read.
         """
@@ -347,7 +349,7 @@ class LiveFilter:
         return self._memory.arrays.belief
 
     def _estimate(self) -> tuple[Array, Array]:
-        """Mean (n,) and covariance (n, n), the heading as it is."""
+        """Mean (n,), with the heading not wrapped, and covariance (n, n)."""
         mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.kernel)
         return mean[0], covariance[0]
 
@@ -379,10 +381,10 @@ class LiveFilter:
 
     @property
     def smoothed(self) -> LiveState:
-        """The fixed-lag smoothed state at the last IMU sample that is ``lag`` s or more old.
+        """The fixed-lag smoothed state at the last IMU sample that is at least ``lag`` s old.
 
-        It is the state of `smooth` at that moment with the data up to now. Its ``time`` is not before the start or the
-        last reset. It is computed on each access.
+        The state equals the result of `smooth` at that time with the data so far. Its ``time`` is never before the
+        start or the last reset. Each access computes it.
 
         Raises
         ------
@@ -396,7 +398,7 @@ class LiveFilter:
         return self._state_at(*self._lag.smoothed(self._memory.arrays), True)
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
-        """``packed``: the model's state rows, (s,)."""
+        """Return the state of packed state rows, (s,)."""
         with np.errstate(all="ignore"):  # overflow is reported as failed
             mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.kernel))
         lost = self._monitor is not None and self._monitor.lost
@@ -417,7 +419,7 @@ _ALIGNING = (1, 2, 3, 5, 6)
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:
-    """Heading, rad, and its stated variance, rad2; infinite where there is none, as in `Timeline.fixes`."""
+    """Heading, rad, and its stated variance, rad2 (infinite without a heading), as in `Timeline.fixes`."""
     known = math.isfinite(theta) and 0 <= std < NO_HEADING
     return (theta, std**2) if known else (0.0, math.inf)
 
@@ -448,7 +450,7 @@ def _believe(
     v[live.LAST_SAMPLE] = v[live.SEEN_FIX] = -np.inf
     v[live.LOOKED] = -1.0
     given = MODELS[p.model].imu
-    nothing = len(given)  # behind the model's axes come zeros
+    nothing = len(given)  # zeros follow the model's axes
     v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]
     v[live.STOP_TIME] = -np.inf
     v[live.DIMENSION] = len(FILTERS[p.kernel].states)

@@ -3,9 +3,9 @@
 A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
 models before it, so that measurements find them at the same indices.
 
-`UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled
-filter knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with
-a full attitude is in `tilted`.
+`UnscentedKalmanFilter` and `ExtendedKalmanFilter` accept any such functions; the compiled filter has closed forms of
+these models. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with a full attitude
+is in `tilted`.
 """
 
 import re
@@ -32,17 +32,17 @@ MEASURED = {
 }
 """Measurements other than fixes, and the unit of their variance.
 
-A filter uses the measurement NAME if its parameter NAME_noise is a number. The option of a tuning has the same name.
-The names of the event (`schedule`), the row R_NAME of kernels, and USE_NAME and NAME_NOISE in C are made of it.
+A filter uses the measurement NAME if its parameter NAME_noise is a number. A tuning's option, the event in `schedule`,
+the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C are named after it.
 """
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 
 THETA = 4
 """Index of the heading, in every model."""
 ACCEL_BIAS = 5
-"""Index of the bias of the accelerometer (forward), in the models that have one."""
+"""Index of the accelerometer bias (forward), in models with this state."""
 GYRO_BIAS = 7
-"""Index of the bias of the gyro (z), in the models that have one."""
+"""Index of the gyro bias (z), in models with this state."""
 
 
 def planar5(state: Array, dt: float, imu: Array) -> Array:
@@ -139,16 +139,17 @@ def gyro_bias(state: Array) -> Array:
 
 @dataclass(frozen=True)
 class Tilts:
-    """Functions of a model with roll and pitch, for the textbook filters.
+    """Functions of a model with roll and pitch for textbook filters.
 
     Attributes
     ----------
     plus, minus, nearest : callable
-        An error added to a state, the error between two, and the nearest to another: see `textbook.manifold`.
+        Add an error to a state; the error between two states; the equivalent error nearest to another: see
+        `textbook.manifold`.
     transition : callable
-        F of the error, (n, n), of a state, dt and imu.
+        F of the error, (n, n), from a state, dt and imu.
     as_angles : callable
-        The covariance of means (..., n) and covariances (..., n, n) of the error, as that of the states.
+        Covariance of the states from means (..., n) and covariances (..., n, n) of the error.
     """
 
     plus: Callable[[Array, Array], Array]
@@ -159,18 +160,18 @@ class Tilts:
 
 
 VARIANCE = (1e-5, 10.0)
-"""The paper's bounds of all variances, Q per nominal IMU step."""
+"""Bounds of all variances in the paper, Q per nominal IMU step."""
 SMALL_VARIANCE = (1e-12, 10.0)
-"""For position and velocity."""
+"""Bounds of Q for position and velocity."""
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Per second: no gyro errs by a third of a radian in one second. With a larger noise, a filter takes its heading from
-the fixes alone, which a likelihood without truth may prefer if a receiver smooths them, as in half of dresden's
-tunings.
+"""Bounds of Q per second for the heading: no gyro drifts by a third of a radian in one second. With a larger noise, a
+filter takes its heading from the fixes alone, which a likelihood without truth may prefer if a receiver smooths them,
+as in half of dresden's tunings.
 """
 CITY_VARIANCE = (1e-5, 1e3)
-"""For R: between high buildings fixes err by tens of meters."""
+"""Bounds of R: between high buildings, fixes have errors of tens of meters."""
 BIAS_WALK = (1e-16, 1e-4)
-"""For the random walks of the biases."""
+"""Bounds of Q for the random walks of the biases."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ class Sensor:
 
 
 SENSORS = {"accel": Sensor("m/s2", (1e-3, 1.0)), "gyro": Sensor("rad/s", (1e-5, 0.1))}
-"""In the order of `FilterParameters.bias_std`."""
+"""Sensors in the order of `FilterParameters.bias_std`."""
 
 
 @dataclass(frozen=True)
@@ -193,15 +194,15 @@ class State:
     ----------
     name, unit : str
     variance : (lowest, highest)
-        Box of its process noise, unit squared per nominal IMU step.
+        Bounds of the process noise, unit squared per nominal IMU step.
     per_second : bool
-        That box is per second instead.
+        True: these bounds are per second.
     shared : str
-        The name under which it is searched together with its like, where east and north have the same noise.
+        Name of the common search parameter where east and north have the same noise.
     bias_of : str or None
-        The sensor in `SENSORS` whose bias it is: it starts at 0.
+        The sensor in `SENSORS` with this bias, which starts at 0; None: the state is not a bias.
     start_std : float
-        Standard deviation at the start, of a state that is not a bias and that alignments do not determine.
+        Initial standard deviation of a state that is not a bias and that alignments do not determine.
     """
 
     name: str
@@ -219,7 +220,7 @@ class State:
 
     @property
     def density_unit(self) -> str:
-        """Unit of the square root of white noise's density."""
+        """Unit of the root of the white-noise density."""
         return f"{self.unit}/sqrt(s)"
 
 
@@ -233,26 +234,26 @@ class CarModel:
     process : callable
         ``f(state, dt, imu) -> state``, in the textbook's form.
     imu : tuple of str
-        The axes that drive it, as a time line names them.
+        IMU axes that the process reads, named as in a time line.
     position, velocity, lateral, odometer, heading, rates_at_rest : callable
         Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
         the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `heading` near an
-        angle, `gyro_bias`. Those of a tilted model have a ``jacobian``.
+        angle, `gyro_bias`. Measurements of a tilted model have a ``jacobian``.
     tilts : Tilts or None
-        Of a model whose attitude is more than a heading.
+        Functions of a model with roll and pitch; None for planar models.
     kinds : tuple of str
-        Filter types that are compiled for it, the default first.
+        Compiled filter types of the model, the default first.
     fix_variance : (lowest, highest)
-        m2: box of R, the variance of a fix per axis.
+        Bounds of R, the variance of a fix per axis, m2.
     blind : bool
         East and north share their noise in the search.
     measures_imu : bool
         Acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity
         is in the body's frame: robot_localization. Such a model runs over drives; it is neither smoothed nor live.
     options : tuple of str or None
-        Measurements and features that it can use; None: all.
+        Measurements and features that the model supports; None: all.
     fix_error : bool
-        Its last two states are the correlated fix error: see `filters.fix_error`.
+        The last two states are the correlated fix error: see `filters.fix_error`.
     """
 
     states: tuple[State, ...]
@@ -279,7 +280,7 @@ class CarModel:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Sensors whose biases it estimates, in the order of `SENSORS`."""
+        """Sensors with estimated biases, in the order of `SENSORS`."""
         return tuple(sensor for sensor in SENSORS if any(s.bias_of == sensor for s in self.states))
 
     @property
@@ -294,13 +295,13 @@ class CarModel:
 
     @cached_property
     def gyro_axes(self) -> dict[str, int]:
-        """Gyro axes whose biases it estimates, as a time line names them, and the indices of these."""
+        """Gyro axes with estimated biases, named as in a time line, and the indices of the biases."""
         names = enumerate(self.states)
         return {f"g{state.name[-1]}": i for i, state in names if state.bias_of == "gyro"}
 
     @cached_property
     def gyro_places(self) -> dict[int, int]:
-        """As `gyro_axes`, by the number of the axis: 0 forward, 1 left, 2 up."""
+        """`gyro_axes` by axis number: 0 forward, 1 left, 2 up."""
         return {"xyz".index(axis[-1]): place for axis, place in self.gyro_axes.items()}
 
 
@@ -329,7 +330,7 @@ _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
 _TILT_START = np.radians(3.0)
-"""rad: the slopes of roads. It is not tuned, since it would fit the starts of the training drives."""
+"""Standard deviation of the slopes of roads, rad. It is not tuned: it would fit the starts of the training drives."""
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),
@@ -377,7 +378,7 @@ MODELS: dict[str, CarModel] = {
         kinds=("ekf",),
     ),
 }
-"""The models by name. planar5 is the paper's, with the paper's bounds."""
+"""The models by name. planar5 is the paper's model with the paper's bounds."""
 
 
 def require_driven_by_imu(model: str, use: str) -> None:
@@ -386,7 +387,7 @@ def require_driven_by_imu(model: str, use: str) -> None:
     Raises
     ------
     InputError
-        With the remedy.
+        The message states the remedy.
     """
     if MODELS[model].measures_imu:
         raise InputError(f"{use} does not support {model}; use planar8 or tilted12")

@@ -1,4 +1,4 @@
-"""States in the rows of the compiled kernel, and checks of them."""
+"""State rows of the compiled kernel: packing, unpacking and checks."""
 
 import math
 from functools import cache
@@ -27,7 +27,7 @@ def pack_states(mean: Array, covariance: Array, model: str) -> Array:
     parts = [mean]
     if FILTERS[model].tilts:
         parts = [mean.copy(), tilted.quaternion_of(mean)]
-        parts[0][..., tilted.ATTITUDE] = 0.0  # the error's place
+        parts[0][..., tilted.ATTITUDE] = 0.0  # indices of the error
     packed = np.concatenate([*parts, covariance[..., rows, columns]], axis=-1)
     state[..., state_rows(model), :] = packed.swapaxes(-1, -2)
     return state
@@ -47,10 +47,10 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
-    """Like `unpack_states`, but the covariance of a tilted model is that of its angles, not of its rotation error.
+    """Like `unpack_states`, but a tilted model has the covariance of its angles, not of the rotation error.
 
-    A model that measures the IMU gives the five states of planar5, with the velocity in m/s east and north. The
-    correlated fix error is left out.
+    For a model that measures the IMU, the result has planar5's five states, with the velocity east and north, m/s. The
+    correlated fix error is omitted.
     """
     mean, covariance = unpack_states(state, model)
     if FILTERS[model].fix_error:
@@ -83,14 +83,14 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
-    """True for lanes of final rows (m, N_KEPT, lanes) that never failed and have a definite covariance, (m, lanes)."""
+    """Lanes of final rows (m, N_KEPT, lanes) without failure and with a definite covariance: True, (m, lanes)."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found
 
 
 def definite(covariance: Array) -> NDArray[np.bool_]:
-    """True for covariances (..., n, n) that are positive definite up to rounding.
+    """Return True for covariances (..., n, n) that are positive definite up to rounding.
 
     The eigenvalues of the correlation lie above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
     """
@@ -105,8 +105,8 @@ def definite(covariance: Array) -> NDArray[np.bool_]:
 def _find_sound(rows: Array, first: int, n: int, ok: int, found: NDArray[np.bool_]) -> None:
     """Find definite covariances (n, n): upper triangles, column by column, in rows (m, s, lanes) from ``first`` on.
 
-    ``ok``: the row of a run that is 1 if the filter never failed; its state and sums must be finite, too. -1: there are
-    covariances only.
+    ``ok``: the row of a run that is 1 if the filter never failed; the state and sums must also be finite. -1: the rows
+    contain only covariances.
     """
     scale, a = np.empty(n), np.empty((n, n))
     for m in range(rows.shape[0]):

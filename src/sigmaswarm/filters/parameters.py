@@ -58,8 +58,8 @@ class FilterParameters:
         (rad), and the other two biases of the gyro; for an IMU with six axes.
         robot-localization: the EKF of this ROS package in ``two_d_mode``, see `filters.robot_localization`.
     nominal_interval : float or None
-        s: the IMU interval that ``process_noise`` refers to. None: the median interval of each drive. A tuning stores
-        it, so that the filter adds the same variance per second with an IMU of another rate.
+        IMU interval of ``process_noise``, s. None: the median interval of each drive. A tuning stores it, so that the
+        filter adds the same variance per second with an IMU of another rate.
     kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"}
         Unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969); unscented with
         a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules (`filters.fuzzy`).
@@ -72,51 +72,50 @@ class FilterParameters:
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     imu_noise : tuple of float, length 2 or 3
-        robot-localization: variances in the IMU's messages: of gz, (rad/s)2; of ax, (m/s2)2; where ay is fused, also
-        of ay.
+        robot-localization: variances in the IMU's messages: gz, (rad/s)2; ax, (m/s2)2; ay, (m/s2)2, if it is fused.
     imu_gate : tuple of float, length 2
-        robot-localization: the largest NIS of gz and of ax that is used; infinite without a limit.
+        robot-localization: largest accepted NIS of gz and of ax; infinite without a limit.
     velocity_noise : float or None
-        m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
+        Variance of the receiver's velocity per axis, m2/s2, where the log has speed and course. None: not used.
     lateral_noise : float or None
-        m2/s2: variance of the lateral velocity at the rear axle, which is 0 without tire slip. None: not used.
+        Variance of the lateral velocity at the rear axle, m2/s2; this velocity is 0 without tire slip. None: not used.
     rear_axle : float
-        m from the rear axle forward to the IMU, for ``lateral_noise``.
+        Distance from the rear axle forward to the IMU, m, for ``lateral_noise``.
     tire_slip : float
-        s2/m (rad per m/s2): slip angle of the rear tires per lateral acceleration, for ``lateral_noise``. 0: no slip.
+        Slip angle of the rear tires per lateral acceleration, s2/m (rad per m/s2), for ``lateral_noise``. 0: no slip.
     standstill_noise : float or None
-        m2/s2: variance of the velocity at detected standstills. None: not used.
+        Variance of the velocity at detected standstills, m2/s2. None: not used.
     odometer_noise : float or None
-        m2/s2: variance of the wheels' speed, where the log has an odometer. None: not used.
+        Variance of the wheels' speed, m2/s2, where the log has an odometer. None: not used.
     odometer_scale : float
-        The odometer's reading over the true speed.
+        Ratio of the odometer's reading to the true speed.
     odometer_latency : float
-        s: age of an odometer reading at its time stamp.
+        Age of an odometer reading at its time stamp, s.
     heading_noise : float or None
-        rad2: variance that is added to the stated variance of a fix's heading, where the log has one (two antennas, a
+        Variance added to the stated variance of a fix's heading, rad2, where the log has headings (two antennas, a
         compass). None: not used.
     gate : float or None
-        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of good fixes
+        Largest accepted normalized innovation squared (NIS) of a fix; 9.2 rejects 1% of good fixes
         (chi-square, two degrees of freedom). None: every fix is used.
     latency : float
-        s: age of a fix at its time stamp.
+        Age of a fix at its time stamp, s.
     accuracy_scale : float or None
-        s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the receiver
-        reports. None: ``measurement_noise`` alone.
+        Factor s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std from the
+        receiver. None: ``measurement_noise`` alone.
     fix_error : float or None
-        g: variance of the correlated fix error, divided by the stated variance of a fix or by ``fix_std`` squared: see
-        `filters.fix_error`. None: errors of fixes are independent.
+        Ratio g: variance of the correlated fix error, divided by the stated variance of a fix or by ``fix_std``
+        squared: see `filters.fix_error`. None: errors of fixes are independent.
     fix_error_time : float
-        s: time constant of that error.
+        Time constant of the correlated fix error, s.
     fix_std : float
-        m per axis: standard deviation of the fixes of a receiver that states none, for ``fix_error``.
+        Standard deviation of fixes per axis, m, for ``fix_error``, if the receiver states none.
     robust_dof : float or None
         Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
         Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; smaller for more outliers. None: Gaussian errors.
 
     Notes
     -----
-    A negative variance is accepted here: the filter that runs with it fails, reports it, and costs ``inf``.
+    A negative variance is accepted here: a filter with it fails, reports the failure, and its cost is ``inf``.
     """
 
     alpha: Positive
@@ -182,15 +181,15 @@ class FilterParameters:
 
     @property
     def kernel(self) -> str:
-        """Name in `fix_error.FILTERS` of the kernel, and of the model with all states that the filter has."""
+        """Name in `fix_error.FILTERS` of the kernel, and of the model with all of the filter's states."""
         return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":
-        """Multiply all variances by a factor, which scales the covariance and hardly changes the estimates.
+        """Multiply all variances by a factor; this scales the covariance and hardly changes the estimates.
 
-        The biases' standard deviations at the start take the factor's root. The rest of the start's covariance, and the
-        covariance of gaps in the IMU, stay. A gate and ``robust_dof`` depend on the covariance, so they change
-        estimates.
+        The biases' initial standard deviations are multiplied by the factor's root. The rest of the initial covariance,
+        and the covariance of IMU gaps, do not change. With a gate or ``robust_dof``, which depend on the covariance,
+        the estimates change.
 
         Raises
         ------
@@ -211,7 +210,7 @@ class FilterParameters:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to plain types for TOML and JSON; options with their default values are left out."""
+        """Convert to plain types for TOML and JSON; omit options with default values."""
         table = {f.name: getattr(self, f.name) for f in fields(self)}
         plain = FilterParameters(**{name: table[name] for name in _ALWAYS_STATED})
         shown = {k: v for k, v in table.items() if k in _ALWAYS_STATED or v != getattr(plain, k)}
@@ -229,12 +228,12 @@ class FilterParameters:
         Raises
         ------
         InputError
-            Naming the file, the key, what is wrong with it and the remedy.
+            The message states the file, the key, the error and the remedy.
 
         Warns
         -----
         SigmaswarmWarning
-            If a tuning was written by a version with other filters.
+            If the version that wrote the tuning had other filters.
         """
         path = Path(path)
         if path.suffix in YAML:
@@ -283,15 +282,15 @@ class FilterParameters:
 
 
 _EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof", "fix-error": "fix_error"}
-"""Options that exclude others, and the fields that switch them on."""
+"""Options that exclude other options, and the fields that activate them."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
-"""Variances, or factors of them, in addition to Q and R."""
+"""Fields with variances or factors of variances, in addition to Q and R."""
 RULES_SINCE = (0, 3)
 """The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
 
 def clash(kind: str, use: Collection[str]) -> str | None:
-    """Return the reason why a filter type and options, or two options, exclude each other, or None."""
+    """Return the reason for a conflict between a filter type and options, or between two options; else None."""
     if "robust" in use and "gate" in use:
         return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
@@ -339,9 +338,9 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
 
 
 def densities(parameters: FilterParameters) -> dict[str, str]:
-    """Q as densities of continuous white noise, sqrt(Q / nominal interval), as in data sheets.
+    """Densities of continuous white noise, as in data sheets: sqrt(Q / nominal interval).
 
-    Empty where the interval of Q is unknown, or a variance is negative.
+    Empty if the interval of Q is unknown or a variance is negative.
     """
     p = parameters
     if p.nominal_interval is None or min(p.process_noise) < 0:

@@ -1,12 +1,12 @@
 """Filters without tuning. The paper mentions "default parameters" but does not state them.
 
-Three presets, planar5 UKFs, represent settings by hand:
+Three presets, planar5 UKFs, represent manual settings:
 
 ``defaults``
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
 ``datasheet``
-    From data sheets: R from the receiver's stated accuracy, Q from the IMU's noise density. Where the drive states
-    neither, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP) and an MPU-6050's densities.
+    From data sheets: R from the receiver's stated accuracy, Q from the IMU's noise density. If the drive does not state
+    them: R = 2.1^2 m2 (u-blox M8, 2.5 m CEP) and an MPU-6050's densities.
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 
@@ -38,12 +38,12 @@ DEFAULTS = FilterParameters(0.1, 2.0, 0.0, (1.0,) * 5, (1.0,) * 2)
 PAPER = FilterParameters(0.03, 2.5, 0.48, (2.0,) * 5, (0.1,) * 2)
 
 MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60
-"""m/s2/sqrt(Hz), from 0.24 m/s/sqrt(h) (MPU-6050 datasheet: 400 ug/sqrt(Hz))."""
+"""Noise density of the accelerometer, m/s2/sqrt(Hz), from 0.24 m/s/sqrt(h) (MPU-6050 datasheet: 400 ug/sqrt(Hz))."""
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
-"""rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
+"""Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
-"""Per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as for an ICM-20602 (i2Nav's
-awesome-gins-datasets); the data sheet of the MPU-6050 does not state it."""
+"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as for an
+ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the MPU-6050 does not state it."""
 BY_HAND = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
@@ -56,16 +56,16 @@ BY_HAND = {
 }
 """Usual values of parameters without a data sheet: m2/s2, rad2; 99% gate; the receiver's stated accuracy unchanged."""
 HALF_A_WHEELBASE = 1.3
-"""m from the rear axle to an IMU in the middle of a car."""
+"""Distance from the rear axle to an IMU in the middle of a car, m."""
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
-"""m/s2/sqrt(Hz), rad/s/sqrt(Hz): noise for effects that a model lacks: slopes, vibration, scale factors, mounting.
+"""Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
 It is added to the densities of the sensors.
 IMUs at standstill show 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With the densities of data sheets
 alone a filter drifted 1.3 to 60 times as far over 5 s as the tuned one, on six drives.
 """
 ACCURACY_FLOOR = 0.1**2
-"""m2: R in addition to the stated variance of each fix."""
+"""Variance added to the stated variance of each fix, m2."""
 
 
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
@@ -81,8 +81,8 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     ----------
     drive : Drive
     like : FilterParameters, optional
-        The filter whose model, type and options it gets. None: the preset ``datasheet``, the paper's planar5 UKF with
-        data-sheet values alone.
+        Filter with the model, type and options of the result. None: the preset ``datasheet``, the paper's planar5 UKF
+        with data-sheet values alone.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
@@ -117,7 +117,7 @@ def _bias_walk(drive: Drive, sensor: str) -> float:
 
 
 def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:
-    """Its own default process noise, the stated covariances of the IMU and of the fixes."""
+    """Baseline of robot_localization: its default process noise and the stated covariances of the IMU and fixes."""
     states = accuracy = None
     if like.accuracy_scale is not None:
         accuracy, states = 1.0, (ACCURACY_FLOOR,) * 2
@@ -136,7 +136,7 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
 
 
 def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> FilterParameters:
-    """Load a filter; one of an ekf.yaml gets the variances that the messages of the first drive state."""
+    """Load a filter; for an ekf.yaml, use the variances in the messages of the first drive."""
     if isinstance(given, FilterParameters):
         return given
     parameters = FilterParameters.load(given)
@@ -147,7 +147,7 @@ def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> Filter
 
 
 def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
-    """Fill in the variances that a drive's messages state, in a filter from a configuration of robot_localization."""
+    """Insert the variances of a drive's messages into a filter from a robot_localization configuration."""
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(NOT_FUSED if r == NOT_FUSED else one for r, one in zip(p.imu_noise, stated, strict=True))
@@ -164,14 +164,14 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """Return the variances of gz and ax that the messages of the log state, else those of ``p``."""
+    """Return the variances of gz and ax in the messages of the log, else the variances in ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 
 def _planar(
     drive: Drive, std: tuple[float, float], more: Mapping[str, float] = MappingProxyType({})
 ) -> FilterParameters:
-    """The planar5 UKF for fixes of a standard deviation (east, north; m); ``more``: densities that add to the IMU's."""
+    """planar5 UKF for fixes with a standard deviation (east, north; m); ``more``: densities added to the IMU's."""
     stated, dt = drive.metadata, drive.nominal_interval
     accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY)) ** 2
     gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY)) ** 2

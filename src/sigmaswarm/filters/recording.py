@@ -21,9 +21,9 @@ from sigmaswarm.filters.replay import Replay, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
 ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
-"""Filter types whose R changes with each fix."""
+"""Filter types with an R that changes at each fix."""
 SAMPLES = 10_000
-"""IMU samples in a piece; for planar8 they take 9 MB."""
+"""Number of IMU samples in a piece (9 MB for planar8)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +86,9 @@ class Innovations:
 
 
 class Recording:
-    """A run of a filter over a replay: an iterator of pieces, with sums and innovations after the last piece.
+    """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    The joined pieces and the sums have the same bits for every length of a piece.
+    The length of the pieces does not change a bit of the joined pieces and the sums.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ class Recording:
     samples : int
         IMU samples in a piece; the last one may be shorter.
     recover : bool
-        Reset the filter where it diverges: see `divergence`. A reset follows a sample. The sums at this sample, and
-        while the estimate is the last fix, are those of the diverged filter.
+        Reset the filter where it diverges: see `divergence`. A reset takes place after a sample. The sums at this
+        sample, and while the estimate is the last fix, are the diverged filter's.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Recording:
         self._checks = check_times(replay.timeline) if recover else None
         if self._checks is not None:
             line = replay.timeline
-            fix_times = line.fix_time[self._checks.fix]  # the alignment of each check ends there
+            fix_times = line.fix_time[self._checks.fix]  # end of each check's alignment
             self._ends = np.searchsorted(line.alignments.time, fix_times, side="right") - 1
         self._monitor = DivergenceMonitor()
         self.restarts = self._monitor.restarts
@@ -143,7 +143,7 @@ class Recording:
         return joined(self)
 
     def finished(self) -> Self:
-        """Run to the end without estimates, and without detecting a failure; return itself."""
+        """Run to the end without estimates and failure detection; return the recording."""
         for _ in self._parts:
             pass
         return self
@@ -161,10 +161,10 @@ class Recording:
         self._complete = True
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
-        """Run to the last of the stops, (r,), each after the step of an IMU sample; return where it is lost, (r,).
+        """Run to the last of the stops, (r,), which follow IMU samples; return True where the filter is lost, (r,).
 
-        Stopping for each check would take longer than the steps. So the filter first runs to the end, then it is
-        checked from its record. Where it has diverged, it is reset, and runs again from there.
+        Stopping for each check would take longer than the steps. So the filter first runs to the end and is then
+        checked from its record. At a divergence, it is reset and runs again from that step.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -188,7 +188,7 @@ class Recording:
         return lost
 
     def _next_check(self, stops: NDArray[np.intp], row: int) -> int:
-        """The number of stops before the next check, from a row on."""
+        """Number of stops from a row to the next check."""
         assert self._checks is not None
         if self._monitor.lost:
             return row + 1
@@ -203,14 +203,14 @@ class Recording:
     def _check(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.
 
-        Returns the row of that step, or the last row, and the state for a reset there, if there is one.
+        Return the row of that step, or the last row, and the state for a reset, or None.
         """
         times = self._checks
         assert times is not None
         first, last = np.searchsorted(times.step, [steps[0], steps[-1] + 1]).tolist()
         rows = np.searchsorted(steps, times.step[first:last])
         means, covariances = state_estimate(record[rows, :-1, 0].T, self._array.kernel)
-        sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # elsewhere it has failed
+        sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # the filter has failed in other rows
         ends = self._replay.timeline.end[times.step[first:last][sound]].tolist()
         if not ends:
             return len(steps) - 1, None
@@ -258,7 +258,7 @@ class Recording:
         return np.array([rx, ry]) + scale * self._replay.timeline.fixes[fix, 4:6]
 
     def _reset(self, start: InitialState) -> None:
-        """Reset the filter to a start; its sums are kept."""
+        """Reset the filter to a start; keep the sums."""
         fresh = self._array.start([start], [self._replay.timeline.nominal_interval])[0]
         added_up = slice(R.SQ_POSITION, R.OK + 1)
         fresh[added_up] = self._rows[0, added_up]
@@ -276,13 +276,13 @@ class Recording:
 
     @property
     def sums(self) -> Sums:
-        """Sums as of `run_replays` for this replay and this set, shape (1, 1); after the last piece."""
+        """Sums as in `run_replays` for this replay and set, shape (1, 1), after the last piece."""
         self._need_all()
         return self._array.sums(self._rows)
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of all fixes, hidden ones included; after the last piece."""
+        """Innovations of all fixes, including hidden fixes, after the last piece."""
         self._need_all()
         rows, time = self._innovations, self._replay.timeline.fix_time
         return Innovations(time, rows[:, :2], rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
@@ -293,7 +293,7 @@ class Recording:
 
 
 class PausingRecording(Recording):
-    """A recording that calls `_at` after some of the IMU samples: ``_marks``, their sorted numbers, (k,)."""
+    """A recording that calls `_at` after some IMU samples: ``_marks`` (k,) has their sorted numbers."""
 
     _marks: NDArray[np.intp]
     _done = 0
@@ -316,7 +316,7 @@ class PausingRecording(Recording):
 
 
 def failure_at(line: Timeline, time: float) -> str:
-    """Return a message on a filter that failed at a time, s."""
+    """Return a message about a filter's failure at a time, s."""
     return (
         f"{line.drive.name}: the filter failed at t = {time:.3f} s (covariance not positive "
         "definite, or NaN in the data); are all variances positive and all samples finite?"

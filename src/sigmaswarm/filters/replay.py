@@ -25,7 +25,7 @@ from sigmaswarm.filters.schedule import (
 from sigmaswarm.filters.table import tables_of
 
 NO_SPEEDS = np.empty((0, 3))
-"""For a filter without an odometer."""
+"""Odometer readings for a filter without an odometer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Targets:
 
     @cached_property
     def position_weight(self) -> float:
-        """Total weight of the squared errors of position: their number where truth is exact."""
+        """Total weight of the squared position errors; the number of errors if truth is exact."""
         return float(self.noise[:, 0].sum()) if len(self.noise) else float(self.n_positions)
 
     @cached_property
@@ -90,7 +90,7 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One pass over a drive for any number of filters: their start, steps and comparison times."""
+    """One pass of any number of filters over a drive: start, steps and comparison times."""
 
     timeline: Timeline
     initial: InitialState
@@ -104,7 +104,7 @@ class Replay:
         return int(self.timeline.hides.sum())
 
     def arrays(self, used: frozenset[str]) -> "DriveArrays":
-        """Return the drive in the form that the kernel reads; its flags depend on the measurements that are used."""
+        """Return the drive as kernel arrays; the flags depend on the measurements that the filter uses."""
         if used not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, used)
@@ -123,7 +123,7 @@ DriveArrays = tuple[
 
 
 def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:
-    """Run one filter per parameter set over each replay; the sums of a set do not depend on the other sets."""
+    """Run one filter per parameter set over each replay; a set's sums do not depend on the other sets."""
     sums = Sums.empty(len(replays), len(parameter_sets))
     for places, table in tables_of(parameter_sets):
         sums.put(slice(None), places, run_array(replays, KernelArray(table)))

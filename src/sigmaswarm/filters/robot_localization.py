@@ -1,4 +1,4 @@
-"""The extended Kalman filter of ROS's robot_localization in ``two_d_mode``: the eight states that matter in the plane.
+"""Extended Kalman filter of ROS's robot_localization in ``two_d_mode``, with the eight planar states.
 
 State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). Over d seconds, all from the old
 state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
@@ -6,11 +6,10 @@ state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
     x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
     vx += d ax                          vy += d ay                          P = J P J' + d Q
 
-The velocity does not turn with the body, so an ay that is fused becomes sideways speed in a turn. Measurements are
-states: gz, ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, yaw of two antennas, whose
-innovation is wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out.
-z, roll, pitch and their rates stay at 0 in ``two_d_mode`` and decouple. Read from
-https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
+The velocity does not rotate with the body, so a fused ay becomes lateral speed in a turn. Measurements are states: gz,
+ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, yaw of two antennas, whose innovation is
+wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out. z, roll, pitch and their rates stay at 0 in
+``two_d_mode`` and decouple. Read from https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
 """
 
 import numpy as np
@@ -69,7 +68,7 @@ class TextbookRobotLocalization:
     def imu(self, gz: float, ax: float, ay: float | None = None) -> None:
         """Update with an IMU sample.
 
-        ``ay`` only if it is fused, as in many configurations but never in the tuned model.
+        ``ay``: only if fused, as in many configurations; never in the tuned model.
         """
         (r_gyro, r_accel, *_), (gyro_gate, accel_gate) = self.parameters.imu_noise, self.parameters.imu_gate
         self.correct([VYAW], np.array([gz]), np.array([r_gyro]), gyro_gate)

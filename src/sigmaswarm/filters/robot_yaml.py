@@ -1,7 +1,7 @@
 """A configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
 
-The file has process noise, thresholds and the fused entries. The variances of measurements are in the messages, so
-`presets.filter_for` takes them from a drive.
+The file contains process noise, thresholds and the fused entries. The messages contain the variances of measurements,
+so `presets.filter_for` reads them from a drive.
 """
 
 import math
@@ -16,7 +16,7 @@ from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import shown
 
 YAML = (".yaml", ".yml")
-"""Endings of such files."""
+"""Endings of configuration files."""
 PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
 """Indices of the eight states among robot_localization's 15."""
 PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
@@ -24,11 +24,11 @@ PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 IMU_NOISE = (1e-4, 1e-2)
 """Usual variances of gz ((rad/s)2) and ax ((m/s2)2)."""
 HEADING_NOISE = math.radians(0.5) ** 2
-"""rad2: usual variance of a dual-antenna heading."""
+"""Usual variance of a dual-antenna heading, rad2."""
 SPEED_NOISE = 0.1**2
 """Usual variance of a measured speed, (m/s)2."""
 SMALLEST = 1e-9
-"""robot_localization raises variances of measurements to this."""
+"""Lower limit of measurement variances in robot_localization."""
 NOT_FUSED = 1e9
 """Variance of an entry of the IMU that a configuration does not fuse."""
 
@@ -39,7 +39,7 @@ Block = Mapping[str, Any]
 
 
 def read_configuration(path: Path) -> dict[str, Any]:
-    """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2; variances of the messages are usual ones.
+    """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2, with usual variances of the messages.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def read_configuration(path: Path) -> dict[str, Any]:
     Warns
     -----
     SigmaswarmWarning
-        Of settings that the model does not have.
+        If the file has settings that the model lacks.
     """
     block = _chosen(_loaded(path), path)
     inputs = {found[1]: _entries(block[key], path, key) for key in block if (found := _CONFIG.fullmatch(key))}
@@ -126,7 +126,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
     if key not in block:
         return PROCESS_NOISE
     given = block[key]
-    try:  # YAML 1.1 takes 1e-9 for text
+    try:  # YAML 1.1 reads 1e-9 as text
         values = [float(value) for value in given]
     except (TypeError, ValueError):
         values = []
@@ -154,7 +154,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
-    """Clauses on settings that the model does not have."""
+    """Clauses about settings that the model lacks."""
     if block.get("two_d_mode") is not True:
         yield "evaluated in two_d_mode, which it does not set"
     if block.get("dynamic_process_noise_covariance") is True:

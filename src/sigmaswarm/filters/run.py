@@ -42,7 +42,7 @@ class Estimate:
     initial : InitialState
         The state at which the filter started.
     restarts : tuple of float
-        Times at which the filter had diverged and was reset, s: see `divergence`.
+        Times of the resets after divergence, s: see `divergence`.
     lost : ndarray of bool, shape (n,) or None
         True where the filter had diverged and was not yet reset: the estimate is the last fix. None where divergence is
         not monitored.
@@ -71,7 +71,7 @@ class Estimate:
         return named | {f"std_{name}": deviations[:, i] for i, name in enumerate(states)}
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Time, states and their standard deviations, one row for each time.
+        """Return time, states and standard deviations, one row for each time.
 
         Raises
         ------
@@ -152,7 +152,7 @@ def run_innovations(
 ) -> Innovations:
     """Run the compiled filter over a drive for its innovations; parameters as in `run_filter`.
 
-    After a failure they are NaN or meaningless; `run_filter` reports the failure.
+    Innovations after a failure are NaN or meaningless; `run_filter` reports the failure.
     """
     replay = replay_of(drive, initial, as_recorded=as_recorded)
     return Recording(replay, parameters).finished().innovations
@@ -200,7 +200,7 @@ class Run(Protocol):
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
-    """Join all pieces of a run; ``recover`` states if its divergence was monitored."""
+    """Join all pieces of a run; ``recover``: the run's divergence was monitored."""
     whole = joined(run)
     lost = whole.lost if recover else None
     return Estimate(
@@ -268,7 +268,7 @@ def run_textbook(
 
 
 def run_imu_only(drive: Drive | PreparedDrive, *, initial: InitialState | None = None) -> Estimate:
-    """Run dead reckoning: integrate the IMU from the start of a filter, with the steps of `models.planar5`."""
+    """Run dead reckoning: integrate the IMU from a filter's initial state, with the steps of `models.planar5`."""
     ready = prepared(drive, initial)
     line, initial = ready.timeline(), ready.initial
     x, y, vx, vy, theta = initial.mean

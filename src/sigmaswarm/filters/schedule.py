@@ -1,4 +1,4 @@
-"""The measurements at the end of each step, and the start: the same for every form of a filter."""
+"""Initial state, and measurements at the end of each step, shared by all forms of a filter."""
 
 from collections.abc import Collection, Sequence, Set
 from dataclasses import fields
@@ -29,13 +29,13 @@ COMPARED = 128  # the heading is compared with truth in the interval that ends o
 HEADING = 256  # the fix has a heading
 
 LATERAL_INTERVAL = 0.1
-"""s between two lateral updates: the error is not white, so more of them add no information."""
+"""Interval between two lateral updates, s. The error is not white, so more updates add no information."""
 STANDSTILL_INTERVAL = 0.1
-"""s between two standstill updates."""
+"""Interval between two standstill updates, s."""
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
-"""rad2/s2: variance of the gyro around its bias while the car stands."""
+"""Variance of the gyro around its bias at standstill, rad2/s2."""
 SLIP_GATE = 9.0
-"""The largest NIS of a wheel speed that is used: three sigmas. Wheels that slip or lock are wrong for seconds, with
+"""Largest accepted NIS of a wheel speed: three sigmas. Wheels that slip or lock are wrong for seconds, with
 equal readings, so that a small weight for each would still add up. Unlike fixes, the last of a long run of them is
 rejected, too: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
 HEADING_GATE = 9.0
@@ -46,14 +46,14 @@ MOST_REJECTED = 5
 """Number of consecutive fixes that the gate may reject; the next one is used, so that a diverged filter can recover."""
 
 GAP_TURN_STD = 0.1
-"""rad/s: standard deviation of the turn rate in a gap of the IMU, around the mean of the samples next to it.
+"""Standard deviation of the turn rate in an IMU gap, around the mean of the adjacent samples, rad/s.
 
 Values of 0.05 to 0.3 are as good on real drives.
 """
 GAP_ACCELERATION_STD = 1.0
-"""m/s2 per axis: standard deviation of the acceleration in a gap. Values of 0.5 to 2 are as good on real drives."""
+"""Standard deviation of the acceleration per axis in a gap, m/s2. Values of 0.5 to 2 are as good on real drives."""
 GAP_TILT_STD = 0.01
-"""rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 is as good on a real drive."""
+"""Standard deviation of the tilt rate about east and north in a gap, rad/s. 0.02 is as good on a real drive."""
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:
@@ -78,7 +78,7 @@ def require_odometer(drive: Drive) -> None:
 
 
 def require_accuracy(line: Timeline) -> None:
-    """Refuse a drive for a filter that weighs fixes by stated accuracy, where not every fix has one.
+    """Raise an error if a filter weights fixes by stated accuracy and a fix of the drive states none.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def require_axes(drive: Drive, model: ModelName) -> None:
     Raises
     ------
     InputError
-        Naming the drive, the axes and the remedy.
+        The message states the drive, the axes and the remedy.
     """
     require_named_axes(
         drive.name, [f.name for f in fields(drive.imu) if getattr(drive.imu, f.name) is not None], model
@@ -106,7 +106,7 @@ def require_axes(drive: Drive, model: ModelName) -> None:
 
 
 def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> None:
-    """As `require_axes`, for a drive of which only the name and the axes are known."""
+    """As `require_axes`, for the name and axes of a drive."""
     lacking = [axis for axis in MODELS[model].imu if axis not in axes]
     if lacking:
         raise InputError(
@@ -179,7 +179,7 @@ def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
 
 
 def start_std(p: FilterParameters) -> Array:
-    """Standard deviations at the start: of the biases, m/s2 and rad/s, and of `fix_error`, m; (3,)."""
+    """Initial standard deviations of the biases, m/s2 and rad/s, and of `fix_error`, m; (3,)."""
     return np.array([*p.bias_std, np.sqrt(p.fix_error or 0.0) * p.fix_std])
 
 

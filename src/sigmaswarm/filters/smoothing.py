@@ -5,7 +5,7 @@ needs no measurements; each update, weight or rejection is that of the forward p
 
 Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece. The backward pass runs the
 filter again from each checkpoint, the last one first, and keeps the smoothed state only at the checkpoints. A third
-pass, forward from checkpoint to checkpoint, returns the estimates in the order of time.
+pass, forward between checkpoints, returns the estimates sorted by time.
 """
 
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ def smooth(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, also later ones.
+    """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, including later fixes.
 
     H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8),
     1965; of an unscented filter S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
@@ -92,7 +92,7 @@ class _ForwardLog:
 class _Forward(Recording):
     """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
-    All passes use the same kernel. Another one rounds differently, so the estimates would depend on the checkpoints.
+    All passes use the same kernel. Another kernel rounds differently, so the estimates would depend on the checkpoints.
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:

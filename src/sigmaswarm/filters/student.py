@@ -1,21 +1,22 @@
 """Student's t: constants of filters and objectives that are robust to outliers.
 
-With v degrees of freedom it is a Gaussian whose covariance is divided by a weight, drawn for each fix from a gamma
-distribution of mean 1. An outlier's weight is small.
+With v degrees of freedom, Student's t is a Gaussian with its covariance divided by a random weight. Each fix has a
+weight from a gamma distribution of mean 1; an outlier's weight is small.
 """
 
 ITERATIONS = 3
 """Iterations of the variational update, which fits state and weight of a fix to each other."""
 OUTLYING = 0.25
-"""A fix of a smaller weight is an outlier."""
+"""Weight below which a fix is an outlier."""
 OUTLIERS = 3
-"""At least this many consecutive outliers ..."""
+"""Least number of consecutive outliers after which the filter, not the fixes, is wrong; see also `OUTLIERS_SPAN`."""
 OUTLIERS_SPAN = 5.0
-"""... over at least this many s are not outliers: the filter is wrong."""
+"""Least duration of such a run of outliers, s."""
 
 # c of an objective is 2 x with x e^x E1(x) = v / (v + 2), E1 being the exponential integral. Then the mean of
 # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as it is for
-# the Gaussian likelihood. With c = v, Student's density itself, it is least where that is 2.75 (v = 4), 2.42 (v = 8).
+# the Gaussian likelihood. With c = v, Student's density itself, the minimum is at a mean NIS of 2.75 (v = 4), 2.42 (v =
+# 8).
 INNOVATION_DOF, INNOVATION_SCALE = 4.0, 2.9069903810286775
 """v and c of `innovation-t`."""
 FORECAST_DOF, FORECAST_SCALE = 8.0, 6.609907797270899

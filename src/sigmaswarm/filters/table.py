@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers; to build an object for each set would take as long as a drive."""
+"""Many parameter sets as columns of numbers; an object for each set would take as long as a drive."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _ABSENT: dict[str, float] = {
     **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),
     **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
 }
-"""The number that stands for None in the fields that can be None."""
+"""Number that represents None in each field that can be None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class ParameterTable(Sequence[FilterParameters]):
     like : FilterParameters
         The fields that all sets share.
     columns : dict of str to ndarray, shapes (n,) or (n, k)
-        The fields in which they differ: a number or a tuple of k numbers for each set.
+        Fields that differ between sets: a number or a tuple of k numbers for each set.
     size : int
         n.
     """

@@ -1,8 +1,8 @@
 """tilted12: a car on a road that is not flat; process and measurements in textbook form.
 
 The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
-roll left side up. A filter on it keeps its mean as such angles and its covariance as that of a small rotation ``e``
-about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
+roll left side up. A filter represents the mean by these angles. The covariance is the covariance of a small rotation
+``e`` about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
 error-state Kalman filter, 2017, section 7: the global error). In the state vector e has the indices of roll, pitch and
 theta. When it is injected into R, the covariance is not changed: a reset would change it by second order in e.
 
@@ -20,9 +20,9 @@ from sigmaswarm.geodesy import wrap_angle
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
-"""m/s2."""
+"""Gravity, m/s2."""
 ATTITUDE = (8, 9, 4)
-"""Indices of the error about east, north and up, which are those of roll, pitch and theta."""
+"""Indices of the error about east, north and up; equal to the indices of roll, pitch and theta."""
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
 """Indices of the biases: forward, left; and about forward, left, up."""
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)

@@ -1,6 +1,6 @@
-"""Learned rivals of a tuned filter: networks that help it, trained on the user's drives.
+"""Learned rivals of a tuned filter: networks that support the filter, trained on the user's drives.
 
-Two types, built from the principles of these papers (without their texts, so details may differ):
+Two types, built from the principles of these papers (details may differ):
 
 outage-lstm
     a network that replaces the receiver during outages: the filter is updated with its forecasts of displacements;

@@ -1,6 +1,6 @@
 """Cells of recurrent networks; ``xp`` is NumPy to run them, or jax.numpy to train them.
 
-A network's weights are one flat mapping of names to arrays, as in their file.
+A network's weights are a flat mapping of names to arrays, as in their file.
 """
 
 from collections.abc import Mapping

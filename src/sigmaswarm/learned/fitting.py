@@ -19,30 +19,30 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]
-"""Mean loss of a batch, given weights and batch."""
+"""Function of weights and a batch that returns the mean loss of the batch."""
 DECAY = 1e-4
 """Weight decay per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
 LARGEST_GRADIENT = 1.0
-"""Largest norm of a gradient; longer ones are shortened: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
+"""Largest norm of a gradient; larger gradients are scaled to it: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
 HELD_BACK = 0.25
-"""Share at the end of each drive that is held back, where no held-back drives are given."""
+"""Share of each drive, at its end, that is validation data if no validation drives are given."""
 
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """Arrays of shape (number of examples, ...), and a mask of the held-back examples."""
+    """Arrays of shape (number of examples, ...), and a mask of the validation examples."""
 
     arrays: tuple[Array, ...]
     held_back: NDArray[np.bool_]
 
     def part(self, *, held_back: bool) -> tuple[Array, ...]:
-        """Return the arrays of the held-back examples, or of the others."""
+        """Return the arrays of the validation or the training examples."""
         return tuple(array[self.held_back == held_back] for array in self.arrays)
 
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """The loss, initial weights and examples of a training; ``fixed`` are weights that are not trained."""
+    """Loss, initial weights and examples of a training; ``fixed``: weights that are not trained."""
 
     loss: Loss
     weights: Mapping[str, Array]
@@ -78,9 +78,9 @@ class Fit:
     Attributes
     ----------
     weights : dict of str to ndarray
-        Weights after the epoch with the least loss on the held-back examples.
+        Weights after the epoch with the least loss on the validation examples.
     losses : ndarray, shape (epochs + 1, 2)
-        Mean losses on the training and the held-back examples, before the first epoch and after each epoch.
+        Mean losses on the training and validation examples, before the first epoch and after each epoch.
     """
 
     weights: dict[str, Array]
@@ -88,7 +88,7 @@ class Fit:
 
     @property
     def best(self) -> float:
-        """The least loss on the held-back examples."""
+        """The least loss on the validation examples."""
         return float(np.min(self.losses[:, 1]))
 
 
@@ -112,7 +112,7 @@ def fit(
     checkpoint: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
-    """Minimize the loss by Adam; return the weights with the least loss on the held-back examples.
+    """Minimize the loss by Adam; return the weights with the least loss on the validation examples.
 
     ``checkpoint`` is a file for the state after each epoch; a killed training continues from it. ``progress`` is called
     after each epoch with its number and the least loss so far.

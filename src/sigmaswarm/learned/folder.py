@@ -1,6 +1,6 @@
 """The folder of a training. No file is a pickle.
 
-tuning.toml, seen.npz   the filter, as its tuning wrote them
+tuning.toml, seen.npz   the filter's files, from its tuning
 learned.toml            type of network, settings, and training data
 weights.npz             weights
 learned_seen.npz        landmarks that identify the training drives
@@ -40,7 +40,7 @@ class NetworkRecord(BaseModel):
     learning_rate: float
     axes: list[str] = Field(default_factory=list)
     inflation: float | None = None
-    """None: infinite."""
+    """Factor of the variances; None: infinite."""
     unsure: float = 1.0
     numbers: int
 
@@ -56,7 +56,7 @@ class TrainingRecord(BaseModel):
     epochs: int
     loss_before: float
     loss: float
-    """Loss on the held-back data."""
+    """Loss on the validation data."""
     held_back: str
 
 
@@ -103,12 +103,12 @@ class Learned:
 
 
 def seen_in(folder: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives of a folder's network, if it has one."""
+    """Return the landmarks of the training drives of a folder's network, if the folder has a network."""
     return [] if not folder.is_dir() else load_landmarks(folder / LEARNED_SEEN) or []
 
 
 def load_learned(folder: Path) -> Learned | None:
-    """Read the network of a folder, or return None where it has none; raise `InputError` if a file is damaged."""
+    """Read the network of a folder; return None without a network; raise `InputError` if a file is damaged."""
     folder = folder if folder.is_dir() else folder.parent
     file, weights = folder / LEARNED_FILE, folder / WEIGHTS_FILE
     if not file.exists():

@@ -1,4 +1,4 @@
-"""Train a network that helps a tuned filter, search its settings, and save it in a folder."""
+"""Train a network that supports a tuned filter, search for good settings, and save the network in a folder."""
 
 import shutil
 import time
@@ -53,7 +53,7 @@ class Learner(Protocol):
     batch: int
     patience: int
     start: Settings
-    """Settings of the first training, and of the only one without a search."""
+    """Settings of the first training; without a search, the only training."""
     box: Mapping[str, tuple[float, float]]
     """Bounds of the search, as logarithms to the base of 2."""
 
@@ -64,7 +64,7 @@ class Learner(Protocol):
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Complete the best network: its weights, and further entries of its record."""
+        """Complete the best network: return its weights and further entries of its record."""
         ...
 
 
@@ -86,10 +86,10 @@ class LearnConfig:
     drives : sequence of Drive
         Training drives.
     validation : sequence of Drive
-        Held-back drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each
-        drive; for outage-lstm with three or more drives it is the last third of the drives.
+        Validation drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each
+        drive, or, for outage-lstm with three or more drives, the last third of the drives.
     search : int
-        Number of further settings (units, window, learning rate) to try; the best on the held-back data is kept.
+        Number of further settings (units, window, learning rate) to try; the best on the validation data is used.
     seed : int
         The same seed gives the same bits on the same machine.
     """
@@ -114,7 +114,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training and held-back drives; the latter are empty where the end of each drive is held back."""
+        """Return training and validation drives; no validation drives if the end of each drive is validation data."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives
@@ -129,7 +129,7 @@ def learn(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> Learned:
-    """Train a network that helps a tuned filter, without truth.
+    """Train a network that supports a tuned filter, without truth.
 
     Parameters
     ----------

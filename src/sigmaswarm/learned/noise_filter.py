@@ -1,7 +1,7 @@
 """The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-It is the textbook form, with the steps of `schedule`; a test compares it with the compiled filter. It does not reset
-after divergence, and it does not use the receiver's velocity or an odometer.
+The filter has the textbook form and the steps of `schedule`; a test compares it with the compiled filter. It has no
+reset after divergence, and does not use the receiver's velocity or an odometer.
 """
 
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ def require_supported(p: FilterParameters) -> None:
 
 
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
-    """Return the steps of a replay for `run`, (k, N_COLUMNS), and their ends, (k,) s."""
+    """Return the steps of a replay for `run`, (k, N_COLUMNS), and the ends of the steps, (k,) s."""
     line = replay.timeline
     flags = flags_of(line, measured_by(parameters))
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
@@ -140,7 +140,7 @@ def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
 def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
     """Update the mean, covariance and number of rejected fixes with a fix; ``scale`` is the logarithm of R's factor.
 
-    Returns the three, and nu, m, with xx, xy and yy of S, m2, before the update.
+    Return the updated mean, covariance and number; and nu, m, and xx, xy, yy of S, m2, before the update.
     """
     import jax.numpy as jnp
 
@@ -177,7 +177,7 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    """Update with a velocity of zero, and with the gyro's reading at rest, its bias."""
+    """Update with a velocity of zero, and with the gyro's reading at rest as its bias."""
     import jax.numpy as jnp
 
     n = len(m)
@@ -196,7 +196,7 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
     Returns
     -------
     innovations : (k, 6)
-        For each step: nu, m, and xx, xy, yy of S, m2, before the update; 1 if it has a fix, else 0.
+        For each step: nu, m, and xx, xy, yy of S, m2, before the update; 1 if the step has a fix, else 0.
     means : (k, n)
     """
     import jax

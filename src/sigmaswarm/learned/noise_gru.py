@@ -1,8 +1,8 @@
-"""noise-gru: a filter with a network that scales Q and R by the latest innovations.
+"""noise-gru: a filter with a network that scales Q and R according to the latest innovations.
 
-After each fix the network takes one step. Its inputs are the innovation in the body frame over its expected size, its
-NIS, and the time since the last fix. Its outputs, within bounds, are a factor of R and a factor of Q. They apply from
-the next IMU sample to the one after the next fix, so a factor never depends on the fix that it applies to.
+After each fix the network takes one step. The inputs are the innovation in the body frame divided by its expected size,
+the NIS, and the time since the last fix. The outputs are bounded factors of R and Q. The factors apply from the next
+IMU sample to the sample after the next fix. So a factor does not depend on the fix whose update it scales.
 
 The network changes the parameters of the compiled filter between samples. `noise_filter` is its differentiable form.
 """
@@ -23,7 +23,7 @@ from sigmaswarm.learned.cells import Weights, gru, head
 NAME = "noise-gru"
 FEATURES = 4
 MOST_SCALE = 30.0
-"""Largest factor of R and Q; the smallest is its inverse."""
+"""Largest factor of R and Q; the smallest factor is the inverse."""
 
 
 def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
@@ -44,7 +44,7 @@ def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:
     theta : array, shape (...)
         Heading at the next IMU sample, rad.
     since : array, shape (...)
-        s since the last fix.
+        Time since the last fix, s.
     """
     n1, n2 = nu[..., 0], nu[..., 1]
     nis, _ = nis_of(nu, s)
@@ -64,7 +64,7 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 
 
 class NoiseRun(PausingRecording):
-    """Run a filter over a replay, with a network that scales Q and R.
+    """Run of a filter over a replay with a network that scales Q and R.
 
     With an untrained network its pieces have the bits of `Recording`.
 
@@ -73,7 +73,7 @@ class NoiseRun(PausingRecording):
     replay, parameters, samples, recover
         As of `Recording`.
     weights : mapping of str to ndarray
-        The network's: see `cells`.
+        Weights of the network: see `cells`.
 
     Attributes
     ----------

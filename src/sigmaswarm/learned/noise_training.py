@@ -1,4 +1,4 @@
-"""Train `noise-gru` with gradients of the whole filter: it maximizes the likelihood of each fix before its update.
+"""Train `noise-gru` with gradients of the whole filter: maximize the likelihood of each fix before its update.
 
 Drives are cut into segments. Each segment starts from the state of the filter without a network. Truth is not used.
 """
@@ -32,7 +32,7 @@ def segments_of(
     length: float,
     validation: Sequence[Drive] = (),
 ) -> Examples:
-    """Cut drives into segments of ``length`` s; without ``validation``, the last segments of each drive are held back.
+    """Cut drives into segments of ``length`` s; ``validation`` defaults to the last segments of each drive.
 
     The arrays are initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms
     (s, 2).
@@ -84,7 +84,7 @@ def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
 
 
 class NoiseLearner:
-    """Trains `noise_gru`."""
+    """Training of `noise_gru`."""
 
     epochs, batch, patience = 60, 8, 10
     start: Mapping[str, float] = {"units": 8, "window": 20.0, "learning_rate": 2.0**-7}

@@ -1,15 +1,15 @@
 """outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
 
 The network reads windows of the IMU and estimates the displacement in the last second, forward and left, with its
-standard deviations. A faster car vibrates more, and it turns less for the same lateral acceleration. `relative` makes
-the update. The filter's speed is not an input: the network would return it, and the update would use it twice.
+standard deviations. A faster car vibrates more, and it turns less for the same lateral acceleration. `relative` updates
+the filter. The filter's speed is not an input: the network would return this speed, and the update would use it twice.
 
 Errors of the forecasts persist on one road and in one car; they are modeled as Gauss-Markov processes. While there are
 fixes, the error of a forecast is its difference from the filter's velocity. In an outage the last known error is
 subtracted, with decay. The remaining error is still correlated in time. The velocity covariance of a filter that was
-tuned with fixes is often too small in an outage. So two factors, of the forecasts' variance and of the velocity's Q in
-an outage, are fitted: they maximize the likelihood of hidden fixes on held-back drives. Where the gain over the filter
-alone is not significant, the network is not used.
+tuned with fixes is often too small in an outage. So two factors are fitted, one of the forecasts' variance and one of
+the velocity's Q in an outage: they maximize the likelihood of hidden fixes on validation drives. If the gain over the
+filter alone is not significant, the network is not used.
 """
 
 from collections.abc import Mapping
@@ -32,18 +32,18 @@ from sigmaswarm.learned.relative import Begin, Displacements, in_body
 NAME = "outage-lstm"
 VELOCITY_Q = [R.Q_U, R.Q_V]
 LEAST_STD, MOST_STD = 0.02, 20.0
-"""m: bounds of the standard deviation of a displacement over a second."""
+"""Bounds of the standard deviation of a displacement over a second, m."""
 
 
 class Forecast(NamedTuple):
-    """The outputs of a network for a window in an outage.
+    """Outputs of a network for a window in an outage.
 
     Attributes
     ----------
     begin, first : int
-        Numbers of the IMU samples at its begin, and after the last fix.
+        Numbers of the IMU samples at the begin of the displacement, and after the last fix.
     age : float
-        s from ``first`` to its end.
+        Time from ``first`` to the end of the displacement, s.
     moved, variance : ndarray, shape (2,)
         The displacement, m, and its variance, m2.
     before : ndarray, shape (2,)
@@ -69,8 +69,8 @@ class OutageLstm:
     window : float
         Length of the input, s.
     weights : mapping of str to ndarray
-        Those of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of the outputs,
-        m; ``kept`` (2,) and ``lasts`` (2,), s, of the autocorrelation of errors, kept exp(-t / lasts).
+        Weights of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of the outputs,
+        m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation kept exp(-t / lasts).
     inflation : float
         Factor of the variances; infinite: no update.
     unsure : float
@@ -124,7 +124,7 @@ def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
 def untrained(
     rng: np.random.Generator, axes: tuple[str, ...], window: float, units: int, features: Array, moved: Array
 ) -> OutageLstm:
-    """Make a new network; ``features`` (k, STEPS, f) and ``moved`` (k, 2), m, set its scales."""
+    """Make a new network; ``features`` (k, STEPS, f) and ``moved`` (k, 2), m, determine its scales."""
     flat = features.reshape(-1, features.shape[-1])
     scales = {
         "center": flat.mean(axis=0),
@@ -138,7 +138,7 @@ def untrained(
 
 
 class OutageRun(PausingRecording):
-    """Run a filter with forecasts of displacements in outages over a replay.
+    """Run of a filter over a replay with forecasts of displacements in outages.
 
     Without outages its pieces have the bits of `Recording`.
 
@@ -153,7 +153,7 @@ class OutageRun(PausingRecording):
     Attributes
     ----------
     accepted, rejected : int
-        Numbers of displacements so far.
+        Numbers of accepted and rejected displacements so far.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class OutageRun(PausingRecording):
         self._over = set() if windows is None else set(windows.over.tolist())
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Update with the displacement that ends at a sample, and keep the state for those that begin there."""
+        """Update with the displacement that ends at a sample; store the state for displacements that begin at it."""
         forecast = self._forecasts.get(sample)
         if forecast is not None and not lost:
             velocity, begin = self._velocity.get(forecast.first), self._begin.pop(forecast.begin, None)
@@ -208,4 +208,4 @@ class OutageRun(PausingRecording):
 
     def _reset(self, start: InitialState) -> None:
         super()._reset(start)
-        self._begin, self._velocity = {}, {}  # they belong to the diverged filter
+        self._begin, self._velocity = {}, {}  # states of the diverged filter

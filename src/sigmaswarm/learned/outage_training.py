@@ -1,8 +1,8 @@
 """Train `outage-lstm`: its examples, its loss, and the calibration of its variances.
 
-The network learns the displacements of the same filter, smoothed with all fixes; truth is not used. The held-back data
-decide when the training stops. Then outages are placed on them several times, and their hidden fixes calibrate the
-variances.
+The network learns the displacements of the smoothed filter with all fixes; truth is not used. The training stops by the
+loss on the validation data. Then outages are placed on the validation data several times, and their hidden fixes
+calibrate the variances.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,9 +34,9 @@ LENGTHS = (10.0, 40.0)
 PLACEMENTS = 4
 """Placements of outages in each drive."""
 EVERY = 0.25
-"""s between examples."""
+"""Interval between examples, s."""
 BORDER = 5.0
-"""s between the training data and the held-back data."""
+"""Gap between the training and validation data, s."""
 INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)
 """Candidates of the calibration: see `OutageLstm`."""
 LAGS = (2, 4, 8, 12, 20, 40, 80, 120)
@@ -46,7 +46,7 @@ FIXED = ("center", "spread", "usual", "scale", "kept", "lasts")
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A drive to learn from.
+    """A drive with its smoothed track.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Track:
     mean : ndarray, shape (n, 5)
         The smoothed track with all fixes: x, y, vx, vy, theta at the IMU samples.
     held_back_from : float
-        Begin of the held-back data, s.
+        Begin of the validation data, s.
     """
 
     ready: PreparedDrive
@@ -65,7 +65,7 @@ class Track:
 def tracks_of(
     drives: Sequence[Drive], parameters: FilterParameters, validation: Sequence[Drive] = ()
 ) -> list[Track]:
-    """Smooth drives to learn from; without ``validation`` the end of each is held back."""
+    """Smooth drives for training; without ``validation``, the end of each drive is for validation."""
     tracks: list[Track] = []
     for drive in (*drives, *validation):
         ready = PreparedDrive(drive)
@@ -79,7 +79,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
-    """Place outages on held-back data several times; return the replays, and the start of the data, s."""
+    """Place outages on validation data several times; return the replays, and the start of the data, s."""
     cases: list[tuple[Replay, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -106,7 +106,7 @@ def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array
 
 
 def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> Examples:
-    """Make examples, without those at the border of the held-back data: inputs (k, STEPS, f), displacements (k, 2)."""
+    """Make examples away from the border of the validation data: inputs (k, STEPS, f), displacements (k, 2)."""
     parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
         end, features, moved = _windows_of(track, axes, window)
@@ -142,7 +142,7 @@ def lesson(
 
 
 class OutageLearner:
-    """Trains `outage_lstm`."""
+    """Training of `outage_lstm`."""
 
     epochs, batch, patience = 120, 128, 15
     start: Mapping[str, float] = {"units": 16, "window": 8.0, "learning_rate": 2.0**-7}
@@ -181,7 +181,7 @@ class OutageLearner:
 
 
 def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
-    """Fit ``kept`` exp(-t / ``lasts``) to the autocorrelation of errors on the held-back data."""
+    """Fit ``kept`` exp(-t / ``lasts``) to the autocorrelation of errors on the validation data."""
     parts: list[Array] = []
     for track in tracks:
         end, features, moved = _windows_of(track, network.axes, network.window)
@@ -210,7 +210,7 @@ def calibrate(
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
-    The inflation is infinite where the mean gain over the filter alone is below its standard error. Only outages of the
+    The inflation is infinite if the mean gain over the filter alone is below its standard error. Only outages of the
     same placement count as independent.
     """
     windows = [

@@ -1,4 +1,4 @@
-"""The outages of `outage-lstm`, and its inputs, which are causal windows of the IMU."""
+"""Outages and inputs of `outage-lstm`; the inputs are causal windows of the IMU."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ from sigmaswarm.errors import InputError
 HORIZON = 1.0
 """Duration of a displacement, s."""
 OUTAGE_AFTER = 2.0
-"""s without a fix after which an outage begins; a working receiver has 1 Hz or more."""
+"""Time without a fix before an outage begins, s; a working receiver has 1 Hz or more."""
 STEPS = 40
 """Steps of a resampled window."""
 _QUIET = 1e-3
-"""m/s2 added to the vibration of an axis before the logarithm; of a gyro a tenth of it, rad/s."""
+"""Offset added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
 _GRAVITY = 9.80665
 
 
@@ -34,7 +34,7 @@ class Windows:
     first : ndarray of int, shape (k,)
         Index of the sample after the last fix.
     age : ndarray, shape (k,)
-        s from ``first`` to ``end``.
+        Time from ``first`` to ``end``, s.
     over : ndarray of int
         Indices of the samples after the fixes that end the outages.
     """

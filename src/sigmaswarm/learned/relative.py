@@ -1,7 +1,7 @@
 """Update a filter with a displacement between two moments.
 
-A displacement measures motion, not position. Used as a fix at the last position plus the displacement, it would add the
-error of that position again each time. So the measurement also depends on the state at its begin, as in stochastic
+A displacement measures motion, not position. A fix at the last position plus the displacement would add the error of
+the last position again at each update. So the measurement also depends on the state at its begin, as in stochastic
 cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
 
     z = R(theta_0)^T (p_1 - p_0) + noise
@@ -27,18 +27,18 @@ from sigmaswarm.filters.replay import Replay, run_steps
 _SMALL = 1e-3
 """Step of the finite differences, in standard deviations."""
 GATE = 13.8
-"""NIS above which a displacement is rejected: one in a thousand (chi-square, two degrees of freedom)."""
+"""Largest accepted NIS of a displacement; rejects one in a thousand (chi-square, two degrees of freedom)."""
 
 
 class Begin(NamedTuple):
-    """The filter at the begin of a displacement: its rows (N_KEPT, lanes), and the position of its run (5,)."""
+    """Filter at the begin of a displacement: its rows (N_KEPT, lanes), and the place of its run (5,)."""
 
     rows: Array
     place: Array
 
 
 class Displacements:
-    """Updates a filter with displacements.
+    """Updater of a filter with displacements.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Displacements:
         ----------
         begin : Begin
         rows : ndarray, shape (N_KEPT, lanes)
-            The state of the filter, which is changed.
+            State of the filter, changed in place.
         stop : int
         moved : ndarray, shape (2,)
             Displacement, m forward and left, in the body frame at the begin.
@@ -71,7 +71,7 @@ class Displacements:
         Returns
         -------
         bool
-            False if the displacement was rejected: its NIS is too large, the update would diverge, or the covariance
+            False if the displacement was rejected: the NIS is too large, the update would diverge, or the covariance
             would no longer be positive definite.
         """
         x0, p0 = self._state(begin.rows)

@@ -1,8 +1,7 @@
-"""LiveFilterBank: sixteen filters with the interface of one; their mixture is the estimate.
+"""LiveFilterBank: sixteen filters with the interface of a `LiveFilter`; the estimate is their mixture.
 
-Results depend on the samples and fixes alone. Lanes are replaced in a past state that no late fix can change; from
-there the samples are processed again with the new lanes. So the same samples and fixes give the same bits, in time or
-late, live or from a file.
+Lanes are replaced in a past state that no late fix can change; then the later samples are processed again with the new
+lanes. So results depend on the samples and fixes alone: late fixes, live runs and files give the same bits.
 """
 
 import os
@@ -36,17 +35,17 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
 
 SEARCH_EVERY = 10.0
-"""s from one search to the next."""
+"""Interval between the starts of two searches, s."""
 SEARCH_TAKES = 1.0
-"""s of samples from the begin of a search to the use of its result; it takes about 15 ms on another thread."""
+"""Time of samples from the start of a search to the use of its result, s; a search takes about 15 ms."""
 REPLAYED = 60.0
-"""s of samples that a search replays."""
+"""Length of the samples that a search replays, s."""
 FASTER = 2.0
-"""m/s: at lower speeds fixes hardly determine headings and biases, and no lane is replaced."""
+"""Lowest speed for replacing lanes, m/s; at lower speeds, fixes hardly determine headings and biases."""
 REPLACED = 7
 """Lanes replaced after a search: one by the result, the others by copies of good lanes with random changes."""
 JITTER = 0.6
-"""Standard deviation of these changes, in standard deviations of an offset."""
+"""Standard deviation of the random changes, in standard deviations of an offset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ class Mixture:
         leads = np.argmax(weights, axis=1)
         from_leader = mean - mean[np.arange(len(mean)), leads][:, np.newaxis]
         from_leader[:, :, THETA] = wrap_angle(from_leader[:, :, THETA])
-        out = weights == 0.0  # lanes that are NaN included
+        out = weights == 0.0  # including lanes with NaN
         from_leader[out], covariance[out] = 0.0, 0.0
         middle = np.einsum("kl,kln->kn", weights, from_leader)
         off = from_leader - middle[:, np.newaxis]
@@ -85,19 +84,19 @@ class _Snapshot:
     """Number of steps in the log."""
     time: float
     fixed_at: float
-    """Time of the last fix before it, s."""
+    """Time of the last fix before the snapshot, s."""
     lanes: Array
     """(N_KEPT, LANES)"""
     evidence: Array
     ancestors: NDArray[np.intp]
-    """For each present lane the lane of this snapshot that it was copied from, (LANES,)."""
+    """Number of the snapshot's lane from which each current lane was copied, (LANES,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A running search, which replays the logged steps up to number ``taped``, from the ancestor of lane ``led``.
+    """A running search: it replays the logged steps up to number ``taped`` from the ancestor of lane ``led``.
 
-    A copy of it, in a forked process or by pickle, searches in the calling thread.
+    A copy by fork or pickle searches in the calling thread.
     """
 
     taped: int
@@ -120,17 +119,17 @@ class _Pending:
 
 
 class LiveFilterBank(LiveFilter):
-    """A bank of sixteen filters with different parameters on one stream of samples; their mixture is the estimate.
+    """A bank of sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
-    Each filter (lane) predicts the fixes. Its weight comes from their likelihood (its evidence), which fades within a
-    minute. Lane 0 is the tuning, with the bits of a `LiveFilter`; some lanes represent other receivers. Every 10 s of
-    driving the worst lanes are replaced: by the result of a search over the last minute, and by copies of good lanes.
-    So the bank adapts to other sensors or another reception. On the car of the tuning it is not better than the filter.
-    Where the mixture diverges, the lanes are reset like a `LiveFilter`. The alignment uses the known gyro bias, and
-    most lanes keep their biases.
+    Each filter (lane) predicts the fixes. The fixes' likelihood (the evidence of the lane, which fades within a minute)
+    gives the lane's weight. Lane 0 is the tuning, with the bits of a `LiveFilter`; some lanes represent other
+    receivers. Every 10 s of driving, the worst lanes are replaced by the result of a search over the last minute and by
+    copies of good lanes. So the bank adapts to other sensors or another reception. On the car of the tuning, the bank
+    is not better than the filter. If the mixture diverges, the lanes are reset like a `LiveFilter`. The alignment uses
+    the known gyro bias, and most lanes keep their biases.
 
-    A bank is used like a `LiveFilter`, but has no smoothed state. A `pickle` copy continues with the same bits. A fix
-    from before a reset of lanes is too late for all of them.
+    The interface is that of a `LiveFilter` without the smoothed state. A `pickle` copy continues with the same bits.
+    After a reset of some lanes, all lanes ignore fixes from before it.
 
     Parameters
     ----------
@@ -148,7 +147,7 @@ class LiveFilterBank(LiveFilter):
     spread : Spread
         The offsets that the lanes can have.
     offsets : ndarray, shape (16, d)
-        Offsets of the lanes in decades; of the rear axle in m.
+        Offsets of the lanes in decades; the rear axle's in m.
     n_searches : int
         Number of searches with a result.
     restarts : list of float
@@ -202,7 +201,7 @@ class LiveFilterBank(LiveFilter):
     def _with_lanes(self, nominal_interval: float) -> Memory:
         of_one = self._memory.arrays
         longest = SEARCH_EVERY + SEARCH_TAKES + REPLAYED
-        tape = int(2.5 * longest / nominal_interval) + self._settled  # fixes come as often as samples at most
+        tape = int(2.5 * longest / nominal_interval) + self._settled  # at most as many fixes as samples
         wider = np.zeros(live.BEHIND + TAPE + tape * N_TAPE)
         wider[: live.N_ALL] = of_one.belief
         wider[live.BEHIND + swarm.TAPE_LENGTH] = tape
@@ -214,7 +213,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def _numbers(self) -> Array:
-        """The lanes' numbers, which are stored behind the state of lane 0."""
+        """The lanes' numbers, stored after the state of lane 0."""
         return self._belief[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
@@ -250,7 +249,7 @@ class LiveFilterBank(LiveFilter):
         return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Take an IMU sample, as `LiveFilter.predict`."""
+        """Process an IMU sample, as `LiveFilter.predict`."""
         super().predict(t, imu)
         if t >= self._due and self._belief[live.TIME] >= self._due:
             self._move()
@@ -292,7 +291,7 @@ class LiveFilterBank(LiveFilter):
         _, record, numbers = mark
         here = self._snapshot(numbers, float(record[live.TIME]))
         self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAYED - 1e-6]
-        if not numbers[swarm.WEIGHT].any():  # all have failed
+        if not numbers[swarm.WEIGHT].any():  # all lanes have failed
             return None
         leads = int(np.argmax(numbers[swarm.WEIGHT]))
         if np.hypot(*here.lanes[[R.U, R.V], leads]) <= FASTER:
@@ -314,13 +313,13 @@ class LiveFilterBank(LiveFilter):
         return first >= int(self._numbers[swarm.TAPED]) - int(self._numbers[swarm.TAPE_LENGTH])
 
     def _tape(self, first: int, last: int) -> Array:
-        """Steps from number ``first`` to before ``last``, (k, N_TAPE)."""
+        """Steps ``first`` to ``last`` - 1, (k, N_TAPE)."""
         length = int(self._numbers[swarm.TAPE_LENGTH])
         tape = self._numbers[TAPE:].reshape(length, N_TAPE)
         return tape[np.arange(first, last) % length]
 
     def _replace(self, found: Found, replayed: int, led: int) -> None:
-        """Replace the worst lanes by the result and by copies of good lanes; then repeat the last samples."""
+        """Replace the worst lanes by the search result and copies of good lanes; reprocess the last samples."""
         mark = self._settled_mark()
         if mark is None:
             return
@@ -343,7 +342,7 @@ class LiveFilterBank(LiveFilter):
             known.append(float(evidence[parent]))
         lost = ~np.isfinite(evidence) | (rows[R.OK] != 1.0)
         failed = [lane for lane in range(1, LANES) if lost[lane] and lane not in worst]
-        for lane in failed:  # it continues from the state of the best lane, with its own offsets
+        for lane in failed:  # continue from the best lane's state, with the lane's own offsets
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
         for lane, its, state, evidence_of in zip(worst, offsets, states, known, strict=True):
             self.offsets[lane], rows[:, lane], evidence[lane] = its, state, evidence_of
@@ -365,7 +364,7 @@ class LiveFilterBank(LiveFilter):
         again_call()(self._memory.step.address, belief, counts, fixes, speeds, history, marks, place, True)
 
     def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
-        """Rows of the result of a search, (N_KEPT,), after the steps since its replay, and its evidence."""
+        """Rows, (N_KEPT,), and evidence of a search result, propagated by the steps since its replay."""
         steps = Steps(self._kernel, since, self._belief[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
@@ -379,7 +378,7 @@ class LiveFilterBank(LiveFilter):
         gyro_bias = self._gyro_bias(estimate[0])
         start = self._judged(together, now, fix, lambda: estimate, due=due, gyro_bias=gyro_bias)
         if start is None and due and not self.weights.any():  # all lanes have failed
-            with np.errstate(all="ignore"):  # values that are not finite give no start
+            with np.errstate(all="ignore"):  # non-finite values give no start
                 start = self._check(now, fix, *estimate).start
         if start is not None:
             self._start_lanes(start, slice(1, None))
@@ -393,7 +392,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """State estimate (n,), (n, n) with the biases from before the divergence; a reset to a fix discards them."""
+        """State estimate (n,), (n, n) with the biases from before the divergence, which a reset to a fix discards."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -404,14 +403,14 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Known bias of the gyro, rad/s; an alignment without it would have a wrong heading."""
+        """Known gyro bias, rad/s; without it, an alignment's heading would be wrong."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
         """Keep the known biases of a state estimate (n,), (n, n), except in lanes with other biases.
 
-        The alignment's own bias is used where it is more precise or contradicts the known one.
+        The alignment's bias is used where it is more precise than the known bias or contradicts it.
         """
         seen = start.gyro
         surer = (
@@ -436,7 +435,7 @@ class LiveFilterBank(LiveFilter):
         super()._reset(start)
         self._rows_of(self._numbers)[:, 0] = self._belief[:N_KEPT]
         evidence = self._numbers[swarm.EVIDENCE]
-        if not np.isfinite(evidence[0]):  # it had failed: it gets the least evidence of all lanes
+        if not np.isfinite(evidence[0]):  # failed before: use the least evidence of all lanes
             evidence[0] = evidence[np.isfinite(evidence)].min(initial=0.0)
         self._begin_history()
 
@@ -450,7 +449,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def bank_restarts(self) -> list[float]:
-        """Times of the resets of all lanes but the first, where the mixture had diverged, s."""
+        """Times at which all lanes but the first were reset after a divergence of the mixture, s."""
         return [] if self._together is None else self._together.restarts
 
     @property
@@ -460,7 +459,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def weights(self) -> Array:
-        """Weights of the lanes, (16,), of sum 1; all 0 where all have failed."""
+        """Weights of the lanes, (16,), with sum 1; all 0 if all lanes have failed."""
         return self._numbers[swarm.WEIGHT].copy()
 
     @property
@@ -471,7 +470,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def leader(self) -> FilterParameters:
-        """Parameters of the lane of the largest weight."""
+        """Parameters of the lane with the largest weight."""
         return self.spread.parameters(self.offsets[int(np.argmax(self.weights))])
 
     @property
@@ -481,7 +480,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def settled(self) -> FilterParameters:
-        """The tuning with the offsets `moved`: the filter to save for this car."""
+        """The tuning with the mean offsets `moved`: the parameters to save for this car."""
         return self.spread.parameters(self.moved)
 
     @property
@@ -509,7 +508,7 @@ class LiveFilterBank(LiveFilter):
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:
-        """Present state rows (s, LANES) and weights (LANES,), to mix those of many samples together."""
+        """Current state rows (s, LANES) and weights (LANES,), for mixing many samples at once."""
         return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:

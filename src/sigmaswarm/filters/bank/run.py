@@ -1,4 +1,4 @@
-"""Run a filter bank over a whole drive: a `LiveFilterBank` takes its samples and fixes one by one."""
+"""Run a filter bank over a whole drive: a `LiveFilterBank` processes each sample and fix."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.geodesy import wrap_angle
 
 SETTLED_OVER = 60.0
-"""s at the end of a drive over which the offsets are averaged."""
+"""Length of the end of a drive over which offsets are averaged, s."""
 LOG_INTERVAL = 1.0
-"""s between two rows of the log."""
+"""Interval between two rows of the log, s."""
 _AT_ONCE = 500
-"""Samples whose mixtures are computed together."""
+"""Number of samples per computation of mixtures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class BankLog:
         s
     weights : ndarray, shape (k, LANES)
     moved : ndarray, shape (k, d)
-        Offsets of the mixture from the tuning in decades; of the rear axle in m.
+        Offsets of the mixture from the tuning in decades; the rear axle's in m.
     groups : mapping of str to list of int
         See `Spread.groups`.
     """
@@ -56,7 +56,7 @@ class BankLog:
 
     @property
     def effective(self) -> Array:
-        """Effective number of filters in the mixture, (k,); 0 where all had failed."""
+        """Effective number of filters in the mixture, (k,); 0 where all filters had failed."""
         squares = np.square(self.weights).sum(axis=1)
         return np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
 
@@ -169,7 +169,7 @@ class BankRun:
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far: for each sample that of the last fix before it."""
+        """Innovations of the mixture in the pieces so far, one per sample: those of the last fix before it."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 

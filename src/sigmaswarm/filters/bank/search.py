@@ -1,4 +1,4 @@
-"""The search of a filter bank: differential evolution of offsets, whose filters are replayed over the last minute.
+"""Search of a filter bank: differential evolution of offsets, scored by replaying their filters over the last minute.
 
 R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search begins
 with the population of the previous one.
@@ -34,7 +34,7 @@ GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
 """F and CR of differential evolution."""
 NOT_SCORED = 2.0
-"""s at the beginning of a replay that are not scored, since a filter with other offsets must converge first."""
+"""Unscored time at the start of a replay, s, in which a filter with new offsets converges."""
 FEWEST_FIXES = 8
 """Least number of scored fixes for a result."""
 FARTHEST = 8.0
@@ -43,7 +43,7 @@ FARTHEST = 8.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """The evidence of a filter, and the time of the last fix in it, s."""
+    """Evidence of a filter, and the time of the last fix that contributed to it, s."""
 
     evidence: float
     at: float
@@ -65,7 +65,7 @@ class Steps:
     lever: Array
 
     def run(self, lanes: Array) -> Array:
-        """Run lanes (N_KEPT, m), which are changed, over all steps; return each lane's loss over the fixes, (m,).
+        """Run lanes (N_KEPT, m) over all steps, in place; return each lane's loss over the fixes, (m,).
 
         The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``, without the
         fixes of the first `NOT_SCORED` seconds.
@@ -80,7 +80,7 @@ class Steps:
         return _lost(lanes) - before
 
     def followed(self, lane: Array, known: Evidence) -> tuple[Array, Evidence]:
-        """Return a lane (N_KEPT,) after all steps, and its evidence at that time."""
+        """Return a lane (N_KEPT,) and its evidence after all steps."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
@@ -95,7 +95,7 @@ class Steps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run from a place to step ``stop``, which is not included; lanes and place are changed."""
+        """Run from a place to before step ``stop``; changes lanes and place."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         arrays = (
@@ -132,7 +132,7 @@ def _lost(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Return the loss of a lane's evidence at each fix, (f,), from nu (m) and S (m2), as in `compiled.swarm`."""
+    """Return the decrease of a lane's evidence at each fix, (f,), from nu (m) and S (m2), as in `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
@@ -140,7 +140,7 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
 
 
 SCALED = R.TIMES_R, R.TIMES_Q
-"""Factors of a fuzzy filter's constants; 1 after the constants are replaced."""
+"""Factors of a fuzzy filter's R and Q; they are 1 after the constants are replaced."""
 
 
 def as_at_start(lanes: Array) -> Array:
@@ -164,7 +164,7 @@ class Found:
     lane: Array
     """The filter at the end of the replay, (N_KEPT,)."""
     known: Evidence
-    """Its evidence at that time."""
+    """Evidence of the filter at the end of the replay."""
     population: Array
 
 
@@ -178,10 +178,10 @@ def search(
     nominal_interval: float,
     seed: Sequence[int],
 ) -> Found | None:
-    """Search for better offsets over some steps; return None where the steps have too few fixes.
+    """Search for better offsets over some steps; return None if the steps have too few fixes.
 
-    ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
-    of the lane with the largest weight; they replace the last of the ``population`` (LANES, d).
+    ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,): offsets of the
+    lane with the largest weight, which replace the last member of ``population`` (LANES, d).
     """
     rng = np.random.default_rng(seed)
     if steps.n_scored < FEWEST_FIXES:

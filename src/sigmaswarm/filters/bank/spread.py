@@ -15,15 +15,15 @@ from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0
-"""Degrees of freedom of the offsets' distribution, Student's t: most are small, those of another sensor large."""
+"""Degrees of freedom of the offsets' Student's t: most offsets are small, but another sensor has large ones."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
 R_DOWN_STD = 0.45
-"""The same in the penalty of an R below the tuning's; it is smaller, since fixes in a city are good until they jump."""
+"""Standard deviation in the penalty of an R below the tuning's, decades; in a city, fixes are good until they jump."""
 SCALE_STD = 0.7
-"""The same for a common factor of all variances, which hardly changes the estimates."""
+"""Standard deviation of a common factor of all variances, decades; this factor hardly changes the estimates."""
 START_STD = 1.5
-"""The same for the biases' variance at the start, which is never less than the tuning's."""
+"""Standard deviation of the biases' initial variance, decades; this variance is never less than the tuning's."""
 AXLE_STD = 0.7
 """Standard deviation of the position of the rear axle, m."""
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
@@ -41,7 +41,7 @@ FIXED = (
 other biases."""
 
 FAR, FAR_AXLE = 0.5, 0.5
-"""Offsets, in decades and in m, above which a warning is given."""
+"""Largest offsets without a warning, in decades and in m."""
 _MEANS = {
     R: "R is {times}: another receiver?",
     SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
@@ -57,7 +57,7 @@ class Spread:
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Name and standard deviation of each offset, in decades of variance; that of the rear axle in m."""
+        """Name and standard deviation of each offset, in decades of variance; the rear axle's in m."""
         p, found = self.tuning, dict[str, float]()
         for state in MODELS[p.model].states:
             found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
@@ -76,7 +76,7 @@ class Spread:
 
     @cached_property
     def std(self) -> Array:
-        """Their standard deviations, (d,)."""
+        """Standard deviations of the offsets, (d,)."""
         return np.array(list(self.deviations.values()))
 
     @cached_property
@@ -146,7 +146,7 @@ class Spread:
     def warnings(self, moved: Array) -> tuple[str, ...]:
         """Warnings of offsets (d,) that are too large for the vehicle of the tuning.
 
-        A common factor of all variances has one warning; the other offsets count relative to it.
+        A common factor of all variances has one warning; the other offsets are compared relative to it.
         """
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]

@@ -1,9 +1,9 @@
-"""The unscented filter of `textbook`, compiled around a user's f and h: one parameter set over one log.
+"""The unscented filter of `textbook`, compiled with a user's f and h: one parameter set over one log.
 
-f and h are unknown, so nothing can be vectorized; the gain is that Python is left out. A function of the user's
-can't be cached between processes, so each process compiles its own kernel when it first needs it. Plain loops, since
-whole-array expressions take Numba several times as long to compile, and plain arguments, since a tuple of the arrays
-makes each step take twice as long.
+f and h are unknown, so nothing can be vectorized; the gain comes from avoiding Python. Numba can't cache a user's
+function between processes, so each process compiles its own kernel on first use. The code uses plain loops, since
+whole-array expressions compile several times as slowly. It uses plain arguments, since a tuple of the arrays doubles
+the time of a step.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false
@@ -19,9 +19,9 @@ from numba import njit
 _TWO_PI = 2 * math.pi
 
 _kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""For functions that kernels alone call: entries for Python and C would cost compile time."""
+"""Options of functions that only kernels call; entry points for Python and C would cost compile time."""
 _inlined = njit(error_model="numpy", inline="always")
-"""For functions with one call each: LLVM would optimize them once alone, and again where they are called."""
+"""Options of functions with one call each; otherwise LLVM would optimize them twice, alone and inlined."""
 
 _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 
@@ -29,7 +29,7 @@ _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 def build_kernel(
     f: Callable[..., Any], h: Callable[..., Any], process_noise: Callable[..., Any], *, diagonal: bool
 ) -> Any:
-    """The filter around a user's functions, compiled when it is first called; see `run` in it for its arguments.
+    """Build the filter for a user's functions, compiled on its first call; the inner `run` documents its arguments.
 
     ``diagonal``: process_noise gives the diagonal of Q. Bounds are checked in the user's functions: an index out of
     bounds raises an error there, too.
@@ -40,7 +40,7 @@ def build_kernel(
 
     @_inlined
     def predict(mean, covariance, root, drawn, moved, state, weights, dt, u, p, angles):
-        """Push the sigma points through f, and add Q; False where P has no root."""
+        """Propagate the sigma points by f, and add Q; return False if P has no root."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):
@@ -55,7 +55,7 @@ def build_kernel(
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
-        """Draw sigma points again and push them through h: nu, S and C; False where P has no root."""
+        """Draw sigma points again, and apply h: compute nu, S and C; return False if P has no root."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):
@@ -120,7 +120,7 @@ def _weights(n, scaling):
 
 @_kernel
 def _draw(mean, covariance, gamma, root, sigmas):
-    """Sigma points: centre, centre plus each column of the root, centre minus each; False where there is no root."""
+    """Draw sigma points: center, center plus each column of the root, center minus each; False without a root."""
     n = mean.size
     if not _root(covariance, root):
         return False
@@ -135,7 +135,7 @@ def _draw(mean, covariance, gamma, root, sigmas):
 
 @_kernel
 def _root(a, root):
-    """The Cholesky factor of ``a``, written to the lower half of ``root``; False where there is none (NaN included)."""
+    """Write the Cholesky factor of ``a`` to the lower half of ``root``; False if there is none (or NaN)."""
     for j in range(a.shape[0]):
         for i in range(j, a.shape[0]):
             s = a[i, j]
@@ -152,7 +152,7 @@ def _root(a, root):
 
 @_kernel
 def _centre(images, points, angles, weights, mean):
-    """The mean of ``images``, written to ``mean``; the differences from it replace ``images``.
+    """Write the mean of ``images`` to ``mean``; replace ``images`` by their differences from the mean.
 
     For an angle, the difference from the first image minus that of the original points (if given) is at most half a
     turn.

@@ -1,4 +1,4 @@
-"""A live filter's last seconds again, with every step logged for the smoother."""
+"""Repetition of a live filter's last seconds, with every step logged for the smoother."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -7,7 +7,7 @@ from sigmaswarm.filters.compiled.live import N_ALL, take_again
 from sigmaswarm.filters.compiled.run import cached_by_sources
 
 N_TAPED = N_ALL
-"""Index, after a live filter's state, of the number of logged steps; the log follows, step by step."""
+"""Index of the number of logged steps, after a live filter's state; the log of each step follows."""
 TAPE = N_ALL + 1
 
 

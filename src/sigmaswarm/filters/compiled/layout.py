@@ -24,13 +24,13 @@ BLOCKS = 2
 
 
 def most_lanes(kernel: str) -> int:
-    """Filters that a run takes at once: many, to hide latencies, but all in a core's nearest cache."""
+    """Number of filters per run: many, to hide latencies, but within a core's nearest cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
 
 def lanes_for(n_sets: int) -> int:
-    """The lanes of this many filters."""
+    """Number of lanes for this many filters."""
     return -(-n_sets // WIDEST) * WIDEST
 
 
@@ -62,7 +62,7 @@ CONSTANTS = (
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
     "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix that states none
 )  # fmt: skip
-"""Of a parameter set."""
+"""Rows of a parameter set's constants."""
 SUMS = (
     "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
     "DET", "TAIL", "OK", "REJECTED", "RECENT",

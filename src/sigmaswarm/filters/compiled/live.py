@@ -3,17 +3,18 @@
 The filter is the first lane of the rows in `layout`; a step is in `single`, and is called by its address, so that this
 file is compiled once for all models. The memory is eight arrays:
 
-    belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
-    counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
-    memory  (N_MEMORY, 8) what tells calm, see `drives.standstill`; of no rows where nothing asks
-    fixes   (f, N_FIX) by time; those of one time in the order in which they came; each with what it is
-    speeds  (r, 2) readings of the odometer by time, s and m/s; of no rows where the filter takes none
-    history (h, N_RECORD) a ring: the last samples, and the belief before each of them
-    marks   (m, k) a ring: the k numbers behind the belief, which the step changes too, before each MARK_EVERY-th
-            sample; of no rows where there are none
-    lately  (l, N_SAMPLE) a ring: the last samples, for the watch (see `watch`); of no rows where nobody watches
+    belief  (N_ALL,) the state, which a late fix resets to an earlier one; then settings and values without reset
+    counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
+    memory  (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
+    fixes   (f, N_FIX) sorted by time, equal times by arrival; each with its kind
+    speeds  (r, 2) odometer readings by time, s and m/s; no rows if the filter uses none
+    history (h, N_RECORD) ring buffer: the last samples, and the state before each sample
+    marks   (m, k) ring buffer of checkpoints: the k numbers after the state, which the step also changes, before each
+            MARK_EVERY-th sample; no rows if k is 0
+    lately  (l, N_SAMPLE) ring buffer: the last samples, for the divergence monitor (see `watch`); no rows if unused
 
-A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one.
+A sample contains its time and the IMU's axes in the order of `timeline.AXES`, 0 for an axis that the model does not
+read.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -40,20 +41,20 @@ from sigmaswarm.filters.compiled.single import take_step
 from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL, WATCHED, last_fix, rough_heading
 from sigmaswarm.filters.schedule import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
-# The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, the intervals
-# in which the constraints and the odometer were absorbed last, and when the latter was.
+# The state: rows, constants and sums as in `layout`; its time; Q's scale since the last fix; the intervals of the last
+# updates with the constraints and the odometer; the time of the last odometer update.
 N_FILTER = N_KEPT
 OK = R.OK
 TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(N_FILTER, N_FILTER + 6)
 STOP_TIME = N_FILTER + 6  # of the last moment of calm and constant fixes; then the stop's ax, ay
 STOP = slice(STOP_TIME + 1, STOP_TIME + 3)
 N_BELIEF = STOP.stop
-# Behind it, what no late fix takes back. An interval of 0: the filter does not take that constraint.
+# Next, values that no late fix resets. An interval of 0: the filter does not use that constraint.
 N_SAMPLE = 1 + len(AXES)
 NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, BELIEVES_TIMES = range(
     N_BELIEF, N_BELIEF + 7
 )
-# Of the watch: s that fixes may be late; the time of the last fix seen; the interval of the last look.
+# Divergence monitor: largest delay of fixes, s; the time of the last fix seen; the interval of the last check.
 LATE_BY, SEEN_FIX, LOOKED = range(N_BELIEF + 7, N_BELIEF + 10)
 LEVER = slice(N_BELIEF + 10, N_BELIEF + 13)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
@@ -63,21 +64,21 @@ LAST_SAMPLE = SAMPLE.start  # its time
 ) = range(11)  # fmt: skip
 FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
 N_FIX = 11
-# The last sample and fix that lay too far ahead to be taken at once; and the one that has just come.
+# The last sample and fix that were stamped too far ahead; and the new sample.
 SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
 NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
-ORDER = slice(NEW_SAMPLE.stop, NEW_SAMPLE.stop + len(AXES))  # where each of AXES stands in what comes
-DIMENSION = ORDER.stop  # how many states the filter has
+ORDER = slice(NEW_SAMPLE.stop, NEW_SAMPLE.stop + len(AXES))  # index of each of AXES in the input
+DIMENSION = ORDER.stop  # number of states
 FACTOR = slice(DIMENSION + 1, DIMENSION + 1 + len(COVARIANCE))  # room for the Cholesky factor
 N_ALL = FACTOR.stop
 
 (
     N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS,
-    N_SAMPLES,  # that went into the history
-    SPARE,  # records of the history that are there only to go on from a mark
+    N_SAMPLES,  # number of samples ever added to the history
+    SPARE,  # records that are stored only to continue from a checkpoint
     N_LATELY, NEWEST,  # samples that are watched, and the row of the last one
-    CAME_LATE,  # whether the last fix did
+    CAME_LATE,  # whether the last fix came late
 ) = range(14)  # fmt: skip
 N_COUNTS = 14
 NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
@@ -85,7 +86,7 @@ NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a se
 BEHIND = 8 * math.ceil(N_ALL / 8)
 """Index at which the numbers after the state begin, a multiple of the widest vectors."""
 MARK_EVERY = 16
-"""Samples between two checkpoints: the numbers after the state are many, and seldom needed."""
+"""Samples between two checkpoints: the numbers after the state are many and rarely needed."""
 
 CHECK_EVERY = MARK_EVERY
 """Samples from one check of the covariance to the next; it is checked after each fix, too."""
@@ -93,9 +94,9 @@ ROUNDING = 1e-8
 """Limit of a negative eigenvalue of the correlations, for rounding."""
 
 LEAP = 10.0
-"""s: a sample or fix that is stamped farther ahead of the filter is held back until a second one agrees."""
+"""Largest lead of a time stamp over the filter, s; a sample or fix farther ahead waits for a second one."""
 AGREES = 1.0 + 1e-6
-"""s between the two: one second, and the rounding of times that count from 1970."""
+"""Largest difference between these two stamps, s: one second, plus the rounding of times that count from 1970."""
 
 # The numbers (DT ... GY) of the step that ends at a sample's time; whether the last second was calm, and its means.
 S_TIME = N_BELIEF
@@ -106,9 +107,9 @@ S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
-"""What became of a fix: taken; before the start, there already or held back; too late, or no room."""
+"""Result of a fix: used; before the start, repeated or waiting; too late, or no room."""
 DUE = 2
-"""Result of a sample, in addition to NOTHING and TAKEN: it was taken, and the divergence monitor is due."""
+"""Further result of a sample: it was used, and the divergence monitor is due."""
 
 
 _plain = njit(**OPTIONS)
@@ -249,7 +250,7 @@ def _record(counts, history, k):
 
 @_plain
 def _keep(v, counts, fixes, history, z):
-    """Insert a fix by time; if there is no room, remove those that are not needed any more."""
+    """Insert a fix by time; without free rows, first remove fixes that are no longer needed."""
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -289,7 +290,7 @@ def _keep(v, counts, fixes, history, z):
 
 @_plain
 def _keep_speed(v, counts, speeds, history, t, speed):
-    """Insert a reading by time; if there is no room, remove those that are not needed any more."""
+    """Insert a reading by time; without free rows, first remove readings that are no longer needed."""
     if counts[N_SPEEDS] == speeds.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -358,7 +359,7 @@ def _mark(v, marks, number):
 
 @_plain
 def _first_after(counts, history, t):
-    """The first of the kept samples that is not before a time, or -1 if the filter can't go back to before it."""
+    """Return the first stored sample not before a time, or -1 if the filter can't return to before this sample."""
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
         back -= 1
@@ -369,7 +370,7 @@ def _first_after(counts, history, t):
 
 @_plain
 def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
-    """Process the stored samples again, from number ``first`` on; ``v`` is the state before it.
+    """Process the stored samples again from number ``first``; ``v`` is the state before this sample.
 
     ``corrects``: the stored states before each of them are replaced.
     """
@@ -457,7 +458,7 @@ def _is_due(v, counts, fixes, t):
 
 def _take_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
-        """Process an IMU sample; one that is not after the last one is ignored, one far ahead waits for a second."""
+        """Process an IMU sample; ignore it if it is not after the last one; far ahead, it waits for a second sample."""
         step, v, counts, memory, fixes, speeds, history, marks, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
@@ -496,7 +497,7 @@ def _take_sample(sources):
 
 def _take_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-        """Process a fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
+        """Process a fix: it waits for its sample, or is processed as late; far ahead, it waits for a second fix."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
@@ -548,7 +549,7 @@ def _take_speed(sources):
 
 def _look_back(sources):
     def heading(handle, gyro_bias):
-        """An approximate heading at the last sample, from the last seconds alone: see `watch`."""
+        """Approximate heading at the last sample from the last seconds: see `watch`."""
         _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
         if sources == "":
             return math.nan
@@ -568,15 +569,16 @@ def _look_at_covariance(sources):
 
 @dataclass(frozen=True)
 class LiveCalls:
-    """Compiled functions on the memory of a live filter, of which they take the `Memory.handle`.
+    """Compiled functions on the memory of a live filter; the first argument is `Memory.handle`.
 
     Attributes
     ----------
-    sample : ``(handle, t, a, b, c, d, e, f)``, an IMU sample, its axes as the filter takes them; what became of it
-    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``, a fix; what became of it
-    speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
-    heading : ``(handle, gyro_bias)``, approximate heading from the log alone, rad, for a gyro of that bias (rad/s); NaN
-        where it does not show one
+    sample : ``(handle, t, a, b, c, d, e, f)``, process an IMU sample with the axes in the filter's order; return its
+        result
+    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``, process a fix; return its result
+    speed : ``(handle, t, speed)``, process an odometer reading; return its result
+    heading : ``(handle, gyro_bias)``, approximate heading from the log alone, rad, with the gyro bias in rad/s; NaN if
+        unknown
     definite : ``(handle)``, whether the covariance is positive semidefinite
     """
 

@@ -42,7 +42,7 @@ class Memory:
     arrays : LiveArrays
         The state is a copy of the given one.
     handle : int
-        What `memory_at` takes; as long as this object lives. Without compiling, the step and the arrays.
+        Argument of `memory_at`, valid while this object exists. Without compilation: the step and the arrays.
     """
 
     def __init__(self, step: Any, given: LiveArrays) -> None:

@@ -46,7 +46,7 @@ def _in_python(lanes):
 
 
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
-"""``(lanes)``: an array of rows, not yet written; it lives as long as the kernel that asked for it.
+"""``(lanes)``: an uninitialized array of rows on the calling kernel's stack.
 
 Its type has ``lanes`` columns, the memory LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
 where nothing is compiled.

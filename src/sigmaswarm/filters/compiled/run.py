@@ -1,4 +1,4 @@
-"""The compiled run: up to `most_lanes` filters over one time line, with scores along the way."""
+"""The compiled run: up to `most_lanes` filters over one time line, with scores."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -28,11 +28,10 @@ from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
 
-# Where a run goes on that is made in pieces: the next step, fix and target, Q's scale since the last fix, and
-# the next speed of the wheels.
+# Place of a run in pieces: the next step, fix and target, Q's scale since the last fix, and the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
-"""Recorded rows of a run that records nothing."""
+"""Record of a run without recorded rows."""
 
 
 def kept(column: Array) -> Array:
@@ -50,7 +49,7 @@ NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, 
 
 
 def new_place() -> Array:
-    """Where a run begins."""
+    """Return the place at the start of a run."""
     return np.zeros(5)
 
 
@@ -60,7 +59,7 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 
 @kernel
 def _take_logarithm(w):
-    """Move the products of the last fixes into the sums of their logarithms (a slow call: once in a while)."""
+    """Add the logarithms of the last fixes' products to the sums, and reset the products; slow, so called rarely."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -72,7 +71,7 @@ def _wrapped(angle):
 
 
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
-    """Errors in x, y and heading; the estimate is linear between two IMU samples."""
+    """Errors in x, y and heading, with the estimate interpolated linearly between two IMU samples."""
     x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
     y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
     turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])
@@ -94,7 +93,7 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
 
 
 def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
-    """As `_score` at the very time of an IMU sample."""
+    """`_score` at the time of an IMU sample."""
     for l in range(LANES):
         x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, _wrapped(w[heading, l] - true_theta)
         _add(w, l, x, y, wrong, scores_heading)
@@ -263,7 +262,7 @@ def named_by_sources(make, name, known=None):
 
 
 def cached_by_sources(make, name, known=None):
-    """Compiled for use by Python: see `named_by_sources`."""
+    """Compile a function for use by Python: see `named_by_sources`."""
     return cached(named_by_sources(make, name, known), **OPTIONS)
 
 
@@ -362,16 +361,16 @@ def run_lanes(
 
     Parameters
     ----------
-    model : its name
+    model : name of the model
     steps : (k, 3) as `Timeline.steps`
-    sample : (k,) which row of ``driving`` drives each step
+    sample : (k,) row of ``driving`` for each step
     driving : (n, 3 or 6) as `Timeline.driving`; with all the axes that the model reads
     flags : (k,) bits of each step: see `schedule`
     fixes : (f, 8) as `Timeline.fixes`, in the order in which steps absorb them
     speeds : (o, 3) as `drives.odometer.Wheels.rows`
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval
-    target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
+    target_end : (k,) number of targets before the end of each step (constant where flags lack IMU)
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane, and what it remembers
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which to stop; at k, sums are complete

@@ -1,7 +1,7 @@
 """One step of one filter, as other compiled code calls it: by its address.
 
 Numba inlines called functions and compiles them again; but the bookkeeping of a live filter is the same for each model,
-without the model's arithmetic. So a step is a function of its own in memory, and the loop over steps gets its address.
+without the model's arithmetic. So a step is a separate compiled function, and the loop over steps gets its address.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -61,7 +61,7 @@ class SingleStep:
 
     Attributes
     ----------
-    address : what `take_step` takes; a function where nothing is compiled
+    address : argument of `take_step`; a function without compilation
     made_by : the function that returns it, and its arguments
     """
 
@@ -117,9 +117,9 @@ take_step = _called if config.DISABLE_JIT else _call
 step : the address of the result of `single_step`
 v : (N_KEPT or more,) the filter before and after
 u : (9,) a step's numbers, DT ... GY of `drives.timeline`
-happens : its bits of `schedule`
+happens : the step's bits of `schedule`
 z : (8,) a row of `Timeline.fixes`
 wheels : (3,) a row of `odometer.Wheels.rows`
-lever : (3,) that of the time line
+lever : (3,) lever arm of the time line, m
 since : Q's scale since the last fix
 """

@@ -28,7 +28,7 @@ from sigmaswarm.filters.tilted import GRAVITY, STEP_FIRST
 
 
 def _plain(function, **known):
-    """Nothing here has lanes."""
+    """Compile a function without lanes."""
     return njit(unrolled(function, **known), **OPTIONS)
 
 
@@ -145,7 +145,7 @@ def _turn_between(q, p, error):
     x = -q[0] * p[1] + q[1] * p[0] - q[2] * p[3] + q[3] * p[2]
     y = -q[0] * p[2] + q[1] * p[3] + q[2] * p[0] - q[3] * p[1]
     z = -q[0] * p[3] - q[1] * p[2] + q[2] * p[1] + q[3] * p[0]
-    if w < 0.0:  # the same attitude, the short way
+    if w < 0.0:  # the same attitude by the shorter rotation
         w, x, y, z = -w, -x, -y, -z
     sine = math.sqrt(x * x + y * y + z * z)
     k = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
@@ -256,7 +256,7 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
 
     Parameters
     ----------
-    name : that of the kernel that ran forward
+    name : name of the kernel of the forward pass
     tape : (k, t) `tape.taped_rows` of each step
     start : (s,) the filter's state before the first one: its `state_rows`
     ends, started : (a,) int, (a, s) the steps behind which the filter was reset, and its state then: what lies

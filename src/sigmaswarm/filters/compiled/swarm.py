@@ -3,7 +3,7 @@
 It replaces a live filter's `single_step`. The filter itself is the bank's first lane; all lanes are after its state
 (`live.BEHIND`), so that late fixes take them back, too:
 
-    NUMBERS   a few numbers, then what is known of each lane: its evidence, what is held against it, its weight
+    NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the marks of a live filter reach to here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
     TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
@@ -32,9 +32,9 @@ from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.schedule import FIX
 
 EVIDENCE_LASTS = 60.0
-"""s in which evidence fades to 1/e."""
+"""Time in which evidence decays to 1/e, s."""
 LARGEST_NIS = 200.0
-"""Limit of a fix's NIS, so that one fix alone does not decide.
+"""Upper limit of a fix's NIS, so that one fix alone does not decide.
 
 Student's t would forgive too much: between high buildings fixes are good until they jump, and with it a small R would
 explain the jumps.
@@ -54,8 +54,8 @@ MARKED = ROWS.stop
 """Number of values of a checkpoint."""
 TAPE = NUMBERS + N_ROWS * LANES
 
-# A row of the tape: a step's numbers, DT ... GY, its flags, the rows of `Timeline.fixes` and `Wheels.rows` that it
-# took, Q's scale since the last fix, and when it ended, s.
+# A row of the tape: a step's numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Wheels.rows`, Q's scale
+# since the last fix, and the end time of the step, s.
 T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
 N_TAPE = 23
 
@@ -93,12 +93,12 @@ _rows_of = _rows_in_python if config.DISABLE_JIT else _rows_behind
 
 @njit(**OPTIONS)
 def weigh(v):
-    """The lanes' weights by their evidence; all 0 where no lane has any."""
+    """Weights of the lanes from their evidence; all 0 if no lane has evidence."""
     best = -math.inf
     for lane in range(LANES):
         for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_AGAINST + lane]
         v[_AT_WEIGHT + lane] = for_it
-        if for_it > best:  # never of NaN
+        if for_it > best:  # false for NaN
             best = for_it
     total = 0.0
     for lane in range(LANES):

@@ -63,10 +63,10 @@ def _note_prior(w, *, state):
 
 
 def note_move(name):
-    """The kernel that logs the numbers of A, right after a prediction."""
+    """Kernel that logs the numbers of A after a prediction."""
     return kernel(_note_move, places=range(len(_moves_of(name))), moves=_moves_of(name), phi=phi_place(name))
 
 
 def note_prior(name):
-    """The kernel that logs the prediction: before a measurement, and again where P is inflated for one."""
+    """Kernel that logs the prediction before a measurement, and again if P is inflated for the measurement."""
     return kernel(_note_prior, state=tuple(int(row) for row in state_rows(name)))

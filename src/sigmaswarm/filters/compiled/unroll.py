@@ -124,7 +124,7 @@ def _patiently(make: Callable[..., T], *arguments: Any) -> T:
     for _ in range(9):
         try:
             return make(*arguments)
-        except SystemError:  # Python 3.11 counts the depth of trees of all threads together, and takes fright
+        except SystemError:  # Python 3.11 adds up the tree depths of all threads
             time.sleep(0.001)
     return make(*arguments)
 
@@ -134,7 +134,7 @@ def _name(function: Callable[..., Any], known: Names) -> str:
 
 
 def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
-    """A function's text, changed."""
+    """Return a function's changed text."""
     definition, names = written_out(function, **known)
     definition = _copied(definition)
     if change is not None:
@@ -167,7 +167,7 @@ def _told_apart(known: Names) -> str:
 
 
 def _copied(node: Any) -> Any:
-    """A tree of its own; `copy.deepcopy` takes ten times as long."""
+    """Copy a tree; `copy.deepcopy` takes ten times as long."""
     if isinstance(node, list):
         return [_copied(each) for each in node]
     if not isinstance(node, ast.AST):

@@ -2,8 +2,8 @@
 
 A kernel with unrolled loops over states has some thousand lines of arithmetic. Numba would infer the type of each
 number, for half a minute and more; here all are doubles, so each loop over lanes is emitted directly, as a function of
-its own that takes the array of rows and the few numbers that all lanes share. Such a function's name has a hash of its
-text, so that it is the same wherever it is called from, and so are its bits.
+its own that takes the array of rows and the few numbers that all lanes share. The function's name contains a hash of
+its text, so all callers share one function and get the same bits.
 
 The body of a loop over lanes has no branches. It has assignments to names and to ``w[row, l]`` with a known row,
 arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`. Calls of

@@ -15,11 +15,11 @@ from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
 LOOK_INTERVAL = 1.0
-"""s between two checks of a filter."""
+"""Interval between two checks of a filter, s."""
 LATEST_LOOK = 0.25
-"""s: largest time from a fix to the IMU sample of a check; after more, in a gap, nothing can be compared."""
+"""Largest time from a fix to the IMU sample of a check, s; after a longer gap nothing can be compared."""
 WATCHED = MAX_DURATION + 1.0
-"""s of samples and fixes that a live filter stores for it."""
+"""Length of the samples and fixes that a live filter stores for the monitor, s."""
 
 _T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
 

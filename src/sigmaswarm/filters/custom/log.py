@@ -13,7 +13,7 @@ from sigmaswarm.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One recording: inputs, measurements, the start of a filter, and the truth where it is known.
+    """One recording: inputs, measurements, the initial state of a filter, and the truth if known.
 
     The filter steps at ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement between them
     splits that step. Measurements outside of ``time`` are ignored.
@@ -147,7 +147,7 @@ class Steps:
     Attributes
     ----------
     dt : (k,) s
-    source : (k,) int: the row of the inputs that drives each step
+    source : (k,) int: row of the inputs for each step
     absorbs : (k,) int: the row of ``measurements`` for the update at the step's end, or -1
     records : (k,) int: the row of the log's ``time`` at which the step ends, or -1
     inputs : (i, u)

@@ -22,7 +22,7 @@ from sigmaswarm.geodesy import wrap_angle
 TRIED = 20
 """Steps over which the compiled filter is compared with the textbook filter before it is used."""
 SAME = 1e-6
-"""Largest difference, in standard deviations: rounding is far below, a wrong translation far above."""
+"""Largest accepted difference, in standard deviations: rounding gives far less, a wrong translation far more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ def _scaling(parameters: Mapping[str, float]) -> Array:
 
 
 def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
-    """Make a result of NaN."""
+    """Return a result with NaN."""
     k, n, each = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
     trajectory = Trajectory.empty(k, n, covariances=covariances, failed=failed)
     return Filtered(**vars(trajectory), nis=each[0], nll=each[1])

@@ -56,7 +56,7 @@ class FuzzyNoise:
     memory : float
         Share of the averages that is kept from fix to fix.
     widths : tuple of float, length 2
-        Of the edges of ratio and trend.
+        Widths of the edges of ratio and trend.
     gains : tuple of float, length 2
         The largest factors of R and Q.
     quick, slow : float
@@ -153,9 +153,9 @@ class StudentT:
     dof : float
         Degrees of freedom.
     outliers : int
-        Number of the last fixes, in a row, that were outliers.
+        Current number of consecutive outliers.
     since : float
-        s, the time of the first of them.
+        Time of the first of these outliers, s.
     """
 
     dof: float

@@ -1,6 +1,6 @@
-"""The filters for cars in textbook form: a step reads like the equations.
+"""Filters for cars in textbook form; a step follows the equations.
 
-`compiled/run.py` does the same; tests compare the two, one step at a time.
+Tests compare these filters with `compiled/run.py`, one step at a time.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Textbook filters on a log for a user's model: slow, with any Python in f and h."""
+"""Textbook filters for a user's model on a log: slow, but f and h can be any Python functions."""
 
 from typing import Any
 
@@ -25,8 +25,8 @@ class TextbookModel:
     ----------
     filter : GaussianFilter
     nis, nll : ndarray, shape (f,)
-        Of each measurement before its update: normalized innovation squared, negative log-likelihood. NaN where
-        there was none yet.
+        Of each measurement before its update: normalized innovation squared, negative log-likelihood. NaN before the
+        measurement's update.
     """
 
     def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any) -> None:

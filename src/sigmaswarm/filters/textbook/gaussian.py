@@ -45,14 +45,14 @@ class Innovation:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Prediction of a filter before the update, and its covariance with the state before: see `loop.smooth_steps`.
+    """Prediction of a filter before the update, and its covariance with the previous state: see `loop.smooth_steps`.
 
     Attributes
     ----------
     mean, covariance : ndarray, shapes (n,), (n, n)
         m- and P-, including what an adaptive filter adds to P- before the update (`adaptive.stretched`).
     cross : ndarray, shape (n, n)
-        Covariance of the state before with the state after.
+        Covariance of the previous state with the predicted state.
     """
 
     mean: Array
@@ -76,11 +76,11 @@ class GaussianFilter:
     """The last prediction."""
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """Push the state through the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
+        """Propagate the state by the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         raise NotImplementedError
 
     def _expect(self, cross: Array) -> None:
-        """Keep the prediction, and its covariance with the state before."""
+        """Store the prediction and its covariance with the previous state."""
         self.prediction = Prediction(self.mean, self.covariance, cross)
 
     def measure(

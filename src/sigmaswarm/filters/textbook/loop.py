@@ -83,7 +83,7 @@ class Smoothed:
     Attributes
     ----------
     mean, covariance : ndarray, shapes (k + 1, n), (k + 1, n, n)
-        At the start, and behind each of k steps.
+        States at the start and after each of k steps.
     failed : int
         The step in which the filter failed, or -1; the steps are those before it.
     """

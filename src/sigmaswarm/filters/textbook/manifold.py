@@ -1,4 +1,4 @@
-"""Filters whose mean is on a manifold, and whose covariance is that of a small error, added to it by ``plus``.
+"""Filters with a mean on a manifold, and the covariance of a small error that ``plus`` adds to the mean.
 
 References
 ----------

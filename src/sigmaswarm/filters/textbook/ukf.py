@@ -1,7 +1,7 @@
 """The unscented Kalman filter in textbook form, in NumPy: slow, general, and easy to check.
 
-State order, semantics of predict and update, and weights are those of FilterPy 2.0.0. It runs any process
-``f(state, dt, u)`` and measurement ``h(state)``; `compiled/` has those for cars.
+State order, semantics of predict and update, and weights follow FilterPy 2.0.0. The filter runs any process ``f(state,
+dt, u)`` and measurement ``h(state)``; `compiled/` has kernels for cars.
 
 References
 ----------
@@ -38,8 +38,8 @@ class SigmaPoints:
     alpha, beta, kappa : float
         Scaling (dimensionless).
     first : sequence of int
-        States whose columns of the square root of P come first. Every square root of P is a right one, and
-        each gives other sigma points. Empty: plain Cholesky in state order, as in FilterPy.
+        States whose columns of the square root of P come first. Every square root of P is valid, and each gives
+        different sigma points. Empty: plain Cholesky in state order, as in FilterPy.
     """
 
     alpha: float
@@ -127,7 +127,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         self._propagated: Array | None = None
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """Push the state through ``f`` over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
+        """Propagate the state by ``f`` over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         wm, wc = self.points.weights(len(self.mean))
         drawn = self.points.draw(self.mean, self.covariance)
         sigmas = np.array([self.f(s, dt, u) for s in drawn])
