@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 
 
@@ -136,6 +137,11 @@ def make_drive(
 def sparse(drive: Drive, n: int = 4) -> Drive:
     """The drive with each n-th IMU sample: the same fixes and stops, in fewer steps of a textbook filter."""
     return replace(drive, imu=drive.imu.select(np.arange(len(drive.imu)) % n == 0))
+
+
+def hide_fixes(drive: Drive, windows: Any) -> Drive:
+    """Remove the fixes of a drive inside windows (k, 2), s."""
+    return replace(drive, gps=drive.gps.select(~hidden_fixes(drive.gps.time, windows)))
 
 
 def assert_same(a: Drive, b: Drive) -> None:

@@ -17,8 +17,8 @@ from importing.test_px4 import write_ulog
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Limits
 from support import make_drive
 
 

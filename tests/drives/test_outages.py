@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from sigmaswarm.drives.outages import hidden_fixes, hide_fixes, random_windows, snap_ends
+from sigmaswarm.drives.outages import hidden_fixes, random_windows, snap_ends
 from sigmaswarm.errors import InputError
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, hide_fixes, make_drive, needs_shared
 
 EPS = 1e-9
 seconds = st.floats(0, 30)

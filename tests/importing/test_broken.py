@@ -382,7 +382,7 @@ def test_kitti_that_is_no_text(tmp_path: Path, place: str):
 def test_kitti_with_a_text_of_no_number(tmp_path: Path, name: str):
     log = write_kitti(tmp_path, make_drive(duration=12.0, imu_rate=10.0))
     (log / "oxts" / "data" / "0000000005.txt").rename(log / "oxts" / "data" / f"{name}.txt")
-    refused("none for it", lambda: imported(log))
+    refused("none for this file", lambda: imported(log))
 
 
 def test_kitti_beyond_what_ns_can_count(tmp_path: Path):

@@ -17,8 +17,8 @@ from importing.test_phones import phyphox, zipped
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.look import look
+from sigmaswarm.importing.source import Limits
 from support import quickly
 
 mcap = pytest.importorskip("mcap.writer", reason="mcap is not installed")

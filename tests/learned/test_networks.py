@@ -8,7 +8,7 @@ import pytest
 
 from filter_cases import equipped, parameters
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.outages import hidden_fixes, hide_fixes
+from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R
@@ -21,7 +21,7 @@ from sigmaswarm.learned.cells import gru, head, lstm, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES, MOST_SCALE, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, untrained
 from sigmaswarm.learned.relative import Begin, Displacements, body_displacement
-from support import make_drive
+from support import hide_fixes, make_drive
 
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 

@@ -10,7 +10,6 @@ import pytest
 from scoring.variants import VARIANTS, resampled
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
-from sigmaswarm.drives.outages import hide_fixes
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.models import THETA, gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
@@ -21,7 +20,7 @@ from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import outage_windows
 from sigmaswarm.tuning.space import search_space
-from support import make_drive
+from support import hide_fixes, make_drive
 
 SPACE = search_space("planar5", "log10")
 SETS = [

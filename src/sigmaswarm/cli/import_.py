@@ -175,9 +175,8 @@ def import_(
 
 def _request(source: Path, options: ImportOptions) -> "Request":
     from sigmaswarm.importing.convert import Request
-    from sigmaswarm.importing.limits import Limits
     from sigmaswarm.importing.recipe import Recipe
-    from sigmaswarm.importing.source import Choice
+    from sigmaswarm.importing.source import Choice, Limits
 
     topics = {
         name: getattr(options, f"{name}_topic")

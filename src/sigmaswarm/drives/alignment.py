@@ -1,11 +1,11 @@
 """The start of a filter: an initial state from the drive alone, causal, without truth.
 
-A car's heading can't be seen at standstill, and a GPS fix has none. Once the car has driven some meters, its course
-over ground shows the heading; the gyro corrects it for the turns and the accelerometer for the changes of speed.
-`initial_state` looks back over the last seconds of fixes and fits all of it: `alignment_fit`.
+The heading of a car is not observable at standstill, and a GPS fix has none. Once the car has driven some meters, its
+course over ground shows the heading; the gyro corrects it for turns and the accelerometer for changes of speed.
+`initial_state` fits the last seconds of fixes (`alignment_fit`).
 
-The effect of the gyro's bias is stored separately: see `gyro_seen`. The bias is subtracted, and the fit repeated, only
-where the fixes contradict a gyro without bias.
+The effect of the gyro's bias is stored separately (`gyro_seen`). The bias is subtracted, and the fit repeated, only if
+the fixes contradict a gyro without bias.
 """
 
 from dataclasses import dataclass
@@ -22,42 +22,40 @@ from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
-MIN_DURATION = 4.0
-"""s, at least, between the first and the last fix of an alignment."""
-MAX_DURATION = 6.0
-"""s, at most: older fixes hardly determine the heading, since the gyro's bias adds up."""
+MIN_DURATION, MAX_DURATION = 4.0, 6.0
+"""s between the first and the last fix of an alignment; older fixes hardly help, since the gyro's bias accumulates."""
 MIN_TRAVEL = 20.0
 """m of forward travel in that time, for an accurate heading; it needs 12 km/h."""
 FEWEST_FIXES = 4
-"""In that time; one fix every 3 s is not enough."""
+"""Least number of fixes in that time; one fix every 3 s is not enough."""
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL
-"""m between the first and the last of them: a cheap test before the fit."""
+"""m between the first and the last of these fixes: a cheap test before the fit."""
 MAX_MISFIT = 0.3
 """Largest residual as a share of the travel; larger ones are jumps of the fixes."""
 MAX_HEADING_STD = np.radians(6.0)
-"""rad: largest deviation of an alignment; beyond it the next fix is tried."""
+"""rad: largest standard deviation of an alignment's heading; beyond it the next fix is tried."""
 REFITS = 3
-"""Number of fits with a new gyro bias until it has converged."""
+"""Number of repeated fits, after which the gyro bias has converged."""
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """s: longer windows, for a drive that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
-"""m and m/s on average: the fixes of a parked receiver drift by less."""
+"""m, and m/s on average: least travel in such a window; the fixes of a parked receiver drift less."""
 SLOW_CHORD = 1.5 * MIN_TRAVEL
 """m between fixes within `MAX_DURATION`: a drive that reaches it is not slow."""
 SLOW_HEADING_STD = np.radians(12.0)
-"""rad: largest standard deviation of the heading in such a window, that of the gyro's bias included."""
+"""rad: largest standard deviation of the heading in such a window, including the effect of the gyro's bias."""
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
-"""Fewest fixes, s between them at least (errors of closer ones are alike), s between the windows that are tried."""
+"""Least number of fixes; least interval between them, s (errors of closer ones are alike); s between tried windows."""
 SLOW_BIAS_STD = np.radians(1.0)
 """rad/s: prior of the gyro's bias in such a window."""
 
 STATED_HEADING_STD = np.radians(5.0)
-"""rad: standard deviation of a stated heading; more where the fix states more."""
+"""rad: least standard deviation of a stated heading."""
 MOST_STATED_STD = np.radians(12.0)
-"""rad: stated standard deviation of a fix's heading up to which a filter starts with it."""
+"""rad: largest stated standard deviation of a fix's heading with which a filter starts."""
 STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
-"""m per axis; m/s forward and to the left: of the first fix, while the speed is unknown."""
+"""Standard deviations of a start with a stated heading: m per axis; m/s forward and to the left, speed unknown."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +69,11 @@ class NoStart:
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """Find the first moment at which position, speed and heading are known.
 
-    The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and four
-    fixes or more in that time. A drive that never is that fast starts at the first fix with 10 m of travel in up to
-    90 s, more where the fixes are noisy. Where ``heading_deg`` is in the metadata (degrees counter-clockwise from
-    east, at the first IMU sample), the start is the first fix; where fixes have a column ``heading``, the first fix
-    with one. The state follows from earlier samples only.
+    The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and at least
+    four fixes in that time. A slower drive starts at the first fix with 10 m of travel in up to 90 s, or more if the
+    fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at the first IMU
+    sample), the start is the first fix; if the fixes have a column ``heading``, the first fix with one. The state
+    depends on earlier samples only.
 
     Parameters
     ----------
@@ -87,7 +85,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     Raises
     ------
     AlignmentError
-        If there is none; the message gives the reason.
+        If there is no such moment; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, NoStart):
@@ -96,8 +94,8 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
 
 
 def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoStart:
-    """Find the start as `initial_state` does, or the reason for none."""
-    # Later code may start a filter only where IMU samples follow.
+    """Find the start as `initial_state` does, or the reason why there is none."""
+    # a filter can start only if IMU samples follow
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
     if drive.heading is not None:
@@ -115,7 +113,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoS
 
 
 def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
-    """The first alignment of a slow vehicle, over the shortest window that gives one."""
+    """Find the first alignment of a slow vehicle, over the shortest window that has one."""
     windows = [Alignments(drive, usable, longest) for longest in SLOW_DURATIONS]
     tried = -np.inf
     for k, time in enumerate(windows[0].time):
@@ -128,7 +126,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """The start at the first usable fix, with a heading stated there or at the first IMU sample; unknown speed."""
+    """Start at the first usable fix, with the heading stated there or at the first IMU sample, and unknown speed."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
@@ -149,11 +147,11 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoS
 
 
 class Alignments:
-    """The alignment that ends at each fix, from the log alone; computed on first use.
+    """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) are the fixes to use, by default all; of them those after the first IMU sample and up
-    to the last one, whose times are ``time`` (m,), s. ``longest`` is the longest time between the first and the last
-    fix of an alignment, s; a longer one is for slow vehicles.
+    ``usable`` (number of fixes,) marks the fixes to use, by default all. Of these, the ones within the IMU's time have
+    the times ``time`` (m,), s. ``longest`` is the longest time between the first and the last fix of an alignment, s;
+    for slow vehicles it exceeds `MAX_DURATION`.
     """
 
     def __init__(
@@ -166,7 +164,7 @@ class Alignments:
         fixes = np.flatnonzero(inside if usable is None else inside & usable)
         self.time = drive.gps.time[fixes]
         self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
-        # The fixes of the last seconds before each.
+        # the first fix of the window that ends at each
         self._first = np.searchsorted(self.time, self.time - longest, side="left")
         count = np.arange(len(fixes)) - self._first + 1
         self._chord = np.abs(self._position - self._position[self._first])
@@ -176,19 +174,16 @@ class Alignments:
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
-        """The alignment that ends at the k-th of the fixes; None where the car has not travelled enough, or they jump.
-
-        It takes some milliseconds.
-        """
+        """Return the alignment that ends at fix k, in some ms; None without enough travel, or if the fixes jump."""
         if k not in self._found:
-            with np.errstate(all="ignore"):  # what overflows is not an alignment
+            with np.errstate(all="ignore"):  # a fit that overflows is no alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
                 self._found[k] = fitted(k) if self._worth[k] else None
         return self._found[k]
 
     @property
     def slow(self) -> bool:
-        """True if there are enough fixes, and the vehicle is never fast, with a margin for noise."""
+        """True if there are enough fixes, and the vehicle is always slow, with a margin for noise."""
         return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
     def why_none(self) -> NoStart:
@@ -219,7 +214,7 @@ class Alignments:
         )
         return NoStart(
             f"no filter can start: only {usable}, and {needs}",
-            "use a longer drive, whose fixes come at 1 Hz or faster, without gaps, and don't repeat each other",
+            "use a longer drive with fixes at 1 Hz or faster, without gaps and repeated positions",
         )
 
     def _fitted(self, k: int) -> InitialState | None:
@@ -230,14 +225,14 @@ class Alignments:
             if CONTRADICTS * fit.yaw_std < abs(fit.yaw_bias) < MOST_BIAS:
                 for _ in range(REFITS):
                     fit = Fit.of(*seen, fit.yaw_bias)
-        except np.linalg.LinAlgError:  # something was not finite
+        except np.linalg.LinAlgError:  # a value was not finite
             return None
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
         usable = fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit without the accelerometer, whose bias adds up over the longer time; the gyro's bias is fitted, too."""
+        """Fit the gyro's bias, too, but without the accelerometer, whose bias accumulates over the longer time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -258,7 +253,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _leaning(self, k: int, last: float) -> Array:
-        """The mean rates about forward and left (rad/s) up to a time, (2,); NaN where the IMU has none."""
+        """Return the mean rates about forward and left, rad/s, up to a time, (2,); NaN if the IMU has none."""
         imu, first = self._drive.imu, float(self.time[self._first[k]])
         if imu.gx is None or imu.gy is None:
             return np.full(2, np.nan)
@@ -274,8 +269,8 @@ class Alignments:
     def course(self) -> Array:
         """A rough heading at each fix, (m,) rad; NaN without an alignment.
 
-        The fit begins at it: the chord of the last seconds, corrected for the turns. Changes of speed in a turn make it
-        wrong by some degrees.
+        It is the chord of the last seconds, corrected for turns; changes of speed in a turn cause errors of some
+        degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)
@@ -292,7 +287,7 @@ class Alignments:
 
 
 def _integrated(drive: Drive) -> tuple[Array, Array]:
-    """Heading change (rad) and speed change (m/s) since the first IMU sample, at the IMU's times."""
+    """Return the changes of heading (rad) and speed (m/s) since the first IMU sample, at the IMU's times."""
     dt = np.diff(drive.imu.time)
     turned = np.concatenate([[0.0], np.cumsum(drive.imu.gz[1:] * dt)])
     sped = np.concatenate([[0.0], np.cumsum(drive.imu.ax[1:] * dt)])

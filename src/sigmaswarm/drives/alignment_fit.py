@@ -1,13 +1,11 @@
-"""The fit behind an alignment.
-
-By least squares,
+"""The least-squares fit of an alignment.
 
     p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
 with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and b the
-contribution of tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b. The effect of the gyro's
-bias on them is stored, too.
+contribution of tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b. The fit also returns the
+effect of the gyro's bias on them.
 """
 
 from dataclasses import dataclass, replace
@@ -21,15 +19,15 @@ from sigmaswarm.geodesy import wrap_angle
 
 Complex = NDArray[np.complex128]
 Way = Complex
-"""Motion from each fix to the last one by the IMU, (3, f), in the body's frame at the last one: per 1 m/s of speed
-there (s), per 1 m/s2 that tilt and bias add (s2), and by the accelerometer (m)."""
+"""Motion from each fix to the last one by the IMU, (3, f), in the body frame at the last one: per m/s of speed there
+(s), per m/s2 of tilt and bias (s2), and by the accelerometer (m)."""
 
 SLIP_STD = np.radians(1.0)
-"""rad: at the IMU a car's course differs from its heading by about this much in ordinary driving."""
+"""rad: standard deviation of the angle between course and heading at the IMU in ordinary driving."""
 ACCELERATION_BIAS_STD = 0.5
-"""m/s2: tilt and bias of the forward accelerometer, the prior of b."""
+"""m/s2: standard deviation of the prior of b."""
 MIN_POSITION_STD = 0.05
-"""m per axis: lowest deviation of a fit."""
+"""m per axis: least standard deviation of the fixes in a fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +56,8 @@ class InitialState:
 class Fit:
     """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
-    ``taken`` is the gyro bias (rad/s) that was subtracted, ``yaw_bias`` the estimate, with standard deviation
-    ``yaw_std``; ``turns`` is the change of the unknowns per rad/s of it. ``bias_std`` is that of the fit alone, rad/s.
+    ``taken`` is the gyro bias (rad/s) that was subtracted, ``yaw_bias`` the estimated one, with standard deviation
+    ``yaw_std``, or ``bias_std`` by the fit alone, rad/s; ``turns`` is the change of the unknowns per rad/s of bias.
     """
 
     time: float
@@ -89,27 +87,27 @@ class Fit:
         taken: float = 0.0,
     ) -> "Fit":
         imu, end = drive.imu, time[-1]
-        # The IMU's grid between the first and the last fix, both included.
+        # the IMU's times from the first to the last fix
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
         grid = np.concatenate([[time[0]], imu.time[inside], [end]])
         psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
-        # The last fix comes after the last sample that a filter on board would have: hold that one.
+        # after the last sample before the last fix, a filter on board has no newer one: it is repeated
         last = int(np.searchsorted(imu.time, end, side="right")) - 1
         psi[-1] = turned[last] + imu.gz[last] * (end - imu.time[last])
         gained[-1] = sped[last] + imu.ax[last] * (end - imu.time[last])
         direction = np.exp(1j * (psi - psi[-1]))
 
         def until_end(integrand: Complex) -> Complex:
-            """The integral from each fix to the last one (trapezoids)."""
+            """Integrate from each fix to the last one (trapezoidal rule)."""
             pieces = 0.5 * (integrand[1:] + integrand[:-1]) * np.diff(grid)
             since_start = np.concatenate([[0.0], np.cumsum(pieces)])
             return since_start[-1] - np.interp(time, grid, since_start)
 
         integrands = direction, direction * (grid - end), direction * (gained - gained[-1])
         straight = np.array([until_end(each) for each in integrands])
-        # A bias turns the piece between two fixes, as seen from the last one, by what adds up from its middle on.
+        # relative to the last fix, a bias rotates the piece between two fixes by its integral from the middle on
         since, middle = time - end, 0.5 * (time[1:] + time[:-1]) - end
-        # The fixes are the antenna's, which the lever arm carries around the IMU.
+        # the fixes are positions of the antenna, which the lever arm rotates about the IMU
         arm = np.interp(time, grid, direction) * complex(*drive.lever_arm) * np.exp(-1j * taken * since)
         way = _turned(straight, np.exp(-1j * taken * middle)) if taken else straight.copy()
         way[2] -= arm
@@ -117,10 +115,8 @@ class Fit:
         change[2] -= -1j * since * arm
         coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
         fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
-        # No fit shows that a turn may be taken for bias in part.
-        turn = (
-            np.float64(np.ptp(psi - fit.yaw_bias * grid)) / fit.span
-        )  # squares to inf where float would raise
+        # part of a turn may be taken for bias, which no fit shows; the square of a NumPy float may be inf
+        turn = np.float64(np.ptp(psi - fit.yaw_bias * grid)) / fit.span
         std = float(np.sqrt(fit.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
         return replace(fit, yaw_std=std)
 
@@ -134,7 +130,7 @@ class Fit:
     def _solve(
         cls, end: float, position: Complex, seen: Way, change: Way, span: float, coasting: float, taken: float
     ) -> "Fit":
-        """Gauss-Newton on east, north, theta, v, b; ``change`` is that of the path with the gyro's bias."""
+        """Solve for east, north, theta, v, b (Gauss-Newton); ``change`` is the path's derivative by the gyro's bias."""
         g, t = seen[0], seen[1]
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
@@ -165,19 +161,12 @@ class Fit:
         return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
     def state(self, leaning: Array) -> InitialState:
-        """The start; ``leaning`` (2,) has the gyro's mean rates about forward and left, rad/s, or NaN."""
+        """Return the start; ``leaning`` (2,) has the gyro's mean rates about forward and left, rad/s, or NaN."""
         east, north, theta, v, _ = self.solution
         c, s = np.cos(theta), np.sin(theta)
-        # (east, north, theta, v) and a slip angle of its own -> (x, y, vx, vy, theta)
-        jacobian = np.array(
-            [
-                [1, 0, 0, 0, 0],
-                [0, 1, 0, 0, 0],
-                [0, 0, -v * s, c, 0],
-                [0, 0, v * c, s, 0],
-                [0, 0, 1, 0, -1],
-            ]
-        )
+        # from (east, north, theta, v, slip angle) to (x, y, vx, vy, theta)
+        motion = [0, 0, -v * s, c, 0], [0, 0, v * c, s, 0], [0, 0, 1, 0, -1]
+        jacobian = np.array([[1, 0, 0, 0, 0], [0, 1, 0, 0, 0], *motion])
         inner = np.zeros((5, 5))
         inner[:4, :4] = self.covariance[:4, :4]
         inner[[0, 1], [0, 1]] += MIN_POSITION_STD**2
@@ -187,14 +176,14 @@ class Fit:
         bias = np.nan_to_num(np.append(leaning, self.yaw_bias))
         lean = np.where(np.isfinite(leaning), (LEAN_STD / self.span) ** 2, np.inf)
         variance = np.append(lean, self.yaw_std**2)
-        if abs(self.yaw_bias) > MOST_BIAS:  # then nothing is known of it
+        if abs(self.yaw_bias) > MOST_BIAS:  # then the bias is unknown
             bias[UP], variance[UP] = self.taken, np.inf
         gyro = GyroSeen(bias, variance, self.taken, jacobian[:, :4] @ self.turns)
         return InitialState(mean, 0.5 * (covariance + covariance.T), self.time, gyro)
 
 
 def _turned(way: Way, each: Complex) -> Way:
-    """The path with the piece between two fixes rotated, and stretched, by each of (f - 1,)."""
+    """Multiply the pieces of a path between two fixes by complex factors (f - 1,)."""
     pieces = each * (way[:, :-1] - way[:, 1:])
     sums = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
     return np.column_stack([sums, np.zeros(3, np.complex128)])
@@ -205,9 +194,9 @@ def _real(column: Complex) -> Array:
 
 
 def _one_more(jacobian: Array, residual: Array, column: Array) -> tuple[float, float, Array]:
-    """Add an unknown to a solved problem (m, n): its value, its standard deviation, and how the others follow it.
+    """Add an unknown, with its ``column`` (m,), to a solved problem (m, n).
 
-    Only the part of its ``column`` (m,) that the others can't replace determines it.
+    Return its value, its standard deviation, and the change of the other unknowns per unit of it, (n,).
     """
     others = np.linalg.lstsq(jacobian, column, rcond=None)[0]
     alone = column - jacobian @ others

@@ -1,6 +1,6 @@
-"""Plausibility of a drive: shortages that make it unusable, and units, axes and gaps that only look wrong.
+"""Plausibility of a drive: shortages that make it unusable, and units, axes and gaps that look wrong.
 
-The doctor checks most of this in more detail; common messages are here.
+The doctor checks most of these in more detail, with messages of this file.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,38 +12,33 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.tables import Array, Gps, Imu, Truth
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.wording import counted
 
-FEWEST_SAMPLES = 100
-"""Least number of IMU samples of a drive."""
-FEWEST_FIXES = 10
-"""Least number of fixes within the IMU's time."""
-
+FEWEST_SAMPLES, FEWEST_FIXES = 100, 10
+"""Least number of IMU samples of a drive, and of fixes within the IMU's time."""
 IMU_GAP = (10.0, 0.1)
-"""An interval is a gap where it exceeds both this many usual intervals and this many s."""
+"""An IMU interval is a gap if it exceeds both this many usual intervals and this many s."""
 GPS_GAP = (5.0, 2.0)
-"""The same for fixes, and for truth."""
-
+"""The same limits for fixes and truth."""
 GRAVITY = 9.80665
 """m/s2, standard."""
 IMPOSSIBLE_RATE = 3.0
-"""rad/s: no car turns half round in a second."""
-
+"""rad/s: no car turns by half a turn in a second."""
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 """Per s."""
 _SLOWEST = (2.0, 60.0)
 """s between samples and between fixes; longer intervals suggest another unit."""
 _USUAL = (0.5, 20.0)
-"""The same, in the right unit."""
-
+"""s: longest intervals in the right unit."""
 _JUMP = 3600.0
-"""s between two rows, above which a time stamp is corrupt or the clock was set."""
+"""s: after a longer interval, a time stamp is corrupt or the clock was set."""
 _WINDOW = 5.0
-"""s over which fixes give speed and course: long enough for meters of noise, short enough for turns."""
+"""s over which fixes determine speed and course: long enough for noise of meters, short enough for turns."""
 
 
 @dataclass(frozen=True)
 class Remark:
-    """Something that looks wrong about a drive, as a sentence; ``code`` is the doctor's (docs/doctor.md)."""
+    """A fault that a drive seems to have; ``code`` is that of the doctor (docs/doctor.md)."""
 
     code: str
     file: str
@@ -57,7 +52,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class Gaps:
-    """The intervals of a sensor that are far longer than usual: how many, and start and length of the longest, s."""
+    """The gaps of a sensor: their number, start and length of the longest, and the usual interval, s."""
 
     count: int
     start: float
@@ -66,9 +61,9 @@ class Gaps:
 
 
 def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]) -> list[SigmaswarmWarning]:
-    """Raise `DriveError` for a shortage, and return warnings of what looks wrong.
+    """Raise `DriveError` for a shortage, and return warnings of other faults.
 
-    ``placed`` adds the folder to a sentence that names imu.csv and gps.csv.
+    ``placed`` adds the folder to a sentence with imu.csv or gps.csv.
     """
     if shortage := shortage_of(imu, gps):
         raise DriveError(placed(shortage))
@@ -76,10 +71,7 @@ def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """The shortage that makes a drive unusable, as a sentence.
-
-    No common time of IMU and GPS, or too few samples of either.
-    """
+    """Describe a shortage that makes a drive unusable: no common time of IMU and GPS, or too few samples of either."""
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -99,9 +91,9 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 
 @np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
-    """All that looks wrong: times in another unit, gaps, rates in deg/s, accelerations in g, gravity on another axis.
+    """List faults: times in another unit, gaps, rates in deg/s, accelerations in g, gravity on another axis.
 
-    Nothing here stops work, so a check that is uncertain reports nothing.
+    An uncertain check reports nothing.
     """
     if spoiled := spoiled_times(imu, gps):
         return spoiled
@@ -111,22 +103,20 @@ def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
 
 
 def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
-    """Faults of the times that make all other figures of the log meaningless: another unit, or a clock that jumps."""
+    """List faults of the times that make all other checks meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
-    remedy = "delete the rows whose times are wrong; if the logger did pause, make a drive of each part"
-    sensors = ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP))
-    return [
-        Remark(
-            "time-jump", file, "t", f"column t jumps by {g.length:.4g} s after t = {g.start:.2f} s", remedy
-        )
-        for file, g in sensors
-        if g and g.length > _JUMP
-    ]
+    remedy = "delete the rows with wrong times; if the logger did pause, make a drive of each part"
+    found: list[Remark] = []
+    for file, gaps in ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP)):
+        if gaps and gaps.length > _JUMP:
+            what = f"column t jumps by {gaps.length:.4g} s after t = {gaps.start:.2f} s"
+            found.append(Remark("time-jump", file, "t", what, remedy))
+    return found
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Times in ms, us or ns: of one sensor, which lasts far longer than the other, or of both, by their rates."""
+    """Check for times in ms, us or ns: of one sensor, by the durations, or of both, by their rates."""
     lasts = float(np.ptp(imu)), float(np.ptp(gps))
     if min(lasts) <= 0:
         return None
@@ -135,9 +125,8 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
     unit = next((u for u, f in TIME_UNITS.items() if abs(abs(powers) - np.log10(f)) <= 0.2), None)
     if unit:
         file = "imu.csv" if powers > 0 else "gps.csv"
-        what = (
-            f"the IMU's samples last {lasts[0]:.4g} s and the fixes {lasts[1]:.4g} s, as if t were in {unit}"
-        )
+        both = f"the IMU's samples last {lasts[0]:.4g} s and the fixes {lasts[1]:.4g} s"
+        what = f"{both}, as if t were in {unit}"
     elif come[0] > _SLOWEST[0] or come[1] > _SLOWEST[1]:
         fits = (u for u, f in TIME_UNITS.items() if come[0] <= _USUAL[0] * f and come[1] <= _USUAL[1] * f)
         unit, file = next(fits, None), "imu.csv, gps.csv"
@@ -153,7 +142,7 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
 
 
 def gravity_on(imu: Imu) -> Remark | None:
-    """Gravity on a horizontal axis."""
+    """Check for gravity on a horizontal axis."""
     median = {"ax": float(np.median(imu.ax)), "ay": float(np.median(imu.ay))}
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
@@ -164,7 +153,7 @@ def gravity_on(imu: Imu) -> Remark | None:
 
 
 def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
-    """A vertical specific force that is not +9.8; ``unit`` is m/s2 per unit of az, where that is known."""
+    """Check for a vertical specific force other than +9.8; ``unit`` is m/s2 per unit of az, if known."""
     if imu.az is None:
         return None
     az, columns = unit * float(np.median(imu.az)), "az"
@@ -185,7 +174,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 
 
 def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
-    """The intervals of ``time`` (n,), s, that exceed ``limit``, such as `IMU_GAP`; None where none does."""
+    """Find the gaps of ``time`` (n,), s, by a limit such as `IMU_GAP`; None if there are none."""
     interval = np.diff(time)
     usual = float(np.median(interval)) if interval.size else 0.0
     count = int(np.count_nonzero(interval > max(limit[0] * usual, limit[1])))
@@ -196,7 +185,7 @@ def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
 
 
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
-    """One sentence on the gaps of all files; the remedy is for the sensor whose gaps matter most."""
+    """Describe the gaps of all files in one sentence, with the remedy for the most important sensor."""
     crossed = (
         "a filter crosses a gap with the mean of the samples around it, and its covariance grows; if the car "
         "maneuvered there, split the drive"
@@ -205,16 +194,13 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     unscored = "nothing is scored there; nothing to do if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
-    found = [
-        (
-            name,
-            f"{g.count} gap{'s' if g.count > 1 else ''}, the longest {g.length:.2f} s after t = {g.start:.2f} s "
-            f"(usual interval {g.usual:.3f} s)",
-            remedy,
-        )
-        for name, table, limit, remedy in sensors
-        if (g := gaps_in(table.time, limit))
-    ]
+    found: list[tuple[str, str, str]] = []
+    for name, table, limit, remedy in sensors:
+        if g := gaps_in(table.time, limit):
+            longest = (
+                f"the longest {g.length:.2f} s after t = {g.start:.2f} s (usual interval {g.usual:.3f} s)"
+            )
+            found.append((name, f"{counted(g.count, 'gap')}, {longest}", remedy))
     if found:
         name, what, remedy = found[0]
         more = "".join(f"; {other}.csv: {gaps}" for other, gaps, _ in found[1:])
@@ -222,11 +208,11 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Motion over consecutive windows from the fixes, and the integral of an IMU column.
+    """Return the motion over consecutive windows by the fixes, and the integral of an IMU column.
 
-    The mean velocity (k,), m/s east + i north; then, from each window's middle to the next one's (k - 1,), the integral
-    of ``body_rate`` and the change of course, rad. Windows without fixes are left out: there are never more of them
-    than fixes, whatever the times.
+    The first array is the mean velocity (k,), m/s east + i north. From the middle of each window to that of the next
+    are the integral of ``body_rate`` and the change of course, rad, (k - 1,). Windows without fixes are left out, which
+    limits their number.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))
@@ -241,17 +227,17 @@ def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.com
 
 
 def impossible_rate(gz: Array) -> bool:
-    """True where a yaw rate gz (n,), rad/s, is beyond any car's."""
+    """Return True if a yaw rate gz (n,), rad/s, is impossible for a car."""
     return bool(np.quantile(np.abs(gz), 0.99) > IMPOSSIBLE_RATE)
 
 
 def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """A column gz in deg/s: it turns 57 times as far as the course does."""
+    """Check for gz in deg/s: its integral is 57 times the change of course."""
     velocity, turned, turn = _seen_by_fixes(imu, gps, imu.gz)
-    moving = np.abs(velocity) > 4.0  # m/s; slower, the noise of the fixes makes the course
+    moving = np.abs(velocity) > 4.0  # m/s; at lower speeds, noise of the fixes dominates the course
     both = moving[1:] & moving[:-1]
     if np.count_nonzero(both) >= 4:
-        # deviations, so that a gyro's bias does not count; at least 0.02 rad, as a straight road has no turns
+        # standard deviations are independent of a gyro's bias; at least 0.02 rad, since straight roads have no turns
         degrees = np.std(turned[both]) > 5 * max(float(np.std(turn[both])), 0.02)
     else:
         degrees = impossible_rate(imu.gz)
@@ -261,7 +247,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
 
 
 def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for ax in g without az: it explains a tenth of the changes of speed."""
+    """Check for ax in g, without az: it explains a tenth of the changes of speed."""
     if imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)

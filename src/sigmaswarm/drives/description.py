@@ -42,11 +42,8 @@ def read_description(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DriveError(f"{path} can't be read ({error.strerror}); name another file") from None
     except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
-        remedy = (
-            "write it as UTF-8"
-            if isinstance(error, UnicodeError)
-            else "correct that line (text needs quotes)"
-        )
+        coded = isinstance(error, UnicodeError)
+        remedy = "write it as UTF-8" if coded else "correct that line (text needs quotes)"
         raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; {remedy}") from None
     require_name(about.get("name", "unnamed"), path)
     if "origin" in about:
@@ -98,7 +95,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the frame of the fixes: the stated one, which must match the columns, or else that of the columns."""
+    """Return the frame of the fixes: the stated one, which the columns must confirm, or else that of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')

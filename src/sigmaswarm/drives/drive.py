@@ -31,11 +31,11 @@ class Drive:
     gps : Gps
     truth : Truth or None
     frame : {"enu", "wgs84"}
-        In which form the fixes were recorded; ``gps.x`` and ``gps.y`` are always in meters.
+        Frame of the recorded fixes; ``gps.x`` and ``gps.y`` are always in meters.
     origin : (latitude deg, longitude deg, altitude m) or None
-        Where the local frame touches the earth. Always known when ``frame`` is "wgs84".
+        Origin of the local frame. Always known if ``frame`` is "wgs84".
     metadata : mapping
-        Every other key of drive.toml, kept as it was.
+        All other keys of drive.toml, unchanged.
     odometer : Odometer or None
     """
 
@@ -119,18 +119,18 @@ class Drive:
 
     @property
     def lever_arm(self) -> Array:
-        """From the IMU to the antenna, m forward and left, shape (2,): ``gps_lever_arm_m`` of drive.toml, or none."""
+        """Vector from the IMU to the antenna, m forward and left, (2,): ``gps_lever_arm_m`` of drive.toml, else 0."""
         return np.array(self.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2], dtype=np.float64)
 
     @property
     def antenna_height(self) -> float:
-        """From the IMU up to the antenna, m: the third number of ``gps_lever_arm_m``, else 0."""
+        """Height of the antenna above the IMU, m: the third number of ``gps_lever_arm_m``, else 0."""
         arm = self.metadata.get("gps_lever_arm_m", ())
         return float(arm[2]) if len(arm) > 2 else 0.0
 
     @property
     def heading(self) -> float | None:
-        """Heading at the first IMU sample, rad, as ``heading_deg`` of drive.toml states it; None if it does not."""
+        """Heading at the first IMU sample, rad: ``heading_deg`` of drive.toml, else None."""
         stated = self.metadata.get("heading_deg")
         return None if stated is None else float(np.radians(float(stated)))
 

@@ -1,4 +1,4 @@
-"""The identity of a drive, independent of its name and place."""
+"""The identity of a drive, independent of its name and folder."""
 
 import hashlib
 from typing import Any
@@ -12,11 +12,11 @@ START_RULE = (
     "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster); of a slower drive, "
     "10 m or more in up to 90 s; with a stated heading, the first fix that has one, if it is earlier"
 )
-"""The rule of `alignment` that gives `DriveRecord.scored_from_s`, for messages and pages."""
+"""Description of the start by `alignment`, `DriveRecord.scored_from_s`, for messages and pages."""
 
 
 class DriveRecord(BaseModel):
-    """A drive of a result, as its file describes it."""
+    """The description of a drive in the file of a result."""
 
     name: str
     duration_s: float | None = None
@@ -25,11 +25,11 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     sha256: str = ""
     truth_share: float | None = None
-    """The share of the scored time in which truth is known; of an evaluated drive."""
+    """Of an evaluated drive: share of the scored time in which truth is known."""
     scored_from_s: float | None = None
-    """The time at which filters and scores start, s after the first sample; of an evaluated drive."""
+    """Of an evaluated drive: time at which filters and scores start, s after the first sample."""
     seen_s: float | None = None
-    """Seconds that are also in drives that the filter was tuned on; of an evaluated drive."""
+    """Of an evaluated drive: duration, s, of the part that drives of the tuning contain."""
     seen_in: list[str] = Field(default_factory=list)
     """The names of those drives."""
 

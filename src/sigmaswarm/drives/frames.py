@@ -1,4 +1,4 @@
-"""Tables of a drive from arrays and data frames, checked as those of files."""
+"""Tables of a drive from arrays and data frames, checked like those of files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,9 +20,9 @@ _TIMES = ("t", "time")
 def tables_from_frames(
     frames: Mapping[str, Any], renamed: Mapping[str, str], origin: Origin | None
 ) -> tuple[dict[str, Any], dict[str, Any], list[SigmaswarmWarning]]:
-    """Convert data frames and mappings of arrays, by table; ``Drive.from_frames`` documents them.
+    """Convert the tables of `Drive.from_frames`, data frames or mappings of arrays.
 
-    Returns the records, further arguments of `Drive` (frame, origin, metadata), and warnings of ignored columns.
+    Return the records, further arguments of `Drive` (frame, origin, metadata), and warnings of ignored columns.
     """
     arrays = {name: _columns_of(frame, name, renamed) for name, frame in frames.items()}
     start = _to_seconds(arrays)
@@ -32,9 +32,7 @@ def tables_from_frames(
     for name, table in arrays.items():
         required, optional = COLUMNS[frame if name == "gps" else name]
         known, rows = (*required, *optional), len(table.get("t", ()))
-        cells = {
-            key: _numbers(v, name, key) if key in known else np.zeros(len(v)) for key, v in table.items()
-        }
+        cells = {k: _numbers(v, name, k) if k in known else np.zeros(len(v)) for k, v in table.items()}
         whole = pl.DataFrame(cells if "t" in table else dict.fromkeys(table, ()))
         columns = TableFile(Path(name), whole, np.arange(rows)).columns(required, optional, ignored)
         if name == "gps" and frame == "wgs84":
@@ -46,7 +44,7 @@ def tables_from_frames(
 
 
 def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """The columns of a table (n,), under a drive's names; a pandas index that contains times is a column, too."""
+    """Return the columns of a table (n,) by a drive's names, including a pandas index of times."""
     if isinstance(table, str | Path):
         raise DriveError(f"{name} is a path, {quoted(str(table))}; read it with read_drive or import_log")
     if not hasattr(table, "keys") and not hasattr(table, "columns"):
@@ -71,7 +69,7 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
 
 
 def _values(column: Any) -> NDArray[Any]:
-    """A column as an array; times with a zone become UTC."""
+    """Convert a column to an array; times with a zone become UTC."""
     if getattr(getattr(column, "dtype", None), "tz", None) is not None:  # pandas would give objects
         column = column.dt.tz_convert("UTC").dt.tz_localize(None)
     return np.asarray(column.to_numpy() if hasattr(column, "to_numpy") else column)
@@ -80,7 +78,7 @@ def _values(column: Any) -> NDArray[Any]:
 def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
     """Replace dates by seconds since the first IMU sample; return that sample's Unix time, s, or None.
 
-    Seconds since 1970 as float64 resolve no better than 0.2 us; since the first sample they are exact.
+    The resolution of seconds since 1970 as float64 is 0.2 us; seconds since the first sample are exact.
     """
     dated = {key for key, table in tables.items() if "t" in table and table["t"].dtype.kind == "M"}
     if not dated:
@@ -98,7 +96,7 @@ def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
 
 
 def _numbers(values: NDArray[Any], name: str, column: str) -> NDArray[np.float64]:
-    """A column (n,) as float64."""
+    """Convert a column (n,) to float64."""
     if values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
     plain = values.dtype.kind == "O" and all(v is None or isinstance(v, int | float) for v in values.tolist())

@@ -1,8 +1,8 @@
 """Stale fixes: a receiver without satellites repeats its last position bit for bit while the car drives on.
 
-A receiver with static hold also repeats its position at a red light, correctly. The earlier fixes distinguish the two:
-they show if the car had stopped by the first repeat. So the decision uses only this fix and earlier ones, and no
-parameter of a filter. The same function serves a drive and a live filter.
+A receiver with static hold also repeats its position at a red light, correctly. Earlier fixes distinguish the two: they
+show if the car had stopped before the first repeat. The decision uses only this fix and earlier ones, and no parameter
+of a filter. The same function serves a drive and a live filter.
 """
 
 import math
@@ -22,13 +22,13 @@ BEFORE = 3.0
 SPEED_WINDOW = 2.5
 """s of fixes that give the speed, at least two. At 1 Hz that is three, which still show braking."""
 REST = 0.8
-"""m/s: speed of the fixes below which the car rests: the standstill's `FIX_SPEED`."""
+"""m/s: speed of the fixes below which the car is at rest, as `standstill.FIX_SPEED`."""
 NO_REST = 2.0
 """m/s: a repeat that begins at a higher speed is not evidence of a standstill."""
 BRAKING = 4.0
-"""m/s2: harder braking in the fixes is noise."""
+"""m/s2: hardest braking; more in the fixes is noise."""
 ENOUGH = 3.0
-"""Number of new fixes that show braking; fewer show a mean speed only."""
+"""Least number of new fixes that show braking; fewer show only a mean speed."""
 
 
 def judged(gps: Gps) -> Array:
@@ -42,7 +42,7 @@ def judged(gps: Gps) -> Array:
 
 
 def frozen_fixes(gps: Gps) -> NDArray[np.bool_]:
-    """Return the stale fixes, shape (n,): no filter uses them as positions."""
+    """Mark the stale fixes, shape (n,), which no filter uses as positions."""
     return judged(gps) >= FROZEN
 
 
@@ -54,10 +54,10 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 
 @cached
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
-    """Classify fix k; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has those of the rows before.
+    """Classify fix k; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has the kinds of earlier rows.
 
-    It is compared with all fixes of the seconds before, so that each of two receivers is compared with itself, on one
-    clock or on two. A run of repeats is classified once, at the first.
+    It is compared with all fixes of the seconds before, so each of two receivers is compared with itself. A run of
+    repeats is classified once, at its first fix.
     """
     now = fixes[k, 0]
     last = k - 1
@@ -78,8 +78,8 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    The smaller of two: that of a straight line, and along it that of a parabola at the time itself; a car that brakes
-    to a halt has been fast a second before. A log that begins with repeats begins at rest: nothing shows that it moves.
+    It is the smaller of the speed of a straight line, and of a parabola along it at that time, since a car that brakes
+    to a halt was fast a second before. It is 0 in a log that begins with repeats.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

@@ -1,6 +1,6 @@
 """Gaps in the IMU: intervals without samples.
 
-An interval is a gap relative to the ones before it, so a live filter finds the same gaps as one over a drive, at any
+An interval is compared with the ones before it. So a live filter finds the same gaps as a filter over a drive, at any
 rate of the IMU.
 """
 
@@ -9,12 +9,10 @@ import numpy as np
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
-MANY = 5.0
-"""Usual intervals that a gap exceeds."""
-SHORTEST = 0.05
-"""s: length that a gap exceeds."""
+MANY, SHORTEST = 5.0, 0.05
+"""A gap exceeds this many usual intervals, and this many s."""
 OVER = 32.0
-"""Number of intervals, about, in the mean that is the usual one."""
+"""Approximate number of intervals in the mean that defines the usual one."""
 MOST = 3.0
 """Limit of an interval in that mean, in usual intervals, so that a gap does not become usual."""
 
@@ -43,5 +41,5 @@ def gap_of(interval: float, usual: float) -> float:
 
 @cached
 def usual_after(interval: float, usual: float) -> float:
-    """The usual interval, s, after another one: an exponentially weighted mean."""
+    """Update the usual interval, s, by another interval: an exponentially weighted mean."""
     return usual + (min(interval, MOST * usual) - usual) / OVER if usual > 0.0 else interval

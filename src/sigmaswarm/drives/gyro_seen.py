@@ -1,8 +1,8 @@
 """Gyro bias from the last seconds before a start, and its use by filters.
 
 A cheap gyro may have a bias of 20 deg/s when it is turned on. Then its path curves differently from the fixes, and its
-roll angle drifts. Both measure the bias to about 1 deg/s: worse than the ``bias_std`` of a good gyro, whose start is
-unchanged, and far better than the prior of a cheap one.
+roll angle drifts. Both measure the bias to about 1 deg/s. That is worse than the ``bias_std`` of a good gyro, so its
+start is unchanged, and far better than the prior of a cheap one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,12 +15,12 @@ from sigmaswarm.drives.tables import Array
 UP = 2
 """Index of the rate about the vertical axis."""
 CONTRADICTS = 5.0
-"""Standard deviations of the bias about up from which an alignment subtracts it."""
+"""An alignment subtracts a bias about up that exceeds this many standard deviations."""
 STRANGE = 1e-5
-"""Prior probability of a gyro far worse than that of the tuning; five sigmas confirm it. A larger one would widen the
-uncertainty of a good gyro: 1e-3 by 0.07 deg/s."""
+"""Prior probability of a gyro far worse than that of the tuning; five sigmas confirm it. A larger prior would increase
+the uncertainty of a good gyro: 1e-3 by 0.07 deg/s."""
 STRANGE_STD = 0.2
-"""rad/s: standard deviation of the bias of such a gyro; uncalibrated, an MPU-6050 may be off by 20 deg/s."""
+"""rad/s: standard deviation of the bias of such a gyro; an uncalibrated MPU-6050 may have 20 deg/s."""
 YAW_STD = np.radians(1.0)
 """rad/s: lowest standard deviation of the bias, since the car slips and receivers smooth their fixes."""
 TURN_SHARE = 0.3
@@ -35,9 +35,9 @@ MOST_BIAS = 0.5
 class GyroSeen:
     """Evidence of one alignment on the gyro bias, or of several: see `together`.
 
-    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared, infinite where nothing is known.
-    The alignment's mean and covariance hold for the bias ``taken`` about up; ``turns`` (5,) is how x, y, vx, vy, theta
-    change with it, per rad/s.
+    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; the variance is infinite where
+    nothing is known. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is
+    the change of x, y, vx, vy, theta per rad/s of it.
     """
 
     bias: Array
@@ -46,18 +46,18 @@ class GyroSeen:
     turns: Array
 
     def beside(self, known: float) -> "GyroSeen":
-        """The evidence on the gyro itself, where a known bias about up, rad/s, was subtracted beforehand."""
+        """Return the evidence on the gyro itself, if a known bias about up, rad/s, was subtracted before."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
 
     def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
-        """Put the evidence into a filter's states at the start, ``mean`` (..., n) and ``covariance`` (..., n, n).
+        """Add the evidence to a filter's states at the start, ``mean`` (..., n) and ``covariance`` (..., n, n).
 
         The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed one. Or
-        the filter was not tuned for this gyro (`STRANGE`), whose bias then may be far larger (`STRANGE_STD`). The two
-        cases are weighted by the likelihood of all axes. ``places`` maps the axes, 0 to 2, whose bias the filter
-        estimates to its index among the states; both arrays change in place.
+        the filter was not tuned for this gyro (`STRANGE`), and the bias may be far larger (`STRANGE_STD`). The
+        likelihood of all axes weights the two cases. ``places`` maps each axis, 0 to 2, with an estimated bias to the
+        index of this state; both arrays change in place.
         """
         std, axes = np.asarray(std)[..., None], [*places]
         usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))
@@ -75,7 +75,7 @@ class GyroSeen:
                 covariance[..., :5, place] = covariance[..., place, :5] = across
 
     def _measured(self, std: Array, axes: list[int]) -> tuple[Array, Array, Array]:
-        """Biases and variances, (..., k), of a gyro that may be off by ``std``, and its log-likelihood, (..., 1)."""
+        """Return biases and variances, (..., k), for a prior deviation ``std``, and its log-likelihood, (..., 1)."""
         seen, variance = self.bias[..., axes], self.variance[..., axes]
         left = std**2 / (1.0 + std**2 / variance)
         surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)
@@ -83,6 +83,6 @@ class GyroSeen:
 
 
 def together(seen: Sequence[GyroSeen]) -> GyroSeen:
-    """Evidence of m alignments for the filters of each, means (m, r, n); arrays have shape (m, 1, ...)."""
+    """Stack the evidence of m alignments for filters with means (m, r, n); arrays have shape (m, 1, ...)."""
     stacked = (np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroSeen))
     return GyroSeen(*stacked)  # pyright: ignore[reportArgumentType] (of many ``taken`` is an array, too)

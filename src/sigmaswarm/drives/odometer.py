@@ -1,7 +1,7 @@
 """Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
-Errors of readings are not white (scale, quantization, tires), so readings of 83 Hz contain no more than their mean over
-a tenth of a second, which reduces the quantization error. The mean is used at an IMU sample with its age as latency.
+Errors of readings are not white (scale, quantization, tires), so the mean over a tenth of a second contains as much
+information as readings of 83 Hz, with less quantization error. It is used at an IMU sample with its age as latency.
 Slow wheels give few pulses and read zero while the car still creeps.
 """
 
@@ -18,9 +18,9 @@ from sigmaswarm.drives.drive import Array, Odometer
 INTERVAL = 0.1
 """s: shortest time between two measurements, and age of the oldest reading in one."""
 SLOW = 0.5
-"""m/s: with a lower mean reading the speed may still be as high as this."""
+"""m/s: highest speed at which the wheels may read less than that."""
 STALE = 1.0
-"""s: readings older than this do not show if the wheels turn."""
+"""s: older readings do not show if the wheels turn."""
 
 SPEED, AGE, MORE = range(3)
 """Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""
@@ -30,8 +30,8 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    Each step of ``absorbs`` (k,) ends with one of ``rows`` (o, 3): see SPEED ... MORE. At the samples that end steps of
-    ``turn`` (k,) the wheels turn, so the car does not stand.
+    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE; ``turn`` (k,) those at whose
+    end the wheels turn, so that the car does not stand.
     """
 
     absorbs: NDArray[np.bool_]
@@ -79,21 +79,21 @@ def _measure_all(
 
 @register_jitable
 def slot_of(t: Any, start: float, interval: float) -> Any:
-    """The number of the interval of time since the start that a moment lies in: a constraint is used once in each."""
+    """Return the number of the interval since the start that contains a time; each constraint is used once in it."""
     return np.floor((t - start) / interval + 1e-6)
 
 
 @cached
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
-    """Return True if the wheels turn; rows of ``readings`` are time and speed, the first ``end`` of them up to now."""
+    """Return True if the wheels turn; the first ``end`` rows of ``readings``, time and speed, are up to now."""
     return end > 0 and readings[end - 1, 0] > now - STALE and abs(readings[end - 1, 1]) >= SLOW
 
 
 @cached
 def mean_reading(readings: Array, end: int, now: float, before: float, taken: float, wheels: Array) -> bool:
-    """Average the readings since the last measurement, at ``taken``; return False if none came since ``before``.
+    """Average the readings since the last measurement, at ``taken``, into ``wheels`` (3,), see SPEED ... MORE.
 
-    ``wheels`` (3,) is the measurement: see SPEED ... MORE.
+    Return False if no reading came since ``before``.
     """
     oldest = now - INTERVAL
     if end == 0 or readings[end - 1, 0] <= max(before, oldest):

@@ -1,14 +1,12 @@
-"""Artificial GPS outages: windows of time whose fixes are hidden from a filter.
+"""Artificial GPS outages: windows of time in which fixes are hidden from a filter.
 
-Windows are arrays of shape (k, 2): the start and end of each in s.
+Windows are arrays of shape (k, 2): the start and the end of each, s.
 """
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 
 SECONDS_PER_OUTAGE = 15.0
@@ -22,13 +20,8 @@ def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
-    # More have begun than are over; each fix against each window would be a gigabyte on a long drive.
+    # more windows have begun than ended; a comparison of each fix with each window would need a gigabyte
     return np.searchsorted(starts, t, side="right") > np.searchsorted(ends, t, side="left")
-
-
-def hide_fixes(drive: Drive, windows: ArrayLike) -> Drive:
-    """Remove the fixes of a drive inside the windows (k, 2), s."""
-    return replace(drive, gps=drive.gps.select(~hidden_fixes(drive.gps.time, windows)))
 
 
 def random_windows(
@@ -41,10 +34,10 @@ def random_windows(
     apart: float = 5.0,
     count: int | None = None,
 ) -> Array:
-    """Draw outages (k, 2) between two times, s, uniformly among all placements that keep the distances.
+    """Draw outages (k, 2) between two times, s, uniformly among all placements with the required distances.
 
-    Each has the given ``length``, or one from that range. They begin ``first_after`` s or later, at least ``apart`` s
-    apart. There are at most ``count``, by default one per 15 s of the available time, and at least one.
+    Each has the given ``length``, or one of that range. The first begins at least ``first_after`` s after the start,
+    and they are at least ``apart`` s apart. There are at most ``count``, by default one per 15 s, and at least one.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
@@ -55,7 +48,7 @@ def random_windows(
     available = end - start - first_after
     wanted = max(round(available / SECONDS_PER_OUTAGE), 1) if count is None else count
     lengths = rng.uniform(shortest, longest, max(wanted, 0))
-    # packed as tightly as allowed, each window starts and ends so long after the earliest moment
+    # ends of the windows after the earliest start, packed as tightly as allowed
     ends = np.cumsum(lengths) + apart * np.arange(len(lengths))
     fitting = int(np.count_nonzero(ends <= available))
     ends, lengths = ends[:fitting], lengths[:fitting]
@@ -74,16 +67,16 @@ def balanced_windows(
     apart: float = 5.0,
     every: float = 12.0,
 ) -> Array:
-    """Draw one outage in each ``every`` seconds between two times, s, so that they cover the drive, (k, 2).
+    """Draw one outage in each ``every`` seconds between two times, s, (k, 2).
 
-    Each has a length drawn from a range, s, and is at least ``apart`` s after the start and the one before.
+    Each has a random length of a range, s, and begins at least ``apart`` s after the start and the one before.
     """
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
             f"outages of length {length} s, apart {apart:g} s, one in every {every:g} s can't be drawn; "
             "use a positive length (shortest first), and enough seconds for each"
         )
-    # One slot for each window; the remaining time makes all of them longer.
+    # one slot for each window; the remaining time extends all slots
     count = int((end - start) / every) or int(end - start >= apart + length[1])
     slot = (end - start) / max(count, 1)
     lengths = rng.uniform(*length, count)
@@ -94,13 +87,13 @@ def balanced_windows(
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), in order of time, so that each ends exactly on an IMU sample (n,), s.
 
-    Each moves later, its length unchanged, to the first sample at or after its end; farther if it were else closer than
-    ``apart`` to the one before. So the first keeps its distance from the start. A window that would end after the last
-    sample moves earlier, onto that sample; where this brings it too close to the one before, it is left out.
+    Each moves to the first sample at or after its end, or later if it would be closer than ``apart`` to the one before;
+    its length is unchanged. A window that would end after the last sample moves to that sample; if it is then too close
+    to the one before, it is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []
-    free = -np.inf  # s, from where on the next window may start
+    free = -np.inf  # s, earliest start of the next window
     rows: list[list[float]] = _checked(windows).tolist()
     for start, end in rows:
         length = end - start

@@ -1,9 +1,9 @@
-"""Find the part of a drive that other drives contain too, by content, in renamed, cut or repaired copies, too.
+"""Find the part of a drive that other drives contain, by content, even in renamed, cut or repaired copies.
 
-Two kinds of landmarks are equal in all copies of a drive and in no other drive: positions to the last digit of the
-receiver's noise, and yaw rates with the gyro's noise. Equal landmarks vote for the offset between two clocks (as in
-Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps one kind or the other: fixes that are
-left out, shifted in time or replaced leave the yaw rates, an IMU that is turned or interpolated leaves the fixes.
+Two kinds of landmarks are equal in all copies of a drive and in no other drive: positions with the receiver's noise,
+and yaw rates with the gyro's noise. Equal landmarks vote for the offset between two clocks (as in Wang, "An
+Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps at least one kind: the yaw rates if fixes are
+left out, shifted or replaced, the fixes if the IMU is turned or interpolated.
 """
 
 import math
@@ -33,17 +33,17 @@ SAME_TIME = 1000
 SAME_PLACE = 3.0
 """cm, or 1e-7 deg (1.1 cm to the north): largest difference between the positions of one fix in two files."""
 SAME_RATE = 2e-4
-"""Largest difference between the logarithms of one yaw rate, in two units with 8 decimals."""
+"""Largest difference between the logarithms of a yaw rate in two units with 8 decimals."""
 MOVING = 1.5
 """m/s between fixes: slower fixes are not landmarks."""
 UNITS = math.log(180 / math.pi)
-"""ln of deg/s in rad/s: landmarks are the logarithms of yaw rates modulo this."""
+"""ln of the ratio of rad/s to deg/s: landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4
-"""Of the range `UNITS`: a tenth of all samples, about those of 1 to 1.5 deg/s, are landmarks."""
+"""Part of the range `UNITS` with landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s."""
 MOST = 20_000
-"""Largest number of yaw rates of a drive; for a long one a smaller part of the range is used."""
+"""Largest number of yaw rates of a drive; a long one uses a smaller part of the range."""
 COMMON = 100
-"""Yaw rates that occur more often in a drive, as of a coarse gyro, are ignored."""
+"""Yaw rates that occur more often in a drive, such as those of a coarse gyro, are ignored."""
 FEWEST = 8
 """Smallest number of landmarks of different value that must agree."""
 SHARE = 0.5
@@ -54,10 +54,10 @@ SHARE = 0.5
 class Landmarks:
     """The landmarks of a drive, a thousandth of its size.
 
-    ``sha256`` is its `fingerprint`, which identifies a whole drive without landmarks; ``span`` that of its IMU, s.
-    ``fixes`` (n, 3) has time (us) and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm).
-    ``rates`` (k, 2) has time (s) and the yaw rate as ln|gz| modulo ``UNITS``, equal in rad/s and deg/s, with either
-    sign; samples below ``width`` are landmarks.
+    ``sha256`` is its `fingerprint`, which identifies a whole drive without landmarks; ``span`` is start and end of its
+    IMU, s. ``fixes`` (n, 3) has time (us) and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and
+    x (cm). ``rates`` (k, 2) has time (s) and the yaw rate as ln|gz| modulo ``UNITS``, the same in rad/s and deg/s and
+    for both signs; rates below ``width`` are landmarks.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Landmarks:
 
     @property
     def tell_parts(self) -> bool:
-        """True if a part of the drive can be recognized, not only the whole by its fingerprint."""
+        """True if parts of the drive can be recognized, not only the whole drive by its fingerprint."""
         return max(len(self.fixes), len(self.rates)) >= FEWEST
 
 
@@ -112,12 +112,12 @@ def landmarks(drive: Drive) -> Landmarks:
 
 
 def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
-    """Landmarks of a drive of which only the fingerprint is known."""
+    """Make the landmarks of a drive with a known fingerprint only."""
     return Landmarks(name, sha256, (0.0, duration), False, np.zeros((0, 3), np.int64), np.zeros((0, 2)))
 
 
 def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
-    """Compute how much of a drive others contain, s, and which of them."""
+    """Compute the duration, s, of the parts of a drive that others contain, and name these."""
     found = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
     covered, until = 0.0, -math.inf
     for start, end in sorted(part for _, part in found):
@@ -127,13 +127,13 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
-    """As `overlap_of`; None if nothing is found but parts of some of the others can't be recognized."""
+    """Compute `overlap_of`; None if nothing is found and parts of some other drives can't be recognized."""
     found = overlap_of(drive, others)
     return found if found or all(other.tell_parts for other in others) else None
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
-    """Start and end, s on its clock, of the part of ``one`` that is in ``other``; None without one."""
+    """Return start and end, s on its clock, of the part of ``one`` that is in ``other``; None if there is none."""
     if one.sha256 == other.sha256:
         return one.span
     for offset in (_by_fixes(one, other), _by_rates(one, other)):
@@ -145,14 +145,14 @@ def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
 
 
 def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
-    """Offset, s, of one's clock from the other's by equal fixes; None without enough of them."""
+    """Return the offset, s, of one's clock from the other's by equal fixes; None without enough of them."""
     if one.geographic != other.geographic:
         return None
     return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), SAME_PLACE)
 
 
 def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
-    """Offset, s, by equal yaw rates."""
+    """Return the offset, s, by equal yaw rates."""
     width = min(one.width, other.width)
 
     def rates(marks: Landmarks) -> Array:
@@ -164,10 +164,10 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 
 
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
-    """Offset, s, between the clocks of landmarks (time in us, values ...) for which most equal pairs vote.
+    """Return the offset, s, between the clocks of landmarks (time in us, values ...) with most equal pairs.
 
-    Some pairs always agree by chance. So half of the landmarks in the common time must agree (of the drive with fewer,
-    since one may be decimated), with different values, since a standing car repeats one.
+    Some pairs always agree by chance. So half of the landmarks in the common time must agree, of the drive with fewer,
+    since one may be decimated; and with different values, since a standing car repeats one.
     """
     if min(len(a), len(b)) < FEWEST:
         return None
@@ -182,10 +182,7 @@ def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     chosen = order[best : best + votes[best]]
     offset = float(np.median(offsets[chosen]))
     times = a[:, 0], b[:, 0] + offset
-    start, end = (
-        max(t.min() for t in times) - SAME_TIME,
-        min(t.max() for t in times) + SAME_TIME,
-    )
+    start, end = max(t.min() for t in times) - SAME_TIME, min(t.max() for t in times) + SAME_TIME
     there = [np.count_nonzero((t >= start) & (t <= end)) for t in times]
     agreeing = min(len(np.unique(i[chosen])), len(np.unique(j[chosen])))
     if agreeing < SHARE * min(there) or len(np.unique(np.rint(a[i[chosen], 1] / tolerance))) < FEWEST:
@@ -194,7 +191,7 @@ def _offset(a: Array, b: Array, tolerance: float) -> float | None:
 
 
 def _equal(a: Array, b: Array, tolerance: float) -> tuple[Whole, Whole]:
-    """Pairs (i, j) of rows of a and b that differ by at most the tolerance in each column."""
+    """Return the pairs (i, j) of rows of a and b that differ by at most the tolerance in each column."""
     pairs = KDTree(a).sparse_distance_matrix(KDTree(b), tolerance, np.inf, output_type="ndarray")
     order = np.lexsort([pairs["j"], pairs["i"]])
     return pairs["i"][order], pairs["j"][order]
@@ -203,11 +200,11 @@ def _equal(a: Array, b: Array, tolerance: float) -> tuple[Whole, Whole]:
 def save_landmarks(
     seen: Iterable[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
 ) -> None:
-    """Save the landmarks of drives; with known names and fingerprints they are computed one by one."""
+    """Save the landmarks of drives; with ``names`` (name, fingerprint) given, they may be computed one by one."""
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
-    # As `np.savez_compressed` does, which needs all arrays at once.
+    # the format of `np.savez_compressed`, which needs all arrays at once
     with whole_file(path) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
 
         def put(name: str, array: NDArray[np.generic]) -> None:
@@ -223,7 +220,7 @@ def save_landmarks(
 
 @dataclass(frozen=True)
 class SavedLandmarks(Sequence[Landmarks]):
-    """Landmarks that are read from the file of `save_landmarks` when they are used."""
+    """Landmarks in a file of `save_landmarks`, read on use."""
 
     path: Path
     names: tuple[tuple[str, str], ...]
@@ -240,13 +237,7 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; None if it does not exist, as in tunings of early versions.
-
-    Raises
-    ------
-    InputError
-        If the file is there but can't be read.
-    """
+    """Load a file of `save_landmarks`; None if it does not exist, as in tunings of early versions."""
     if not path.exists():
         return None
     try:

@@ -11,14 +11,14 @@ from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
 SMALL = 500_000
-"""Steps of a time line that stays in memory: somewhat over an hour, 40 MB."""
+"""Largest number of steps of a time line that stays in memory: more than an hour, 40 MB."""
 
 
 class PreparedDrive:
     """A drive with the start and the time lines of filters, shared by all filters that run over it.
 
-    The start is ``initial``, by default that of the alignment, computed on first use. ``as_recorded`` means without
-    preprocessing, for diagnosis and the paper's protocol: stale fixes are used, and gaps in the IMU are ordinary steps.
+    The start is ``initial``, by default that of the alignment. With ``as_recorded`` there is no preprocessing, for
+    diagnosis and the paper's protocol: stale fixes are used, and gaps in the IMU are ordinary steps.
     """
 
     def __init__(
@@ -36,19 +36,19 @@ class PreparedDrive:
 
     @cached_property
     def kinds(self) -> Array:
-        """The kind of each fix, (number of fixes,): see `drives.frozen`. Without preprocessing all are new."""
+        """The kind of each fix, (number of fixes,), see `drives.frozen`; all are new without preprocessing."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
     @property
     def frozen(self) -> NDArray[np.bool_]:
-        """Stale fixes, (number of fixes,): filters don't use them as positions."""
+        """Mask of stale fixes, (number of fixes,), which filters don't use as positions."""
         return self.kinds >= FROZEN
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the steps of a filter that gets all fixes but the ``hidden`` ones (g,); computed once.
+        """Return the steps of a filter with all fixes except the ``hidden`` ones (g,); computed once.
 
-        With ``removed``, no step ends at a hidden fix. Otherwise the steps are those of the drive; all such time lines
-        share its arrays, and the hidden fixes can be forecast.
+        With ``removed``, no step ends at a hidden fix. Otherwise the steps are those of the drive, and the hidden fixes
+        can be forecast; all such time lines share their arrays.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
@@ -67,7 +67,7 @@ class PreparedDrive:
     def forget(self) -> None:
         """Drop the time lines, each a quarter of a gigabyte for ten hours at 100 Hz.
 
-        The one of all fixes stays if it is small, since others are derived from it.
+        A small time line of all fixes is kept, since others are derived from it.
         """
         self._timelines = {
             (hidden, removed): line

@@ -1,4 +1,4 @@
-"""Reading a drive from a folder or a URL. Every fault is one sentence: file, row, column, value, fault, remedy."""
+"""Reading a drive from a folder or a URL. Each error is one sentence: file, row, column, value, fault, remedy."""
 
 import warnings
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ from sigmaswarm.drives.description import frame_of, place_on_plane, read_descrip
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
 from sigmaswarm.drives.tables import COLUMNS, RECORDS
-from sigmaswarm.drives.urls import drive_urls, is_url, local_copy, without_secrets
+from sigmaswarm.drives.urls import A_DRIVE, drive_urls, is_url, local_copy, without_secrets
 from sigmaswarm.errors import DriveError, SigmaswarmWarning
 
 Location = str | Path
@@ -18,13 +18,7 @@ Location = str | Path
 
 
 def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
-    """Return the drives at locations: each itself, or all drives in a folder or below a URL, sorted by name.
-
-    Raises
-    ------
-    DriveError
-        If a folder contains no drive, or a URL can't be listed.
-    """
+    """Return the drives at locations: a drive itself, or all drives in a folder or below a URL, sorted by name."""
     return [
         drive
         for location in locations
@@ -38,9 +32,7 @@ def drive_folders(path: Path) -> list[Path]:
         return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
     if not inside:
-        raise DriveError(
-            f"{path}: contains no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
-        )
+        raise DriveError(f"{path}: contains no drive; {A_DRIVE}")
     return inside
 
 
@@ -72,9 +64,9 @@ def read_drive(path: str | Path) -> Drive:
     Returns
     -------
     Drive
-        Fixes of a "wgs84" drive are in m too, about its ``origin``: the one in drive.toml, else the
-        first fix. Without a column ``alt`` they count as level with the origin. Keys of drive.toml other than
-        name, frame and origin are ``metadata``.
+        Fixes of a "wgs84" drive are also in m, relative to its ``origin``: that of drive.toml, else the first fix.
+        Without a column ``alt`` they get the altitude of the origin. Keys of drive.toml other than name, frame and
+        origin are ``metadata``.
 
     Raises
     ------
@@ -95,7 +87,7 @@ def read_drive(path: str | Path) -> Drive:
 
 
 def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarning]]:
-    """Read a drive and return its warnings: `warnings.catch_warnings` would act on all threads."""
+    """Read a drive and return its warnings, since `warnings.catch_warnings` acts on all threads."""
     if not is_url(location):
         return _read_folder(Path(location))
     url = str(location).rstrip("/")

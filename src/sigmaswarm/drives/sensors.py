@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Drive
 VARIES = 1.5
 """Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
 STARTED = 20.0
-"""m from the first fix, beyond which the car counts as moving."""
+"""m from the first fix, beyond which the car is moving."""
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of it."""
 
@@ -21,7 +21,7 @@ WHITE = 0.4
 """Least share of white noise in the error of fixes, for `has_white_errors`: 1 for KITTI and colorado, 0.25 for a u-blox
 M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
 UNSTATED_GPS_STD = 2.1
-"""m per axis, for receivers that state none: u-blox M8, 2.5 m CEP."""
+"""m per axis: standard deviation of receivers that state none: u-blox M8, 2.5 m CEP."""
 SHOWN = 0.25 * UNSTATED_GPS_STD
 """m per axis: a receiver that states nothing and errs by this much from fix to fix does not smooth.
 
@@ -45,28 +45,17 @@ class SuggestedFilter:
 
 @dataclass(frozen=True)
 class Sensors:
-    """The sensors of a log, and all else on which the choice of a filter and an objective depends.
+    """The properties of a log on which the choice of a filter and an objective depends.
 
     Attributes
     ----------
-    interval : float
-        Median time between two IMU samples, s.
-    axes : tuple of str
-        The axes of the IMU.
-    attitude : bool
-        See `has_attitude`.
-    odometer, accuracy, velocity, heading : bool
-        True if the log has wheel speed, the receiver's deviations, its speed and course, and its heading.
-    spread : (float, float) or None
-        See `stated_spread`.
-    white : bool
-        See `has_white_errors`.
-    lasting : bool
-        See `has_lasting_errors`.
-    driven : float
-        Time from 20 m of distance to the end of the log, s.
-    receiver_std : (float, float)
-        See `receiver_std`.
+    interval : median time between two IMU samples, s
+    axes : the axes of the IMU
+    attitude, spread, white, lasting, receiver_std : see `has_attitude`, `stated_spread`, `has_white_errors`,
+        `has_lasting_errors` and `receiver_std`
+    odometer, accuracy, velocity, heading : True if the log has wheel speed, and the receiver's standard deviations,
+        speed and course, and heading
+    driven : time from 20 m of distance to the end of the log, s
     """
 
     name: str
@@ -86,7 +75,7 @@ class Sensors:
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
-    """Describe the sensors of a drive; a description is returned as it is."""
+    """Describe the sensors of a drive; return a description unchanged."""
     if isinstance(drive, Sensors):
         return drive
     gps, imu = drive.gps, drive.imu
@@ -188,9 +177,9 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 
 
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
-    """Estimate the white noise of fixes at even times, east + i north (n,) m; m per axis, 0 for fewer than four.
+    """Estimate the white noise of evenly spaced fixes, east + i north (n,) m, in m per axis; 0 for fewer than four.
 
-    The estimate is robust. It uses third differences, which remove the motion, and correlated errors with it.
+    The robust estimate uses third differences, which remove the motion and correlated errors.
     """
     third = np.diff(position, n=3)
     spread = np.concatenate([third.real, third.imag])

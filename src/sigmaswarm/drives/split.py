@@ -27,9 +27,9 @@ def split_drives(
     drives : sequence of Drive, or of objects that represent drives, such as paths
         At least two, so that each part gets one.
     train_fraction : float
-        Of the number of drives, in (0, 1).
+        Share of the drives for training, in (0, 1).
     rng : numpy.random.Generator
-        Draws which.
+        Draws the drives.
     """
     _require_fraction(train_fraction)
     if len(drives) < 2:
@@ -48,12 +48,12 @@ def split_time(
     Parameters
     ----------
     drive : Drive
-        Stays as it is.
+        Not changed.
     train_fraction : float
         Share of the drive's duration, in (0, 1).
     at : float or (float, float), optional
-        s on the drive's clock: split there instead, for example at a pause of the logger. Two times leave out the part
-        between them; the parts are ``<name>-before`` and ``<name>-after``.
+        Time of the split, s on the drive's clock, for example at a pause of the logger. Two times leave out the part
+        between them; the parts are then ``<name>-before`` and ``<name>-after``.
 
     Warns
     -----
@@ -95,22 +95,7 @@ def split_time(
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
-    """Return the part of a drive with start <= t < end (s); adjacent clips share no sample.
-
-    Parameters
-    ----------
-    drive : Drive
-        Stays as it is.
-    start, end : float
-        s on the drive's clock.
-    name : str, optional
-        Of the part; by default the drive's own.
-
-    Raises
-    ------
-    DriveError
-        Fewer than two IMU samples are left.
-    """
+    """Return the part of a drive with start <= t < end, s on its clock; DriveError if no two IMU samples are left."""
 
     def inside(table: AnyTable) -> AnyTable:
         return table.select((table.time >= start) & (table.time < end))
@@ -121,13 +106,13 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
         raise DriveError(
             f"{drive.name}: {start:g} <= t < {end:g} leaves no drive; choose times within {span}"
         )
-    begins = imu.time[0] == drive.imu.time[0]  # later, a stated heading no longer holds
+    begins = imu.time[0] == drive.imu.time[0]  # a stated heading is that of the first sample
     return replace(
         drive,
         name=drive.name if name is None else name,
         imu=imu,
         gps=inside(drive.gps),
-        truth=(drive.truth and inside(drive.truth)) or None,  # a table without rows is no truth
+        truth=(drive.truth and inside(drive.truth)) or None,  # None without rows
         odometer=(drive.odometer and inside(drive.odometer)) or None,
         metadata={k: v for k, v in drive.metadata.items() if begins or k != "heading_deg"},
     )

@@ -1,14 +1,14 @@
 """Causal detection of standstills from a calm IMU and constant fixes.
 
-A smooth road at constant speed is as calm as a standstill, so the fixes must agree. Fixes show a departure late, so the
-IMU must agree. A gentle departure is calm, too, but changes the acceleration, which must therefore stay as it was when
-the stop began. The same functions serve a drive and a live filter.
+At constant speed on a smooth road the IMU is as calm as at a standstill, so the fixes must agree. Fixes show a
+departure late, so the IMU must agree. A gentle departure is calm, too, but changes the acceleration, which must
+therefore be as at the beginning of the stop. The same functions serve a drive and a live filter.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
-last second is the current, incomplete block and the 20 before it, the last quarter that block and the 5 before. Blocks
-are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing sample
-variances, 1979). None is subtracted, so that rounding does not accumulate: the blocks form two stacks of 20. Those of
-the older stack are each merged with the ones after them; those of the newer one are single, and merged in FRESH.
+last second is the current, incomplete block and the 20 before it; the last quarter is that block and the 5 before.
+Blocks are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing
+sample variances, 1979). None is subtracted, so that rounding does not accumulate: the blocks form two stacks of 20.
+Each block of the older stack is merged with the later ones; those of the newer stack are single, and merged in FRESH.
 """
 
 import math
@@ -23,23 +23,23 @@ from sigmaswarm.drives.frozen import FROZEN_MOVING
 BLOCK = 0.05
 """s: length of a block."""
 SECOND = 20
-"""Complete blocks that must be calm, next to the current one: a second."""
+"""Number of complete blocks in a second, which must be calm."""
 MOST_OF_IT = 16.0
-"""Blocks since the oldest of them, at least, for a full second."""
+"""Least number of blocks since the oldest of these, for a full second."""
 QUARTER = 5
-"""Complete blocks, next to the current one, that show a departure."""
+"""Number of complete blocks in a quarter of a second, which show a departure."""
 CALM = 2.5
-"""Largest ratio of the deviations of a calm second to the usual ones at rest."""
+"""Largest ratio of the deviations in a calm second to the usual ones at rest."""
 SETTLES = 0.5
 """s: time constant with which the estimated noise at rest falls."""
 RISES = 0.1
-"""per s: rate at which it rises while the car is nearly calm, so that no single second fixes it."""
+"""per s: rate at which it rises while the car is nearly calm, so that it does not depend on a single second."""
 DEPARTS = 0.12
 """m/s2: change of the acceleration, forward or left, that shows a departure."""
 FOLLOWS = 1.0
-"""s: time constant with which the stop's acceleration follows the sensors, which warm up."""
+"""s: time constant with which the acceleration of the stop follows the sensors, which warm up."""
 FORGETS = 3.0
-"""s after the last moment of calm and constant fixes, after which another stop begins."""
+"""s after the last moment of calm and constant fixes, after which a new stop begins."""
 FIX_WINDOW = 3.0
 """s of fixes that must be constant."""
 FILLED = 1.5
@@ -47,9 +47,9 @@ FILLED = 1.5
 FIX_SPEED = 0.8
 """m/s: highest speed of the fixes at standstill."""
 CLOSE = 1e-5
-"""s before a fix leaves the window, from which its line is fitted again."""
+"""s before a fix leaves the window at which the line is fitted again."""
 TURNING = math.radians(1.5)
-"""rad/s: a car that stands does not turn; a gyro's bias stays below this."""
+"""rad/s: largest yaw rate at a standstill, by a gyro's bias."""
 
 # A detector's memory, shape (N_MEMORY, 8). Rows: the stacks, from row PLACE on the older one; the current block; the
 # newer stack, merged; the complete blocks of the last second, merged; of the last quarter; the level of calm; means of
@@ -67,10 +67,7 @@ PIECE = 100_000
 
 
 def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
-    """Standstill at each IMU sample, shape (n,); from that sample and earlier data only.
-
-    ``kinds``: of the fixes, see `frozen`.
-    """
+    """Detect standstill at each IMU sample, (n,), by earlier data; ``kinds`` are those of the fixes, see `frozen`."""
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
     fixes = np.column_stack([gps.time, gps.x, gps.y])
@@ -83,7 +80,7 @@ def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
 
 
 def new_memory() -> Array:
-    """A detector without samples."""
+    """Make the memory of a detector without samples."""
     memory = np.zeros((N_MEMORY, 8))
     memory[LEVEL, :3] = -1.0
     memory[LEVEL, NUMBER] = memory[LEVEL, LAST] = -np.inf
@@ -111,7 +108,7 @@ def _find_standstills(
 def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
     """Add a sample; return True if the last second is calm."""
     number, level = np.floor(t / BLOCK), memory[LEVEL]
-    if not abs(number) < 1e15:  # no time of any clock
+    if not abs(number) < 1e15:  # an impossible time
         return False
     begun, level[NUMBER] = min(number - level[NUMBER], SECOND + 1.0), number
     dt, level[LAST] = min(t - level[LAST], 1.0), t
@@ -122,7 +119,7 @@ def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
 def calm_after(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
     """Add a sample, dt s after the last one, and learn the level of calm; return True if the last second is calm.
 
-    ``begun``: number of blocks since the last sample's.
+    ``begun``: number of blocks since that of the last sample.
     """
     if begun > 0:
         _begin_block(memory, begun)
@@ -160,7 +157,7 @@ def calm_after(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: f
 
 @cached
 def _begin_block(memory: Array, begun: int) -> None:
-    """Push the current block and those without samples, and merge the complete blocks of the last second."""
+    """Complete the current block and those without samples, and merge the blocks of the last second."""
     level, now, fresh, whole = memory[LEVEL], memory[NOW], memory[FRESH], memory[WHOLE]
     place = int(level[PLACE])
     for _ in range(begun):
@@ -176,7 +173,7 @@ def _begin_block(memory: Array, begun: int) -> None:
                 _merge(memory[SECOND - i], memory[SECOND + 1 - i])
     _copy(memory[place], whole)
     _merge(whole, fresh)
-    _clear(memory[PART])  # merged where it is needed
+    _clear(memory[PART])  # merged on use
     level[PLACE], level[AGE] = float(place), 0.0
     if whole[COUNT] > 0.0:
         level[AGE] = level[PLACE] - whole[FIRST]
@@ -196,7 +193,7 @@ def _merge_quarter(memory: Array) -> None:
 
 @cached
 def _merge(total: Array, block: Array) -> None:
-    """Add a block to those before it."""
+    """Merge a block into the total of those before it."""
     if total[COUNT] == 0.0:
         _copy(block, total)
     elif block[COUNT] > 0.0:
@@ -225,10 +222,10 @@ def _clear(block: Array) -> None:
 
 @cached
 def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
-    """At a moment of calm and of constant fixes: return True if the acceleration is as when the stop began.
+    """Return True if the acceleration is as at the beginning of the stop, at a moment of calm and constant fixes.
 
-    ``stop`` (2,) is the stop's ax, ay, changed; ``passed`` (s) the time since the last such moment. ``means`` (4,) are
-    those of ax, ay over the last second, then over the last quarter, m/s2.
+    ``stop`` (2,) is the stop's ax, ay, changed in place; ``passed`` (s) is the time since the last such moment.
+    ``means`` (4,) are those of ax, ay over the last second, then over the last quarter of it, m/s2.
     """
     if not passed <= FORGETS:
         stop[0] = means[0]
@@ -246,9 +243,9 @@ def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
 def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
     """Return True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
 
-    The first ``n`` rows are read, but those after ``now``. The answer holds before ``until[0]`` if no fix is added.
-    ``kinds`` has the kind of each: see `frozen`. Repeats of a fix of a driving car show nothing. After an outage the
-    window must be full first: the slope of half of it is three times as noisy, and a car that departs with constant
+    Of the first ``n`` rows, those up to ``now`` are read. The result is valid until ``until[0]`` if no fix is added.
+    ``kinds`` has the kind of each, see `frozen`; stale fixes of a driving car are not used. After an outage the window
+    must be full first: the slope of half of it is three times as noisy, and a car that departs with constant
     acceleration would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

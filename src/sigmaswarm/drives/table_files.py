@@ -1,4 +1,4 @@
-"""One table of a drive, CSV or Parquet: its cells, their numbers, and the place of each fault."""
+"""One table of a drive, CSV or Parquet: cells, numbers, and the location of errors."""
 
 import csv
 import mmap
@@ -18,50 +18,46 @@ from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
-"""Larger than any sensor of a car reports in m, m/s, m/s2, rad or rad/s, or in mm, mg or mdeg/s, which can be
+"""Larger than any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in mm, mg or mdeg/s, which can be
 repaired."""
-_NO_STD = "leave the column out where no deviation is stated"
-_DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
+_METERS, _NO_STD = "give meters from an origin near by", "leave the column out where no deviation is stated"
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
     "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
-    "x": (-LARGEST, LARGEST, "give meters from an origin near by"),
-    "y": (-LARGEST, LARGEST, "give meters from an origin near by"),
     "lon": (-180.0, 180.0, "give degrees east; subtract 360 where they run from 0 to 360"),
-    "std_x": (1e-6, LARGEST, _NO_STD),
-    "std_y": (1e-6, LARGEST, _NO_STD),
+    **dict.fromkeys(("x", "y"), (-LARGEST, LARGEST, _METERS)),
+    **dict.fromkeys(("std_x", "std_y", "std_heading"), (1e-6, LARGEST, _NO_STD)),
     "std_theta": (1e-9, LARGEST, _NO_STD),
-    "std_heading": (1e-6, LARGEST, _NO_STD),
     **dict.fromkeys(
         ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
-        (-LARGEST, LARGEST, _DAMAGED),
+        (-LARGEST, LARGEST, "the value is damaged or in a wrong unit; delete the row or correct the unit"),
     ),
 }
 """Lowest and highest value allowed in a column, and the remedy."""
 
 _LONGEST_LEAP = 1e12
-"""Usual intervals between two rows: 300 years at 100 Hz, in any unit of time. A clock that was set jumps by less."""
+"""Longest interval between two rows, in usual intervals: 300 years at 100 Hz. A clock that was set jumps by less."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 """File formats of a drive's tables."""
 TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)
 
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
-"""Errors of polars on damaged tables; some bytes fail its own assertions."""
+"""Errors of polars on damaged tables; some damage violates its own assertions."""
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Return arguments for polars' readers that read a file by its name: run[1] is not a pattern, ~ not home."""
+    """Return arguments of polars' readers that take a file's name literally: no pattern (run[1]), no home (~)."""
     return {"source": path.absolute(), "glob": False}
 
 
 @dataclass(frozen=True)
 class TableFile:
-    """The cells of a table, and the number of each row (n,): the line of a CSV file, the row of a Parquet file, from 1.
+    """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
-    Cells of a CSV file are numbers if all of them are finite numbers, which takes a fifth of the memory, and otherwise
-    text (None if empty), from which messages quote. Those of a Parquet file have the types of the file. A table in
-    memory has numbers and a name in place of the path; its rows count from 0.
+    Cells of a CSV file are numbers if all are finite, which takes a fifth of the memory, and otherwise text (None if
+    empty), which messages quote. Those of a Parquet file have the types of the file. A table in memory has a name
+    instead of a path, and its rows count from 0.
     """
 
     path: Path
@@ -70,7 +66,7 @@ class TableFile:
 
     @classmethod
     def read(cls, path: Path) -> "TableFile":
-        """Read a file; the rows of a CSV file all have as many cells as its header, and blank lines don't count."""
+        """Read a file; rows of a CSV file must have as many cells as the header, and blank lines are ignored."""
         require_regular(path)
         if not path.is_file():
             raise DriveError(
@@ -95,30 +91,29 @@ class TableFile:
         filled = cells.select(~pl.all_horizontal(pl.all().is_null())).to_series().arg_true()
         if filled.is_empty():
             raise _empty(path)
-        names = [
-            name.strip().split("_duplicated_")[0] for name in cells.columns
-        ]  # as polars calls a second one
+        # polars appends "_duplicated_" to repeated names
+        names = [name.strip().split("_duplicated_")[0] for name in cells.columns]
         if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
             raise DriveError(
                 f"{path}, row 1: column {quoted(twice)} appears twice; delete or rename one of them"
             )
         cells.columns = names
-        # A copy of a day's text takes a gigabyte.
+        # without a copy, which takes a gigabyte for a day
         rows = cells if len(filled) == len(cells) else cells[filled]
         return cls(path, rows, filled.to_numpy() + 2)  # the header is line 1
 
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """The known columns as numbers, each (n,), with ``t`` renamed ``time``; others cause a remark."""
-        told: list[str] = []
+        """Return the known columns as numbers, each (n,), with ``t`` renamed ``time``; others cause a remark."""
+        new: list[str] = []
         try:
-            found = self._known_columns(required, optional, told)
+            found = self._known_columns(required, optional, new)
         except DriveError:
             if self.path.suffix != CSV or self.cells.dtypes[0] == pl.String:
                 raise
             return self._text(self.path).columns(required, optional, remarks)
-        remarks += told
+        remarks += new
         return found
 
     def _known_columns(
@@ -131,9 +126,8 @@ class TableFile:
                 if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
                     what = f"{quoted(names[0])} is one cell; separate cells by commas"
                     raise DriveError(f"{header}: {what}, and write decimals with a dot")
-                remedy = (
-                    "rename it" if self.path.suffix else f"rename one with columns={{'its name': '{name}'}}"
-                )
+                in_memory = f"rename one with columns={{'its name': '{name}'}}"
+                remedy = "rename it" if self.path.suffix else in_memory
                 raise DriveError(f"{header}: no column {name}, only {names_shown(names)}; add or {remedy}")
         if unknown := [name for name in names if name not in known]:
             self._require_one_line(unknown)
@@ -144,7 +138,7 @@ class TableFile:
         return {"time" if name == "t" else name: values for name, values in numbers.items()}
 
     def _require_one_line(self, columns: Sequence[str]) -> None:
-        """Refuse cells with a line break: a quote that is not closed swallows all rows after it."""
+        """Refuse cells with a line break: an unclosed quote includes all rows after it."""
         for name in (name for name in columns if self.cells[name].dtype == pl.String):
             broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
             if broken.any():
@@ -152,7 +146,7 @@ class TableFile:
                 raise self._fault(int(broken.arg_max() or 0), name, what, 'close the quote (") before it')
 
     def _numbers(self, column: str) -> Array:
-        """A column (n,) as finite numbers within its range."""
+        """Return a column (n,) as finite numbers within its range."""
         text = self.cells[column]
         if text.dtype == pl.String and self.path.suffix == CSV:
             text = text.str.strip_chars()
@@ -176,15 +170,12 @@ class TableFile:
         return values.to_numpy()
 
     def _require_increasing(self, time: Array) -> None:
-        """Refuse times that do not increase, and those behind an implausibly long interval."""
+        """Refuse times that do not increase, or follow an implausibly long interval."""
         late, i = np.flatnonzero(np.diff(time) <= 0), _leap(time)
         what, remedy = "lies too far after", "delete the row with the damaged time"
         if late.size:
-            i, what, remedy = (
-                int(late[0]) + 1,
-                "is not after",
-                "sort the rows by time and delete repeated ones",
-            )
+            i, what = int(late[0]) + 1, "is not after"
+            remedy = "sort the rows by time and delete repeated ones"
         if i:
             before = f"{shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
             raise self._fault(i, "t", f"{what} {before}", remedy)
@@ -216,16 +207,13 @@ def _leap(time: Array) -> int:
 
 
 def _parquet(path: Path) -> pl.DataFrame:
-    """The columns of a Parquet file."""
+    """Read the numeric columns of a Parquet file; others are null."""
     try:
         scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
         schema = scan.collect_schema()
         _require_size(path, 0, len(schema))
-        _require_size(path, int(scan.select(pl.len()).collect().item()), len(schema))  # as the footer says
-        kept = [
-            pl.col(name) if kind.is_numeric() else pl.lit(None, kind).alias(name)
-            for name, kind in schema.items()
-        ]  # others are refused or ignored, whatever they hold
+        _require_size(path, int(scan.select(pl.len()).collect().item()), len(schema))  # by the footer
+        kept = [pl.col(n) if kind.is_numeric() else pl.lit(None, kind).alias(n) for n, kind in schema.items()]
         cells = scan.select(kept).collect()
     except (*BROKEN, OSError):
         raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
@@ -235,14 +223,13 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """The cells of a file that contains only finite numbers under plain names; None for other files."""
+    """Read a file of finite numbers with plain names; return None for other files."""
     if _has_lone_quote(path):
         return None
     try:
         names = pl.read_csv(**one_file(path), n_rows=0).columns
-        cells = pl.read_csv(
-            **one_file(path), schema_overrides=dict.fromkeys(names, pl.Float64), low_memory=True
-        )
+        floats = dict.fromkeys(names, pl.Float64)
+        cells = pl.read_csv(**one_file(path), schema_overrides=floats, low_memory=True)
     except (*BROKEN, OSError, UnicodeDecodeError):
         return None
     plain = all(name == name.strip() and "_duplicated_" not in name for name in names)
@@ -251,7 +238,7 @@ def _plain_numbers(path: Path) -> pl.DataFrame | None:
 
 
 def _has_lone_quote(path: Path) -> bool:
-    """Return True if a cell is a single quotation mark, on which polars prints a trace."""
+    """Return True if a cell is a single quotation mark, for which polars prints a trace."""
     if path.stat().st_size == 0:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
@@ -264,7 +251,7 @@ def _empty(path: Path) -> DriveError:
 
 
 def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
-    """Return the first row whose number of cells differs from the header's, to explain an error."""
+    """Return an error on the first row with another number of cells than the header."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.reader(file)
         try:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of equal length, made read-only float64 when the record is built."""
+    """Columns of equal length, converted to read-only float64."""
 
     time: Array
 
@@ -39,7 +39,7 @@ class Table:
         return len(self.time)
 
     def select(self, rows: NDArray[np.bool_] | slice) -> Self:
-        """Return the table with some of its rows (a mask or a slice)."""
+        """Return some rows of the table (a mask or a slice)."""
         chosen: dict[str, Any] = {name: v if v is None else v[rows] for name, v in vars(self).items()}
         return type(self)(**chosen)
 
@@ -83,13 +83,13 @@ class Gps(Table):
 
     Attributes
     ----------
-    time : s, increasing; strictly so in files. Two receivers may give fixes of one time, used in order
+    time : s, increasing, strictly in files; of two fixes with one time, by two receivers, the first is used first
     x, y : m east and north of the drive's origin
     lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, of two antennas or a compass: filters start with it, without travel
-    std_heading : rad, its stated standard deviation; `NO_HEADING` or more where the fix has none
+    heading : rad, counter-clockwise from east, of two antennas or a compass; filters can start with it without travel
+    std_heading : rad, its stated standard deviation; `NO_HEADING` or more if the fix has no heading
     """
 
     x: Array
@@ -106,7 +106,7 @@ class Gps(Table):
 
 
 def headings_of(gps: Gps) -> tuple[Array, Array]:
-    """Heading, rad, and its stated variance, rad2, of each fix; infinite where it has none."""
+    """Return the heading, rad, and its stated variance, rad2, of each fix; infinite if it has none."""
     if gps.heading is None:
         return np.zeros(len(gps.time)), np.full(len(gps.time), np.inf)
     std = np.zeros(len(gps.time)) if gps.std_heading is None else gps.std_heading
@@ -128,7 +128,7 @@ class Odometer(Table):
 
 @dataclass(frozen=True, eq=False)
 class Truth(Table):
-    """The vehicle's true motion at the IMU's place, each column of shape (n,). A filter never sees it.
+    """The vehicle's true motion at the IMU, each column of shape (n,). Filters never use it.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class Truth(Table):
     vx, vy : m/s east and north
     theta : rad, heading counter-clockwise from east; may be unwrapped
     std_x, std_y : m, standard deviation of the truth, if known: both or none
-    std_theta : rad, that of its heading
+    std_theta : rad, standard deviation of its heading
     """
 
     x: Array
@@ -151,9 +151,8 @@ class Truth(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.std_x is None) != (self.std_y is None) or (
-            self.std_x is None and self.std_theta is not None
-        ):
+        none = self.std_x is None
+        if none != (self.std_y is None) or (none and self.std_theta is not None):
             raise DriveError(
                 "Truth states std_x and std_y both, and with them std_theta, or none; add the missing ones"
             )
@@ -164,7 +163,7 @@ RECORDS: dict[str, type[Table]] = {"imu": Imu, "gps": Gps, "truth": Truth, "odom
 
 
 def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the required and the optional columns as files name them."""
+    """Return the required and the optional columns, by their names in files."""
     required = {("t" if f.name == "time" else f.name): f.default is MISSING for f in fields(table)}
     return tuple(c for c, r in required.items() if r), tuple(c for c, r in required.items() if not r)
 
@@ -172,4 +171,4 @@ def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 COLUMNS = {name: _columns(table) for name, table in RECORDS.items()}
 COLUMNS["enu"] = COLUMNS["gps"]
 COLUMNS["wgs84"] = ("t", "lat", "lon"), tuple(c for c in COLUMNS["gps"][1] if c not in ("lat", "lon"))
-"""The required and the optional columns of each table; those of gps by its frame."""
+"""The required and the optional columns of each table, and of gps by frame."""

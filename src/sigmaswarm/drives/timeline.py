@@ -1,12 +1,12 @@
 """The merged time line: the steps of a filter, and the measurements at their ends.
 
-The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both
-driven by the same sample, and updates the filter at its own time. Two fixes of one moment, as two receivers give them,
-update it one after the other: the second one's step has no length. Each step uses its true dt. Process noise is the
-variance added per nominal interval (the median) and scales with dt / nominal.
+The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both driven by
+the same sample, and updates the filter at its own time. Two fixes of one time, by two receivers, update it one after
+the other; the step of the second has length 0. Each step uses its true dt. Process noise is the variance added per
+nominal interval (the median) and scales with dt / nominal.
 
-A gap in the IMU's samples is driven by the mean of the two around it, and marked (`drives.gaps`). Stale fixes are left
-out (`drives.frozen`). Both rules hold unless the drive is taken as recorded.
+A gap in the IMU's samples is driven by the mean of the two samples around it, and marked (`drives.gaps`). Stale fixes
+are left out (`drives.frozen`). Neither rule is applied to a drive taken as recorded.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
-"""A step's numbers: its own three, and those of the IMU's axes, the last three where the IMU has them."""
+"""The numbers of a step: three of its own, and the IMU's axes, the last three only if the IMU has them."""
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 """The IMU's axes in the order of a step; every IMU has the first three."""
@@ -34,7 +34,7 @@ FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = ran
 """Columns of a fix."""
 
 CORNERING = 4.0
-"""m/s2 of lateral acceleration: above it, tires slip too much for a constraint on the lateral velocity."""
+"""m/s2: above this lateral acceleration, tires slip too much for a constraint on the lateral velocity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,26 +44,25 @@ class Timeline:
     Attributes
     ----------
     start : s
-    end : (k,) s: when each step ends
+    end : (k,) s, end of each step
     steps : (k, 3) the columns dt (s), q_scale and gap (s): length of the step, dt / nominal interval of the drive, and
-        length of the gap in the IMU's samples that it is a part of, 0 outside of gaps
-    sample : (k,) int: the number of the IMU's sample that drives each step
-    driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, as they drive the steps up to each of its samples;
-        all time lines of a drive share it
-    absorbs : (k,) bool: a fix updates the filter at the step's end
-    hides : (k,) bool: a fix at the step's end is hidden from the filter; its forecast is scored
-    sampled : (k,) bool: the step ends at an IMU sample's time
-    fixes : (f, 8) m east, north; m/s east, north (0 where the log has no velocity); m2 east, north, as the receiver
-        states it (0 where it does not); heading, rad, and its stated variance, rad2 (0 where none is stated, infinite
-        without a heading); in the order in which steps meet them, hidden ones included
+        length of the gap in the IMU's samples that contains the step, 0 outside of gaps
+    sample : (k,) int, index of the IMU sample that drives each step
+    driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, that drive the steps up to each of its samples; all
+        time lines of a drive share it
+    absorbs : (k,) bool, True if a fix updates the filter at the step's end
+    hides : (k,) bool, True if a fix at the step's end is hidden from the filter; its forecast is scored
+    sampled : (k,) bool, True if the step ends at the time of an IMU sample
+    fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 without one); stated variance, m2 east, north
+        (0 without one); heading, rad, and its stated variance, rad2 (0 without one, infinite without a heading); in the
+        order of the steps, including hidden ones
     fix_time : (f,) s
     has_velocity : bool
-    states_accuracy : bool: the receiver states the accuracy of each fix
+    states_accuracy : bool, True if the receiver states the accuracy of each fix
     lever : (3,) m forward, left and up from the IMU to the antenna
-    cornering : (k,) bool: lateral acceleration so high that tires slip
-    drive : Drive
-        As the filter sees it.
-    kinds : (g,) the kind of each fix of that drive: see `drives.frozen`; all `NEW` where it is taken as recorded
+    cornering : (k,) bool, True if the tires slip at high lateral acceleration
+    drive : Drive without the hidden fixes
+    kinds : (g,) the kind of each fix of that drive, see `drives.frozen`; all `NEW` if it is taken as recorded
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
@@ -99,7 +98,7 @@ class Timeline:
 
     @property
     def gap(self) -> Array:
-        """Length of the gap in the IMU's samples that each step is a part of, (k,) s; 0 outside of gaps."""
+        """Length of the gap in the IMU's samples that contains each step, (k,) s; 0 outside of gaps."""
         return self.steps[:, GAP]
 
     @cached_property
@@ -118,17 +117,17 @@ class Timeline:
         return self.driving[self.sample, GZ - FIRST_AXIS]
 
     def imu(self, axes: Sequence[str]) -> Array:
-        """Inputs of each step, (k, len(axes)) m/s2 and rad/s."""
+        """Return the inputs of each step, (k, len(axes)) m/s2 and rad/s."""
         return self.driving[:, [AXES.index(axis) for axis in axes]][self.sample]
 
     @cached_property
     def stands(self) -> NDArray[np.bool_]:
-        """Standstill at the step's end, (k,); computed on first use."""
+        """True at a standstill at the step's end, (k,)."""
         return standing(self.drive, self.kinds)[self.sample]
 
     @cached_property
     def wheels(self) -> Wheels | None:
-        """Odometer measurements of the steps, if the drive has any; computed on first use."""
+        """Odometer measurements of the steps, if the drive has any."""
         odometer = self.drive.odometer
         return None if odometer is None else measurements_of(odometer, self.start, self.end, self.sampled)
 
@@ -138,13 +137,13 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < FROZEN)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
-        """Return the same steps with some of the drive's fixes, (g,), hidden; all other arrays are shared."""
+        """Return the same steps with some of the drive's fixes, (g,), hidden; other arrays are shared."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.absorbs] = hidden[_usable(self.drive, self.start, self.kinds)]
         return replace(self, absorbs=self.absorbs & ~hides, hides=hides, **self._seen(hidden))
 
     def without(self, hidden: NDArray[np.bool_]) -> "Timeline":
-        """Return the steps of a drive without some of its fixes, (g,): those of `build_timeline`, bit for bit."""
+        """Return the steps of the drive without some fixes, (g,), bit-identical to those of `build_timeline`."""
         absorbs = self.absorbs.copy()
         absorbs[self.absorbs] = ~hidden[_usable(self.drive, self.start, self.kinds)]
         moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share one
@@ -169,11 +168,9 @@ class Timeline:
         )
 
     def _seen(self, hidden: NDArray[np.bool_]) -> dict[str, Any]:
-        """The drive without some of its fixes, and the kinds of the others."""
-        return {
-            "drive": replace(self.drive, gps=self.drive.gps.select(~hidden)),
-            "kinds": self.kinds[~hidden],
-        }
+        """Return the drive without some of its fixes, and the kinds of the others."""
+        gps = self.drive.gps.select(~hidden)
+        return {"drive": replace(self.drive, gps=gps), "kinds": self.kinds[~hidden]}
 
 
 def build_timeline(
@@ -181,8 +178,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, treat IMU gaps as ordinary steps. ``kinds`` (g,) are those of the fixes, if they
-    were classified on a drive with more fixes.
+    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,) are those of the fixes, if
+    they were classified with more fixes.
     """
     imu = drive.imu
     if kinds is None:
@@ -220,13 +217,13 @@ def build_timeline(
 
 
 def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
-    """The fixes of the drive that a time line uses."""
+    """Mark the fixes of the drive that a time line uses."""
     time = drive.gps.time
     return (time > start) & (time <= drive.imu.time[-1]) & (kinds < FROZEN)
 
 
 def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
-    """Inputs up to each sample of the IMU: the sample, or the mean of the two around a gap."""
+    """Return the inputs up to each sample of the IMU: the sample, or the mean of the two around a gap."""
     columns = [getattr(drive.imu, axis) for axis in AXES]
     columns = columns[:3] if any(column is None for column in columns) else columns
     driving = np.column_stack(columns)
@@ -235,7 +232,7 @@ def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
 
 
 def _fixes_of(gps: Gps) -> dict[str, Any]:
-    """Attributes of the fixes of a time line."""
+    """Return the attributes of a time line that describe its fixes."""
     velocity, variance = np.zeros((2, len(gps))), np.zeros((2, len(gps)))
     has_velocity = stated = False
     if gps.speed is not None and gps.course is not None:
@@ -253,12 +250,12 @@ def _fixes_of(gps: Gps) -> dict[str, Any]:
 
 
 def _is_last(ends: Array) -> NDArray[np.bool_]:
-    """A mask of the steps that are the last to end at their moment."""
+    """Mark the steps that are the last to end at their time."""
     return np.append(ends[1:] != ends[:-1], True)
 
 
 def _among(times: Array, known: Array) -> NDArray[np.bool_]:
-    """A mask of the times that are among the known ones, both increasing; `np.isin` would sort copies of both."""
+    """Mark the times that are among the known ones, both increasing; `np.isin` would sort copies of both."""
     if not len(known):
         return np.zeros(len(times), dtype=np.bool_)
     at = np.searchsorted(known, times, side="left")

@@ -1,6 +1,6 @@
 """URLs of drives, which fsspec reads (s3, gs, abfs, sftp, https ...).
 
-A drive behind a URL is copied to a temporary folder and read from there: one reader, one set of checks.
+A drive at a URL is copied to a temporary folder and read from there, with the same reader and checks.
 """
 
 import re
@@ -15,6 +15,8 @@ from sigmaswarm.drives.table_files import TABLES
 from sigmaswarm.errors import DriveError, InputError
 from sigmaswarm.wording import shown
 
+A_DRIVE = "a drive is a folder with imu.csv, gps.csv and drive.toml"
+
 
 def is_url(location: str | Path) -> bool:
     """Return whether fsspec reads this location."""
@@ -27,7 +29,7 @@ def without_secrets(url: str) -> str:
 
 
 def drive_urls(url: str) -> list[str]:
-    """Return the URL itself if it is a drive's, or those of all drives in that folder, sorted by name."""
+    """Return the URL itself if it is that of a drive, or those of all drives in that folder, sorted by name."""
     url = url.rstrip("/")
     with _errors_in_one_line(url):
         system, path = _opened(url)
@@ -40,15 +42,13 @@ def drive_urls(url: str) -> list[str]:
             name for name in sorted(names) if any(_exists(system, f"{path}/{name}/{t}") for t in TABLES[:2])
         ]
         if not found:
-            raise DriveError(
-                f"{without_secrets(url)}: contains no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
-            )
+            raise DriveError(f"{without_secrets(url)}: contains no drive; {A_DRIVE}")
         return [f"{url}/{name}" for name in found]
 
 
 @contextmanager
 def local_copy(url: str) -> Generator[Path]:
-    """Copy a drive's files to a temporary folder, which is removed with the block."""
+    """Copy a drive's files to a temporary folder, which is removed at the end of the block."""
     if "?" in url:
         raise InputError(
             f"{without_secrets(url)}?...: a drive has several files, which a signed URL can't name; give their folder"
@@ -80,7 +80,7 @@ def _opened(url: str) -> tuple[Any, str]:
 
 
 def _exists(system: Any, path: str) -> bool:
-    """Return whether a path exists; fsspec's own ``exists`` returns False where permission is denied."""
+    """Return True if a path exists; fsspec's ``exists`` would return False if permission is denied."""
     try:
         system.info(path)
     except (FileNotFoundError, NotADirectoryError):
@@ -90,7 +90,7 @@ def _exists(system: Any, path: str) -> bool:
 
 @contextmanager
 def _errors_in_one_line(url: str) -> Generator[None]:
-    """Turn the errors of fsspec and of each protocol's library into one line."""
+    """Convert the errors of fsspec and of each protocol's library to one line."""
     try:
         yield
     except (InputError, MemoryError):
@@ -99,7 +99,7 @@ def _errors_in_one_line(url: str) -> Generator[None]:
         raise DriveError(
             f"{without_secrets(url)} does not exist, or can't be seen from here; name a drive's folder"
         ) from None
-    except Exception as error:  # each protocol's library has errors of its own
+    except Exception as error:  # each protocol's library has its own errors
         why = shown(without_secrets(f"{type(error).__name__}: {error}"), 200)
         raise DriveError(
             f"{without_secrets(url)}: can't be read ({why}); check the address and your permission to read it"

@@ -16,26 +16,26 @@ from sigmaswarm.files import make_folder, whole_folder
 
 Form = Literal["csv", "parquet"]
 FILES = frozenset({"drive.toml", *TABLES})
-"""``write_drive`` replaces a folder only if it contains nothing else."""
+"""Files of a drive: ``write_drive`` replaces a folder only if it contains no others."""
 
 
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:
     """Write a drive as a folder that ``read_drive`` reads back to the same bits.
 
-    The same drive gives the same bytes. The folder is written next to its place, read back there and then renamed, so
-    that a partial or unreadable drive never appears.
+    The same drive gives the same bytes. The folder is written under another name, read back and then renamed, so that a
+    partial or unreadable drive never appears.
 
     Parameters
     ----------
     drive : Drive
-        For a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again. Its name is
-        written where the folder has another one.
+        Of a "wgs84" drive lat, lon and alt are written, from which reading computes x and y. Its name is written if the
+        folder has another one.
     path : str or Path
         The folder to make, with its parents.
     overwrite : bool
-        Replace a drive that is there already.
+        Replace an existing drive.
     form : {"csv", "parquet"}
-        Of the tables: Parquet is smaller and far quicker to read, and has the same bits.
+        Format of the tables: Parquet is smaller and far quicker to read, and has the same bits.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     Raises
     ------
     DriveError
-        The folder exists, or the drive has values that the files cannot hold or ``read_drive`` rejects.
+        The folder exists, or the drive has values that can't be written or that ``read_drive`` rejects.
     """
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)
@@ -66,7 +66,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
 def require_replaceable(
     folder: Path, overwrite: bool, remedy: str = "delete it, or name another folder"
 ) -> None:
-    """Raise an error unless the place is free or, with ``overwrite``, a folder that contains only a drive."""
+    """Raise an error if the folder exists, unless it is empty or, with ``overwrite``, contains only a drive."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -92,7 +92,7 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
     if drive.origin is None:
         del about["origin"]  # TOML has no null
     if drive.name == folder.name:
-        del about["name"]  # reading takes the folder's: a copy that is renamed is known by its new name
+        del about["name"]  # reading takes that of the folder, so a renamed copy has its new name
     try:
         contents = {"drive.toml": tomli_w.dumps(about).encode()}
     except TypeError as error:

@@ -18,16 +18,12 @@ from sigmaswarm.importing.places import MOVING, Say, Values, course_of, fitting_
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
 
-SEED = 0
-"""Seed of the noise of fixes made from the truth."""
-MOST_FIXES = 10_000_000
-"""Largest number of fixes made from the truth."""
+SEED, MOST_FIXES = 0, 10_000_000
+"""Of fixes made from the truth: the seed of their noise, and their largest number."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 """Required columns of each role."""
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m) of the local frame."""
-LONGEST_OFFSET = 4e9
-"""s: 126 years, beyond which times in ns exceed 64 bits."""
 
 
 @np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
@@ -42,12 +38,7 @@ def assemble(
 
     Parameters
     ----------
-    recording : its number, from 1, if a clock restarts within a table
-
-    Raises
-    ------
-    InputError
-        A required column is missing or implausible.
+    recording : number of the recording to take, from 1, if a clock restarts within a table
     """
     times: dict[Role, Nanoseconds] = {}
     values: dict[Role, Values] = {}
@@ -93,7 +84,7 @@ def assemble(
 
 
 def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
-    """Make the IMU's table alone from gathered columns; parameters as of `assemble`."""
+    """Make only the IMU's table from gathered columns; the parameters are those of `assemble`."""
     time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
     return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)
 
@@ -105,7 +96,7 @@ def _imu(time: Array, values: Values, recipe: Recipe) -> Imu:
 
 
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
-    """The keys of drive.toml; ``zero`` is the time origin, s."""
+    """Return the keys of drive.toml; ``zero`` is the time origin, s."""
     metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
     if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
@@ -116,15 +107,15 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:
-    """All times in s, with their offsets; clocks that count from long ago start with the log, at a whole second."""
+    """Return all times in s, with their offsets, and the origin of these times: a whole second if they are dates."""
     moved: dict[Role, Nanoseconds] = {}
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
-        if not abs(offset) < LONGEST_OFFSET:
+        if not abs(offset) < 4e9:  # 126 years: times in ns would exceed 64 bits
             raise InputError(f"--{role}-offset {offset:g}: must be a number of seconds")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
-    # a stamp years before all others is broken, and would cost them their last digits
+    # a stamp years before the others is broken; with it as the origin, the others would lose their last digits
     begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - LONG_AGO)]) for role, t in moved.items()}
     begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= LONG_AGO else 0
@@ -132,13 +123,13 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
 
 
 def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Values, Origin | None]:
-    """The fixes' columns of a drive, and the origin of the local frame."""
+    """Return the columns of a drive's fixes, and the origin of the local frame."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
-    for lone in ("vx", "vy"):
-        if values.pop(lone, None) is not None:
-            say(f"gps: {lone} left out, since a velocity needs vx and vy")
+    for single in ("vx", "vy"):
+        if values.pop(single, None) is not None:
+            say(f"gps: {single} left out, since a velocity needs vx and vy")
     if "course" in values:
         values["course"] = np.asarray(wrap_angle(values["course"]))
     if "lat" in values and "lon" in values:
@@ -148,25 +139,22 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
         values = level(values, values.get("alt", origin[2]), origin, "gps")
     elif not {"x", "y"} <= set(values):
         raise InputError("gps: no column gives a position; map lat and lon (deg), or x and y (m east, north)")
-    for lone, mate in (("std_x", "std_y"), ("std_y", "std_x")):
-        if lone in values and mate not in values:
-            values[mate] = values[lone]
+    for given, missing in (("std_x", "std_y"), ("std_y", "std_x")):
+        if given in values and missing not in values:
+            values[missing] = values[given]
     return values, origin
 
 
 def _first_place(values: Values) -> Origin:
-    return (
-        float(values["lat"][0]),
-        float(values["lon"][0]),
-        float(values["alt"][0]) if "alt" in values else 0.0,
-    )
+    lat, lon, alt = (float(values[name][0]) if name in values else 0.0 for name in ("lat", "lon", "alt"))
+    return lat, lon, alt
 
 
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
-    """The truth with x and y, m; relative to its own first position if no fixes have set an origin.
+    """Return the truth with x and y, m, and the origin: its own first position if the fixes have set none.
 
-    Fixes without altitude are assumed to be level with the origin, and the truth then, too: a thousand meters between
-    the two would stretch one of them by 16 cm per kilometer.
+    Fixes without altitude get that of the origin, and the truth then does, too: a difference of 1000 m in altitude
+    would stretch one of the two tracks by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -182,10 +170,7 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    """Return the sentence on truth in meters with fixes in degrees.
-
-    Its origin, and the distance of the fixes from it.
-    """
+    """Describe the assumed origin of a truth in meters with fixes in degrees, and their distance from it."""
     said = "truth is in meters: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
@@ -203,7 +188,7 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Fixes at a rate, Hz, at the position of the truth, with white noise, m per axis."""
+    """Make fixes at a rate, Hz, at the position of the truth, with white noise, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(f"{given} can't be used; give a rate in Hz and a deviation in m, as 5,1")
@@ -216,7 +201,7 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
 
 
 def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
-    """The truth's columns; velocity and heading, where the log has none, from positions and course."""
+    """Return the truth's columns; where the log has no velocity or heading, computed from positions and course."""
     if "forward" in values and "theta" in values:
         body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
         east_north = body * np.exp(1j * values["theta"])
@@ -237,14 +222,12 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         east, north = (float(np.median(values[n]) - np.median(gps[n])) for n in ("x", "y"))
         apart = np.hypot(east, north)
         if apart > 1000.0:
-            say(
-                f"truth: lies {apart:.0f} m from the fixes on average; if it has another origin, give --origin"
-            )
+            say(f"truth: {apart:.0f} m from the fixes (median); if it has another origin, give --origin")
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Course (n,), rad, of a velocity; at low speed the last known course, or else the first."""
+    """Return the course (n,), rad, of a velocity; at low speed the last known course, or else the first."""
     moving = np.hypot(vx, vy) > MOVING
     if not moving.any():
         return np.zeros(len(vx))

@@ -13,11 +13,10 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Gathered, complete_parts, gather
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
-from sigmaswarm.importing.source import ROLES, Choice, Guess, Log, Part, Progress, Role
+from sigmaswarm.importing.source import ROLES, Choice, Guess, Limits, Log, Part, Progress, Role
 from sigmaswarm.wording import names_shown
 
 
@@ -35,8 +34,8 @@ class Request:
     time : expression of the time, in every table of the source
     choice : tables and times
     limits : how much is read
-    part : which recording, from 1, where a clock restarts within a table
-    definitions : files or folders of ROS messages' definitions, .msg, for bags without them
+    part : number of the recording, from 1, where a clock restarts within a table
+    definitions : files or folders with definitions of ROS messages, .msg, for bags that contain none
     """
 
     source: Path
@@ -53,7 +52,7 @@ class Request:
     definitions: Sequence[Path] = ()
 
     def home(self, role: Role) -> Path:
-        """The log that gives a role."""
+        """Return the log of a role."""
         return (None if role in ("imu", "mag") else getattr(self, role)) or self.source
 
 
@@ -70,13 +69,7 @@ Guesses = Mapping[Path, Guess]
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
-    """Return the request of an import in Python; ``recipe`` may be a file, other settings are of either record.
-
-    Raises
-    ------
-    InputError
-        A setting is unknown.
-    """
+    """Make a request of keywords: fields of `Request` and `Recipe`; ``recipe`` may be a file."""
     settings = dict(settings)
     recipe = settings.pop("recipe", None)
     recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
@@ -114,16 +107,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         A log is damaged or incomplete, or a column cannot be computed; the message has the remedy.
     """
     require_name(name, "the drive")
-    metadata: dict[str, Any] = {}
-    with opened(request) as (logs, guesses):
-        recipe = complete_recipe(request, guesses)
-        for fault in faults_left(request, recipe, guesses):
-            raise InputError(fault)
-        _require_sensors(recipe, request, logs, guesses)
-        gathered = _gather_all(request, logs, recipe, progress)
-        notes = notes_of(logs, guesses, recipe)
-        for guess in guesses.values():
-            metadata |= guess.metadata
+    recipe, gathered, notes, metadata = _read(request, ROLES, progress)
     progress(1.0)
     try:
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
@@ -145,27 +129,29 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
-    """Read the IMU of a log, which needs no fixes; return it and the assumptions of the import.
-
-    Raises
-    ------
-    InputError
-        As of `import_drive`.
-    """
-    with opened(request) as (logs, guesses):
-        recipe = complete_recipe(request, guesses)
-        roles: dict[Role, tuple[Part, ...]] = {"imu": recipe.roles.get("imu", ())}
-        recipe = replace(recipe, roles=roles)
-        for fault in faults_left(request, recipe, guesses):
-            raise InputError(fault)
-        _require_sensors(recipe, request, logs, guesses, ("imu",))
-        gathered = _gather_all(request, logs, recipe, lambda done: None)
-        notes = notes_of(logs, guesses, recipe)
+    """Read the IMU of a log, which needs no fixes; return it and the assumptions of the import."""
+    recipe, gathered, notes, _ = _read(request, ("imu",), lambda done: None)
     try:
         imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
     except InputError as error:
         raise InputError(f"{request.source.name}: {error}") from None
     return imu, tuple(dict.fromkeys(notes))
+
+
+def _read(
+    request: Request, roles: Sequence[Role], progress: Progress
+) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], dict[str, Any]]:
+    """Read the columns of some roles; return recipe, columns, notes, and the metadata that the logs state."""
+    with opened(request) as (logs, guesses):
+        recipe = complete_recipe(request, guesses)
+        wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
+        recipe = replace(recipe, roles=wanted)
+        for fault in faults_left(request, recipe, guesses):
+            raise InputError(fault)
+        _require_sensors(recipe, request, logs, guesses, roles)
+        gathered = _gather_all(request, logs, recipe, progress)
+        metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
+        return recipe, gathered, notes_of(logs, guesses, recipe), metadata
 
 
 @contextmanager
@@ -181,7 +167,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """The reader's guess; if a log is named for a role and has one table, this is the table, whatever its name."""
+    """Return the reader's guess; the only table of a log that is named for a role is taken, whatever its name."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -195,25 +181,22 @@ def _guess(log: Log, request: Request) -> Guess:
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
-    """The recipe with the guessed parts, from the logs that were named for them."""
+    """Complete the request's recipe by the guessed parts of each role, from the log that was named for it."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role in ROLES:
         guessed = guesses[request.home(role)].roles
         parts = guessed.get(role, ())
-        if (
-            not parts and role == "truth" and request.truth
-        ):  # a good receiver's fixes, without their deviations
+        if not parts and role == "truth" and request.truth:
+            # the fixes of a good receiver, without their deviations
             for part in guessed.get("gps", ()):
                 columns = {k: v for k, v in part.columns.items() if k in COLUMNS["truth"]}
                 parts = (*parts, Part(part.table, columns))
         if not parts and role == "gps" and request.gps:
             parts = guessed.get("truth", ())
         roles[role] = request.recipe.roles.get(role, parts)
-    mine: list[Role] = [role for role in ROLES if request.home(role) == request.source]
-    times: Mapping[Role, str] = dict.fromkeys(mine, request.time or "")
-    roles = with_maps(
-        {role: parts for role, parts in roles.items() if parts}, request.maps, times if request.time else {}
-    )
+    mine: list[Role] = [role for role in ROLES if request.time and request.home(role) == request.source]
+    times = dict.fromkeys(mine, request.time or "")
+    roles = with_maps({role: parts for role, parts in roles.items() if parts}, request.maps, times)
     if request.recipe.gps_from_truth:
         roles.pop("gps", None)
     origins = [request.recipe.origin, *(g.origin for g in guesses.values())]
@@ -240,16 +223,12 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
-    """The sentences of the readers; on an axis that points down only if the mounting is not given."""
-    downward = [g.downward for g in guesses.values() if g.downward and not recipe.mount]
-    remarks = [remark for log in logs.values() for remark in log.remarks]
-    placed = [
-        note
-        for g in guesses.values()
-        if g.placed
-        for note in g.placed.notes(recipe.mount, recipe.gps_lever_arm_m)
-    ]
-    return [*(note for g in guesses.values() for note in g.notes), *placed, *downward, *remarks]
+    """Return the sentences of the readers; on an axis that points down only if the mounting is not given."""
+    made, found = recipe.mount, guesses.values()
+    notes = [note for guess in found for note in guess.notes]
+    notes += [n for guess in found if guess.placed for n in guess.placed.notes(made, recipe.gps_lever_arm_m)]
+    notes += [guess.downward for guess in found if guess.downward and not made]
+    return notes + [remark for log in logs.values() for remark in log.remarks]
 
 
 def _require_sensors(
@@ -257,7 +236,7 @@ def _require_sensors(
     request: Request,
     logs: Mapping[Path, Log],
     guesses: Guesses,
-    roles: Sequence[Role] = ("imu", "gps"),
+    roles: Sequence[Role],
 ) -> None:
     """Refuse logs in which no IMU or no fixes were found, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (

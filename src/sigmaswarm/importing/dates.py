@@ -17,46 +17,40 @@ WEEK = 604_800
 """s."""
 EXCEL_EPOCH, MATLAB_EPOCH = 25569, 719_529
 """1970-01-01 in days of spreadsheets and of MATLAB's datenum."""
-
-_LEAP_DAYS = (
+LEAP_DAYS = (
     *("1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01"),
     *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
     *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
 )
 """Days before which a leap second was inserted (IERS Bulletin C); none has been announced since."""
-LEAP_SECONDS = np.array(_LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
+LEAP_SECONDS = np.array(LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
 """GPS time at which each leap second has passed, s since 1970."""
 
 
 def gps_to_unix(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """UTC, s since 1970, of GPS time given as s since 1970 without leap seconds (a calendar date in GPS time).
-
-    Parameters
-    ----------
-    seconds : ndarray, shape (n,)
-    """
+    """Return UTC (n,), s since 1970, of GPS time (n,), s since 1970 without leap seconds."""
     return seconds - np.searchsorted(_STEPS, seconds, side="right")
 
 
 def gps_time(week: pl.Expr, seconds: pl.Expr) -> pl.Expr:
-    """UTC, s since 1970, of a GPS week and the seconds in it."""
+    """Return UTC, s since 1970, of a GPS week and the seconds in it."""
     time = week * WEEK + seconds + GPS_EPOCH
     return time - pl.sum_horizontal((time >= int(step)).cast(pl.Float64) for step in _STEPS)
 
 
 def as_text(columns: Sequence[str]) -> pl.Expr:
-    """The columns' cells as one text, separated by a space: a day in one, the time of day in another."""
+    """Join the cells of columns by a space, such as a day and a time of day."""
     cells = [pl.col(name).cast(pl.String).str.strip_chars() for name in columns]
     return cells[0] if len(cells) == 1 else pl.concat_str(cells, separator=" ")
 
 
 def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
-    """Seconds since 1970 of dates in text, null where there is none; without a zone they are UTC.
+    """Return seconds since 1970 of dates in text, null where there is none; without a zone they are UTC.
 
     Parameters
     ----------
-    form : in strftime's codes; ISO 8601 without one, and a form without a day counts from midnight
+    form : format in strftime's codes; "" for ISO 8601; without a day, seconds count from midnight
     """
     plain = (
         text.str.replace("T(\\d)", " ${1}")
@@ -69,8 +63,4 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     plain = plain.str.replace(r"(\d\d:.*)[+-]\d\d:?\d\d$", "${1}")
     if form and "%d" not in form and "%j" not in form:
         return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9
-    if form:
-        moment = plain.str.to_datetime(form, time_unit="ns", strict=False)
-    else:
-        moment = plain.str.to_datetime(time_unit="ns", strict=False)
-    return moment.dt.timestamp("ns") / 1e9 - ahead
+    return plain.str.to_datetime(form or None, time_unit="ns", strict=False).dt.timestamp("ns") / 1e9 - ahead

@@ -3,9 +3,9 @@
 ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``,
 ```Acceleration x (m/s^2)` ``: names are columns; a column whose name is not a plain name goes between backticks.
 
-Everything is a number. An empty cell is null, and so is every result of it. A comparison is 1 or 0 in arithmetic, and a
-number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0. A time can also be made whole
-nanoseconds.
+All values are numbers. An empty cell is null, and so is a result computed from it. A comparison is 1 or 0 in
+arithmetic. For ``not``, ``and``, ``or``, ``where`` and ``keep``, a number other than 0 is true. Times can also be
+computed as whole nanoseconds.
 """
 
 import ast
@@ -34,7 +34,7 @@ def _number(a: pl.Expr) -> pl.Expr:
 
 
 def _truth(a: pl.Expr) -> pl.Expr:
-    """Null for NaN. ``fill_nan`` would double the work with each nesting, since it names its column twice."""
+    """Compare with 0; null for NaN. ``fill_nan`` would double the work with each nesting: it names its column twice."""
     return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
 
@@ -44,17 +44,9 @@ def _where(condition: pl.Expr, a: pl.Expr, b: pl.Expr) -> pl.Expr:
 
 
 def _ddmm(a: pl.Expr) -> pl.Expr:
-    """Degrees of a position in degrees and minutes, 4807.038 for 48 deg 7.038 min."""
+    """Convert degrees and minutes (4807.038 is 48 deg 7.038 min) to degrees."""
     whole = (a.abs() / 100).floor()
     return (whole + (a.abs() - whole * 100) / 60) * a.sign()
-
-
-def _and(a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    return _truth(a) & _truth(b)
-
-
-def _or(a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    return _truth(a) | _truth(b)
 
 
 def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
@@ -80,8 +72,6 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
     ast.Not: lambda a: ~_truth(a),  # pyright: ignore[reportUnknownLambdaType]
-    ast.And: _and,
-    ast.Or: _or,
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
     ast.Lt: operator.lt,
@@ -100,12 +90,12 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
     "max": ((3, 3), _most),
     "where": ((2, 1, 1), _where),
 }
-"""A function of expressions: how often it uses each argument, and its implementation."""
+"""By function: how often it uses each argument, and its implementation."""
 
 
 @dataclass(frozen=True)
 class Expression:
-    """A compiled text: a polars expression, the columns that it uses, and those that must hold numbers."""
+    """A compiled text: a polars expression, the columns that it uses, and those that must contain numbers."""
 
     polars: pl.Expr
     columns: frozenset[str]
@@ -118,13 +108,7 @@ class Expression:
 
 
 def compile_expression(text: str, columns: Collection[str]) -> Expression:
-    """Compile a text over a table's columns.
-
-    Raises
-    ------
-    InputError
-        The text is not an expression, names a missing column, or uses a forbidden construct.
-    """
+    """Compile a text over a table's columns; InputError if it is not an expression of these."""
     compiler = _Compiler(text, columns)
     try:
         polars = compiler.build(_parse(text))
@@ -143,7 +127,7 @@ def fits(text: str, columns: Collection[str]) -> bool:
 
 
 def _parse(text: str) -> ast.expr:
-    """The syntax tree of a text, backticked names turned into ``col("...")``."""
+    """Parse a text, with names in backticks replaced by ``col("...")``."""
     if len(text) > LONGEST:
         raise InputError(f"the expression {text[:40]!r}... is longer than {LONGEST} characters; shorten it")
     plain = re.sub(r"`([^`]*)`", lambda m: f"col({m.group(1)!r})", text.strip())
@@ -157,7 +141,7 @@ def _parse(text: str) -> ast.expr:
 
 
 def _column_name(node: ast.AST) -> str | None:
-    """The column that a node names: a name, a.b.c, a[0], or col("any text")."""
+    """Return the column that a node names: a name, a.b.c, a[0], or col("any text")."""
     match node:
         case ast.Name(id=name):
             return name
@@ -172,7 +156,7 @@ def _column_name(node: ast.AST) -> str | None:
 
 
 class _Compiler:
-    """The text being compiled, the columns there are, and those used so far: all, and as numbers."""
+    """Compiler of one text; collects the columns that it uses, and those that it uses as numbers."""
 
     def __init__(self, text: str, columns: Collection[str]) -> None:
         self.text, self.columns = text, columns
@@ -181,7 +165,7 @@ class _Compiler:
         self.uses = 1
 
     def build(self, node: ast.AST) -> pl.Expr:
-        """One node of the tree, checked against what is allowed."""
+        """Compile one node of the tree, if it is allowed."""
         if (name := _column_name(node)) is not None:
             return self._column(name)
         match node:
@@ -195,10 +179,8 @@ class _Compiler:
                 pairs = zip([left, *others], ops, others, strict=False)  # a < b < c as a < b and b < c
                 return pl.all_horizontal(*(self._compare(a, op, b) for a, op, b in pairs))
             case ast.BoolOp(op=op, values=values):
-                first, *rest = map(self.build, values)
-                for other in rest:
-                    first = _OPERATORS[type(op)](first, other)
-                return first
+                truths = [_truth(self.build(value)) for value in values]
+                return pl.all_horizontal(truths) if isinstance(op, ast.And) else pl.any_horizontal(truths)
             case ast.Call(func=ast.Name(id="utc"), args=[_, *_] as args, keywords=[]):
                 return self._utc(args)
             case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
@@ -249,14 +231,14 @@ class _Compiler:
         return pl.col(name)
 
     def _compare(self, a: ast.expr, op: ast.cmpop, b: ast.expr) -> pl.Expr:
-        """A comparison; a column and a text compare as texts."""
+        """Compile a comparison; a column and a text are compared as texts."""
         name = _column_name(a)
         if isinstance(b, ast.Constant) and isinstance(b.value, str) and name is not None:
             return _OPERATORS[type(op)](self._use(name).cast(pl.String), pl.lit(b.value))
         return _OPERATORS[type(op)](_number(self.build(a)), _number(self.build(b)))
 
     def _utc(self, args: list[ast.expr]) -> pl.Expr:
-        """Seconds since 1970 of dates in a column, or a day and a time of day in two, and how they are written."""
+        """Compile ``utc(...)`` of one column with dates, or of a day and a time of day, and their format, if given."""
         form = ""
         if isinstance(args[-1], ast.Constant) and isinstance(args[-1].value, str):
             form, args = args[-1].value, args[:-1]
@@ -272,7 +254,7 @@ class _Compiler:
 
 
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
-    """The expression of a time (s) as whole nanoseconds; integer columns keep all their digits, also in a sum."""
+    """Compile a time (s) to whole nanoseconds; integer columns keep all their digits, also in a sum."""
     tree = _parse(text)
     terms = [text]
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
@@ -288,7 +270,7 @@ def _rounded(expression: Expression) -> pl.Expr:
 
 
 def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
-    """One ``column * number`` in ns, where its column contains whole numbers or dates; else None."""
+    """Return ``column * number`` in ns if its column contains whole numbers or dates; else None."""
     scaled = integer_scale(text, frame.columns)
     if scaled is None:
         return None
@@ -309,9 +291,9 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 
 
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """The column and the factor where a text is just ``column`` or ``column * number``, else None.
+    """Return column and factor of a text ``column`` or ``column * number``, else None.
 
-    Whole numbers of nanoseconds since 1970 have more digits than a float holds: so such a time is scaled as integers.
+    Whole nanoseconds since 1970 have more digits than a float, so such times are scaled as integers.
     """
     tree, factor = _parse(text), 1.0
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult | ast.Div):
@@ -330,6 +312,6 @@ def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | No
 
 
 def _scaled(count: pl.Expr, factor: int) -> pl.Expr:
-    """A count (64 bits) times a factor; null where that exceeds 64 bits, instead of a wrong time."""
+    """Multiply a count by a factor; null where the product exceeds 64 bits."""
     most = (2**63 - 1) // max(factor, 1)
     return pl.when(count.is_between(-most, most)).then(count * factor)

@@ -1,4 +1,4 @@
-"""Fixes of another receiver than the drive's own, put on the drive's clock and plane: of a log, or of another drive."""
+"""Fixes of a second receiver, from a log or another drive, on the drive's clock and plane."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,14 +49,9 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
         Its clock (``time_origin_s`` in drive.toml) and plane (``origin``) are used.
     offset : float
         s, added to their times.
-
-    Raises
-    ------
-    InputError
-        Nothing can be read, there are no fixes in it, or they can't be put on the drive's plane.
     """
     if has_table(path, "gps"):
-        return _of_drive(read_with_warnings(path)[0], drive, offset)  # warnings were printed when it was made
+        return _of_drive(read_with_warnings(path)[0], drive, offset)  # its import has printed the warnings
     notes: list[str] = []
     time, values, sure = _gathered(path, notes.append)
     counted = bool(time[len(time) // 2] >= LONG_AGO)
@@ -66,7 +61,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Times, columns, and a mask of the rows with fixed ambiguities."""
+    """Return times, columns, and a mask of the rows with fixed ambiguities."""
     request = Request(source=path)
     with opened(request) as (logs, guesses):
         log, guess = logs[path], guesses[path]
@@ -88,7 +83,7 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
 
 
 def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
-    """The fixes of another drive."""
+    """Convert the fixes of another drive."""
     clocks = [one.metadata.get(CLOCK) for one in (other, drive)]
     apart = clocks[0] - clocks[1] if clocks[0] is not None and clocks[1] is not None else 0.0
     gps = replace(other.gps, time=other.gps.time + apart + offset)
@@ -102,8 +97,7 @@ def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
 def _placed(values: Values, time: Array, drive: Drive, path: Path, say: Say) -> Gps:
     if "lat" in values and drive.origin is None:
         raise InputError(
-            f"{path}: gives degrees, and {drive.name} has no origin; write "
+            f"{path}: positions are in degrees, and {drive.name} has no origin; write "
             "origin = [lat, lon, alt] into its drive.toml"
         )
-    placed, _ = placed_fixes(values, drive.origin, say)
-    return Gps(time, **placed)
+    return Gps(time, **placed_fixes(values, drive.origin, say)[0])

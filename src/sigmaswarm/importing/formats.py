@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Log, first_bytes
+from sigmaswarm.importing.source import Limits, Log, first_bytes
 from sigmaswarm.limits import require_regular, require_text
 
 READERS: dict[str, tuple[str, str]] = {
@@ -31,46 +30,30 @@ READERS: dict[str, tuple[str, str]] = {
 }
 """By the name for --format: the module in ``readers/``, and a description. The most general one comes last.
 
-A module has ``recognizes(path)``, True if a file or folder looks like the format by its name or first bytes, without
-the format's library; and ``open_log(path, limits, stack)``, which returns a `Log` and has the stack close its files.
+A module has ``recognizes(path)``, True if the name or the first bytes of a file or folder are those of the format; it
+does not need the format's library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
 """
 _MIXED = ("nmea", "gnss-logger")
 """Formats of text with lines of several types."""
 _TEXTS = (*_MIXED, "rtklib", "csv")
 _LINES_OF_ROW, _TITLES = 10, 1000
 """Largest number of lines of a mixed text per row of a table, and of lines above the rows."""
-NOT_READ: dict[tuple[str, ...], str] = {
-    (".xlsx", ".xls", ".ods"): "a spreadsheet; save it as CSV",
-    (
-        ".tlog",
-    ): "a MAVLink telemetry log; run: mavlogdump.py --format csv --types RAW_IMU,GPS_RAW_INT, or take the .bin",
-    (".bbl", ".bfl"): "a blackbox log; run: blackbox_decode --merge-gps, and import the .csv",
-    (".mf4", ".mdf"): "a measurement file of ASAM; export it as CSV, as with asammdf",
-    (".sbf",): "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
-    (
-        ".rtcm",
-        ".rtcm3",
-        ".obs",
-        ".rnx",
-    ): "raw measurements; make fixes with RTKLIB (convbin, rnx2rtkp), import the .pos",
-    (
-        ".gpx",
-        ".kml",
-        ".kmz",
-        ".fit",
-    ): "a track; convert it to CSV, as: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
-    (".json", ".jsonl", ".ndjson"): "JSON; write it as CSV, as with pandas.read_json(...).to_csv",
-    (
-        ".npy",
-        ".npz",
-        ".pkl",
-    ): "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
-    (".h5", ".hdf5"): "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv",
-    (".gz", ".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz"): "packed; unpack it",
-    (".db", ".sqlite"): "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
-    (".pcap", ".pcapng"): "network packets; decode them with the sensor's own program, and export CSV",
+NOT_READ = {
+    ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
+    ".tlog": "a MAVLink telemetry log; run: mavlogdump.py --format csv --types RAW_IMU,GPS_RAW_INT, or take the .bin",
+    ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps, and import the .csv",
+    ".mf4 .mdf": "a measurement file of ASAM; export it as CSV, as with asammdf",
+    ".sbf": "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
+    ".rtcm .rtcm3 .obs .rnx": "raw measurements; make fixes with RTKLIB (convbin, rnx2rtkp), import the .pos",
+    ".gpx .kml .kmz .fit": "a track; convert it to CSV, as: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
+    ".json .jsonl .ndjson": "JSON; write it as CSV, as with pandas.read_json(...).to_csv",
+    ".npy .npz .pkl": "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
+    ".h5 .hdf5": "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv",
+    ".gz .bz2 .xz .zst .7z .tar .tgz": "a compressed file or an archive; unpack it",
+    ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
+    ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
-"""Endings of unsupported formats: their names, and how to convert them."""
+"""Endings of unsupported formats: what they are, and how to convert them."""
 _MAGIC = {b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"}
 """First bytes of some of them."""
 
@@ -86,12 +69,7 @@ def open_log(
 
     Parameters
     ----------
-    definitions : files or folders of ROS messages' definitions, .msg, for bags that bring none along
-
-    Raises
-    ------
-    InputError
-        Nothing is there, it is empty, broken or of no known format, or the format's library is missing.
+    definitions : files or folders with definitions of ROS messages, .msg, for bags that contain none
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")
@@ -109,7 +87,7 @@ def open_log(
 
 
 def _texts(path: Path, form: str) -> list[Path]:
-    """The texts in a log that are read line by line or by polars, which limit neither lines nor unpacked data."""
+    """List the text files of a log whose readers limit neither the lines nor the unpacked size."""
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) != b"PAR1" else []
     inside = path.rglob("*") if form in ("kitti", "comma2k19") else path.iterdir()
@@ -119,7 +97,7 @@ def _texts(path: Path, form: str) -> list[Path]:
 
 
 def format_of(path: Path) -> str:
-    """The name of the format of a log."""
+    """Return the name of the format of a log."""
     for name in READERS:
         if _reader(name).recognizes(path):
             return name
@@ -128,7 +106,7 @@ def format_of(path: Path) -> str:
         *(end for magic, end in _MAGIC.items() if first_bytes(path, 64).startswith(magic)),
     }
     for endings, what in NOT_READ.items():
-        if kinds & set(endings):
+        if kinds & {*endings.split()}:
             raise InputError(f"{path}: is not read, since it is {what}")
     raise InputError(f"{path}: has an unknown format; name it with --format: {', '.join(READERS)}")
 

@@ -1,4 +1,4 @@
-"""From a log's batches to a drive's columns: expressions evaluated, rows that can't be used left out and counted."""
+"""Evaluate a drive's columns on the batches of a log; rows that can't be used are left out and counted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,16 +12,15 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import Nanoseconds
 from sigmaswarm.importing.expressions import Expression, compile_expression, fits, time_expression
 from sigmaswarm.importing.guess import SAMPLE
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.quantities import PLACEHOLDERS
-from sigmaswarm.importing.source import FILES, Log, Part, Progress, Role
+from sigmaswarm.importing.source import FILES, Limits, Log, Part, Progress, Role
 from sigmaswarm.importing.times import time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
 
 ROW = "row"
-"""The number of a row, from 0, as a column of every table that has none of this name."""
+"""Column with the number of the row, from 0, which each table gets unless it has one of this name."""
 FAR = 10
-"""Times the spread of a column: farther from the others than this, a placeholder is no value."""
+"""A placeholder is no value if it is farther from the others than this many times their spread."""
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 """Texts that mean a cell is empty."""
 
@@ -33,7 +32,7 @@ class Gathered:
     Attributes
     ----------
     rows : in chunks
-    seen, unkept, timeless : rows of the table, those left out since ``keep`` is false, since they have no time
+    seen, unkept, timeless : number of rows of the table; of rows left out for a false ``keep``, and for a missing time
     placeholders : by column of the table, the marker of missing values, and its count
     """
 
@@ -73,7 +72,7 @@ class Gathered:
         self.rows += [usable] if len(usable) else []
 
     def finish(self) -> tuple[Nanoseconds, dict[str, Array]]:
-        """The times (n,), ns, and the columns (n,); NaN where the log has no value."""
+        """Return the times (n,), ns, and the columns (n,); NaN where the log has no value."""
         if not self.rows:
             return np.zeros(0, np.int64), {}
         whole = pl.concat(self.rows)
@@ -97,7 +96,7 @@ class Gathered:
                 )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Null for placeholders: -999 or 1e10 far from all other values, or in both coordinates."""
+        """Set placeholders to null: -999 or 1e10 far from all other values, or in both coordinates."""
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
@@ -117,7 +116,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """A mask of values far from the unmarked ones, relative to the spread of these."""
+    """Mark values that are far from the unmarked ones, relative to the spread of these."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
@@ -126,24 +125,12 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
 
 
 def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
-    """Complete a part: one that names no table becomes one for each table whose columns it uses.
-
-    Raises
-    ------
-    InputError
-        As of `_complete`, or several tables have the columns.
-    """
+    """Complete a part; a part without a table becomes one part for each table whose columns it uses."""
     return [_complete(one, log, role) for one in _with_tables(part, log, role)]
 
 
 def _complete(part: Part, log: Log, role: Role) -> Part:
-    """A part with its time: by default the column that looks like one.
-
-    Raises
-    ------
-    InputError
-        The log has no such table or column, or the time has another unit.
-    """
+    """Add the time to a part, by default the column that looks like one, and check its columns."""
     columns = log.tables[part.table].columns
     batches = log.batches({part.table: columns})
     rows = next((rows.head(SAMPLE) for _, rows, _ in batches if len(rows)), None)
@@ -166,7 +153,7 @@ def _complete(part: Part, log: Log, role: Role) -> Part:
 
 
 def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """The tables of a part that names none, or a file of another log: the only table."""
+    """Find the tables of a part that names none; in place of a file of another log, the only table."""
     if part.table in log.tables:
         return [part]
     if len(log.tables) == 1:

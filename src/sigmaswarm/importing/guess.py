@@ -41,12 +41,12 @@ _HINTS: dict[str, str] = {
 
 
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
-    """Find the tables of IMU, fixes and truth, by their columns, and among several by their names.
+    """Find the tables of each role by their columns, and among several by their names.
 
     Parameters
     ----------
     samples : the first rows of each table
-    chosen : the table of a role, if the user chose it
+    chosen : by role, the table that the user chose
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     roles: dict[Role, tuple[Part, ...]] = {}
@@ -78,7 +78,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
-    """Assign columns to quantities; of several candidates the first. x, y, z of an IMU's table are the IMU's."""
+    """Assign the first fitting column to each quantity; x, y, z of an IMU's table are the axes of the IMU."""
     columns = Columns(frame)
     for name in map(read_name, frame.columns):
         if (what := name.meaning) is not None and what != "t":
@@ -89,7 +89,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             if axis in columns:
                 columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
     dropped = {"x", "y"} if _NO_PLACES.search(table) or "q" in columns or letter else set[str]()
-    if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities have these names as well
+    if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities have this name, too
         size = columns.norm(["ax", "ay", "az"]) if columns.has("ax", "ay", "az") else 0.0
         dropped |= set() if 8.0 < size < 12.0 or 0.85 < size < 1.15 else {"ax", "ay", "az"}
     columns.names = {what: name for what, name in columns.names.items() if what not in dropped}
@@ -97,7 +97,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
-    """The tables that could give each role; where one has latitude and longitude, x and y are not fixes."""
+    """List the tables that suit each role; if one has latitude and longitude, x and y are not fixes."""
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
@@ -119,15 +119,14 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
 
 
 def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
-    """The drive's columns of a role, as expressions in a drive's units."""
-    time = find_time(columns.frame, role)
-    if time is not None:
+    """Yield the columns of a role as expressions in a drive's units."""
+    if (time := find_time(columns.frame, role)) is not None:
         yield "t", time
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):
         yield from place(columns, role).items()
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
-    # a receiver with one antenna may call its course so
+    # "heading" is the course of a receiver with one antenna, unless there is another course or a deviation
     heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
     heads = heads and ("course" in columns or "std_heading" in columns)
     course = "theta" if role == "truth" else "course"
@@ -147,10 +146,10 @@ def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
 
 
 def _downward(imu: Columns) -> str:
-    """A sentence where the vertical axis of an IMU points down."""
+    """Return a sentence if the vertical axis of an IMU points down, else ""."""
     if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= 0:
         return ""
     return (
         f"{imu.names['az'].column} is negative, so that axis points down; where the others point forward "
-        "and to the right, use --mount x=x,y=-y; `sigmaswarm doctor` checks whether it was right"
+        "and to the right, use --mount x=x,y=-y, and check the result with `sigmaswarm doctor`"
     )

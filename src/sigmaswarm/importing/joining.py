@@ -1,4 +1,4 @@
-"""The parts of a role joined into one table: times in order, rows complete; omissions are reported."""
+"""Join the parts of a role into one table with times in order and complete rows; report omissions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,7 +19,7 @@ from sigmaswarm.wording import shown
 LEAST_STD = 1e-6
 """m: a stated standard deviation up to this means that the receiver states none."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-"""Columns of angles, with a full turn: rad, rad, deg."""
+"""Columns of angles, with a full turn in their unit, rad or deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
 POSITIONS = ("lat", "lon", "x", "y")
@@ -30,11 +30,11 @@ TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "
 def join(
     parts: Sequence[Gathered], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> tuple[Nanoseconds, Values]:
-    """One table of a role's parts: at the first part's times, the others interpolated linearly.
+    """Join a role's parts at the first part's times; the others are interpolated linearly.
 
     Parameters
     ----------
-    recording : its number, from 1, if a clock restarts within a table
+    recording : number of the recording to take, from 1, if a clock restarts within a table
     """
     (time, values), *others = [_in_order(part, role, recording, say) for part in parts]
     for other_time, other in others:
@@ -57,23 +57,20 @@ def join(
 
 
 def _with_known_headings(values: Values) -> Values:
-    """Rows without a heading keep their fix: the deviation of their heading is `NO_HEADING`."""
+    """Set the deviation of missing headings to `NO_HEADING`, so that their fixes are kept."""
     heading = values.get("heading", np.zeros(0))
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
         return {name: column for name, column in values.items() if name != "std_heading"}
-    std = np.where(
-        std > LEAST_STD, std, LEAST_STD
-    )  # where it is not stated, the filter's own variance is left
-    std = np.where(known, std, NO_HEADING)
-    return {**values, "heading": np.where(known, heading, 0.0), "std_heading": std}
+    stated = np.where(std > LEAST_STD, std, LEAST_STD)  # not stated: the filter uses its own variance
+    deviation = np.where(known, stated, NO_HEADING)
+    return {**values, "heading": np.where(known, heading, 0.0), "std_heading": deviation}
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
-    """Values (n,) at times (n,), s, straight between those (m,) at times (m,), s; of an angle the short way round.
+    """Interpolate values (m,), known at times (m,), s, linearly to times (n,), s; angles the short way round.
 
-    An angle within half a turn of its neighbors is not changed. Others (unwrapped, or not an angle) stay near their
-    neighbors, so that a wrong unit can still be detected.
+    Angles beyond half a turn (unwrapped, or not angles) stay near their neighbors: a wrong unit can still be detected.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -89,7 +86,7 @@ def _between(time: Array, known: Array, values: Array, turn: float | None) -> Ar
 
 
 def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple[Nanoseconds, Values]:
-    """A part's rows with their times strictly increasing."""
+    """Return a part's rows with strictly increasing times."""
     time, values = part.finish()
     table = shown(part.part.table)
     where = f"{role}: {table}"
@@ -127,14 +124,14 @@ def _rows(values: Values, rows: Any) -> Values:
 
 
 def _finite(values: Values, count: int) -> NDArray[np.bool_]:
-    """A mask of finite values (columns, rows); a row of True where there are no columns."""
+    """Mark finite values (columns, rows); a row of True if there are no columns."""
     return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
-    """Rows without gaps: columns that are mostly empty are left out, then rows with an empty cell."""
+    """Leave out columns that are mostly empty, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(

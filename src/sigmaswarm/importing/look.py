@@ -10,14 +10,8 @@ import polars as pl
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.convert import (
-    Request,
-    complete_recipe,
-    faults_left,
-    import_drive,
-    notes_of,
-    opened,
-)
+from sigmaswarm.importing import convert
+from sigmaswarm.importing.convert import Request, complete_recipe, opened
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import compile_expression, fits, time_expression
 from sigmaswarm.importing.gather import ROW
@@ -59,10 +53,9 @@ class Look:
     """Content of the logs of a request, the recipe that would be used, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for what was not recognized, the same as ``settings`` of `import_log`,
-    and the ``evidence`` for them. ``works``: True where the import with these options succeeds; without a proposal,
-    where IMU and fixes were recognized.
-    ``unread``: by table, the columns that are left out, also with the proposal. ``faults``: reasons not to read a
-    column unchanged. ``rows``: the first rows of each table.
+    and the ``evidence`` for them. ``works``: True if the import with these options succeeds; without a proposal, if IMU
+    and fixes were recognized. ``unread``: by table, the columns that are not read, also with the proposal. ``faults``:
+    reasons not to read a column unchanged. ``rows``: the first rows of each table.
     """
 
     tables: tuple[Glance, ...]
@@ -84,11 +77,11 @@ Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
 
 
 def look(request: Request) -> Look:
-    """Look at the beginning of each log. Writes nothing, and a guess that fails is a note."""
+    """Look at the beginning of each log. Nothing is written; a guess that fails becomes a note."""
     with opened(request) as (logs, guesses):
         try:
             recipe = complete_recipe(request, guesses)
-            notes = faults_left(request, recipe, guesses)
+            notes = convert.faults_left(request, recipe, guesses)
         except InputError as error:
             recipe, notes = request.recipe, [str(error)]
         works = not notes and "imu" in recipe.roles and ("gps" in recipe.roles or bool(recipe.gps_from_truth))
@@ -105,7 +98,7 @@ def look(request: Request) -> Look:
             for name, table in log.tables.items()
             for rows in [first[path][name]]
         ]
-    notes += notes_of(logs, guesses, recipe)
+    notes += convert.notes_of(logs, guesses, recipe)
     proposal = _proposal(request, recipe, first)
     evidence = ""
     if proposal:
@@ -121,15 +114,13 @@ def look(request: Request) -> Look:
 def _unread(
     tables: Sequence[Glance], recipe: Recipe, proposal: Proposal | None
 ) -> dict[str, tuple[str, ...]]:
-    """The columns of each table that neither the recipe nor the proposal reads."""
+    """List the columns of each table that neither the recipe nor the proposal reads."""
     parts = [part for role in recipe.roles.values() for part in role]
     unread: dict[str, tuple[str, ...]] = {}
     for glance in tables:
         names = [r.column for r in glance.ranges]
         texts = [text for part in parts if part.table in ("", glance.table) for text in part.columns.values()]
-        texts += (
-            [text for columns in proposal.columns.values() for text in columns.values()] if proposal else []
-        )
+        texts += [t for columns in (proposal.columns if proposal else {}).values() for t in columns.values()]
         known = (*names, ROW)
         read = {c for text in texts if fits(text, known) for c in compile_expression(text, known).columns}
         unread |= {glance.table: left} if (left := tuple(c for c in names if c not in read)) else {}
@@ -137,14 +128,14 @@ def _unread(
 
 
 def _imported(request: Request, proposal: Proposal) -> Drive:
-    """The drive that the request makes with a proposal."""
+    """Import the drive of a request with a proposal."""
     choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
     asked = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
-    return import_drive(asked, "proposal").drive
+    return convert.import_drive(asked, "proposal").drive
 
 
 def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:
-    """The options that would read unrecognized columns."""
+    """Propose options that read unrecognized columns."""
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
     for role in ("imu", "gps"):
@@ -165,7 +156,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """Columns that an IMU lacks in one table, from another; only where no column has the same name in both."""
+    """Find the columns that an IMU lacks in one table in another, if no column has the same name in both."""
     others = {other: columns for other, columns in names.items() if other != table}
     if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
         return {}
@@ -174,23 +165,23 @@ def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[st
 
 
 def beginnings(log: Log) -> dict[str, pl.DataFrame]:
-    """The first rows of every table."""
+    """Read the first rows of every table."""
     wanted = {name: table.columns for name, table in log.tables.items() if table.columns}
     rows: dict[str, pl.DataFrame] = {name: pl.DataFrame() for name in log.tables}
     for some in [wanted] if log.mixed else [{name: columns} for name, columns in wanted.items()]:
         seen = 0
         for table, batch, _ in log.batches(some):
             seen += len(batch)
-            held = rows[table]
-            new = batch.head(max(SAMPLE - len(held), 0))
-            rows[table] = pl.concat([held, new], how="vertical_relaxed") if len(held) else new
+            before = rows[table]
+            new = batch.head(max(SAMPLE - len(before), 0))
+            rows[table] = pl.concat([before, new], how="vertical_relaxed") if len(before) else new
             if seen >= LOOKED_AT or all(len(rows[name]) >= SAMPLE for name in some):
                 break
     return rows
 
 
 def _rate(rows: pl.DataFrame, time: str | None) -> float | None:
-    """Hz, from the median step of the time; None without one."""
+    """Return the rate, Hz, by the median step of the time; None without a time."""
     if len(rows) < 2 or (time := time or time_of(rows)) is None:
         return None
     try:

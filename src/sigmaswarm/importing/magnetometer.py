@@ -1,4 +1,4 @@
-"""The heading of a magnetometer: calibrated against the course of the same drive, and given at its fixes."""
+"""The heading of a magnetometer, calibrated by the course of the same drive, at the times of its fixes."""
 
 import re
 from collections.abc import Sequence
@@ -30,15 +30,15 @@ BIN = 10
 LEAST_SAMPLES = 5
 """Samples in a bin."""
 DRIFT = 10.0
-"""s: the gyro's heading is set right by the course over so much time."""
+"""s: interval over which the course corrects the heading of the gyro."""
 MOST_ROWS = 20_000
 """Rows that are used for the calibration, evenly over the drive."""
 STEEL = 4.0, 0.03
-"""Largest deviation of the field's size and direction: in standard deviations, and at least so much, 1 and rad."""
+"""Largest deviation of the field's size (relative) and direction (rad): in standard deviations, and its least value."""
 AROUND = 1.0
-"""s before and after such a deviation in which there is no heading, too."""
+"""s before and after a larger deviation without a heading."""
 WORST = np.radians(20)
-"""rad: a heading that scatters more than this does not come from a magnetometer fixed to the vehicle."""
+"""rad: largest standard deviation of the heading of a magnetometer that is fixed to the vehicle."""
 LEAST_STD = np.radians(0.5)
 """rad: smallest stated standard deviation."""
 LONGEST_GAP = 1.0
@@ -78,14 +78,14 @@ class Calibration:
 
     @property
     def declination(self) -> float:
-        """Magnetic north east of true north, rad, with any turn of the sensor about the vertical axis."""
+        """Angle from true to magnetic north, rad, clockwise, plus the sensor's turn about the vertical axis."""
         left, _, right = np.linalg.svd(self.shape)  # the orthogonal factor next to a symmetric soft iron
         (sin, cos), _ = left @ right
         return float(np.arctan2(sin, cos))
 
 
 def part_of(table: str, columns: Sequence[str]) -> Part:
-    """The axes of a magnetometer in a table that the user chose, by their names; none where they have others."""
+    """Find the axes of a magnetometer by their names in a table that the user chose; none if they have others."""
     for pattern in _AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():
@@ -96,13 +96,7 @@ def part_of(table: str, columns: Sequence[str]) -> Part:
 def with_magnetometer(
     drive: Drive, parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None
 ) -> Drive:
-    """Add the heading of a magnetometer to a drive's fixes.
-
-    Raises
-    ------
-    InputError
-        The fixes have a heading, or the drive does not determine the calibration.
-    """
+    """Add the heading of a magnetometer to a drive's fixes."""
     if drive.gps.heading is not None:
         raise InputError("mag: the fixes have a heading already; omit one of the two with --map")
     stamps, values = join(parts, "mag", ("mx", "my"), say, recording)
@@ -138,7 +132,7 @@ def with_magnetometer(
 
 
 def _in_vehicle(values: Values, mount: str) -> Array:
-    """The field (n, 2) forward and left; a constant tilt that is left is part of the calibration."""
+    """Return the field (n, 2) forward and left; the calibration includes any constant tilt that remains."""
     rotation = parse_mount(mount) if mount else np.eye(3)
     if "mz" not in values and np.any(rotation[:2, 2]):
         raise InputError("mag: the mounting needs mz; map it, as in --map mag.mz=mag_z")
@@ -147,7 +141,7 @@ def _in_vehicle(values: Values, mount: str) -> Array:
 
 
 def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Heading (n,), rad, of the gyro set right by the course, and where the vehicle moves, at times (n,), s."""
+    """Return the gyro's heading, rad, corrected by the course, and a mask of motion, both (n,), at times (n,), s."""
     course, yaw, imu = evidence.course, evidence.yaw, evidence.drive.imu
     if course is None or not course.moving.any() or not yaw.known:
         raise InputError("mag: the calibration needs a moving vehicle, and a gyro that follows its course")
@@ -166,7 +160,7 @@ def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDA
 
 
 def _turned(heading: Array) -> int:
-    """Degrees of the circle that a heading (n,), rad, covers."""
+    """Return how many degrees of the circle a heading (n,), rad, covers."""
     bins = (np.degrees(heading) % 360 // BIN).astype(np.int64)
     return int(np.count_nonzero(np.bincount(bins, minlength=1) >= LEAST_SAMPLES)) * BIN
 
@@ -189,14 +183,14 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples (n,) within a second of one whose field has another size, or turns without the vehicle, by rad."""
+    """Mark samples (n,) within `AROUND` of a field of another size, or one that turns without the vehicle."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
     return np.searchsorted(wrong, time - AROUND) < np.searchsorted(wrong, time + AROUND, side="right")
 
 
 def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Values (n,) far from the others, by the robust deviation of those while the vehicle moves."""
+    """Mark values (n,) far from the median, in robust deviations; both of the values while the vehicle moves."""
     apart = np.abs(values - float(np.median(values[moving])))
     deviations, least = STEEL
     return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)
@@ -205,7 +199,7 @@ def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _at(
     fixes: Array, time: Array, vector: Array, near_steel: NDArray[np.bool_]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Heading (m,), rad, at the times of fixes (m,), s, and where it is known."""
+    """Return the heading (m,), rad, at the times of fixes (m,), s, and a mask of those where it is known."""
     x, y = (np.interp(fixes, time, column) for column in vector.T)
     after = np.clip(np.searchsorted(time, fixes), 1, len(time) - 1)
     close = (time[after] - time[after - 1] <= LONGEST_GAP) & (fixes >= time[0]) & (fixes <= time[-1])
@@ -213,21 +207,21 @@ def _at(
 
 
 def _turn(calibration: Calibration, stated: float | None) -> float:
-    """The turn, rad, from the heading that fits the course to that of a stated declination, deg."""
+    """Return the angle, rad, from the heading that fits the course to the one by a stated declination, deg."""
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:
         raise InputError(f"--declination {stated:g} is not an angle; give degrees, east positive, as 3.5")
     if calibration.mirrored:
         raise InputError(
-            "mag: mx and my turn the wrong way round, so that the declination can't be applied; change the sign of "
-            "one, exchange them, or omit --declination"
+            "mag: mx and my turn the wrong way round, so --declination can't be applied; change the sign of one, "
+            "exchange them, or omit --declination"
         )
     return calibration.declination - float(np.radians(stated))
 
 
 def _said(calibration: Calibration, stated: float | None) -> str:
-    """The sentence on the calibration."""
+    """Describe the calibration in a sentence."""
     x, y = calibration.center
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:

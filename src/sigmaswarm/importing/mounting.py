@@ -12,18 +12,12 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 
 AUTO = "auto"
-"""The mounting that is found in the log."""
+"""Word for a mounting that is to be found in the log."""
 _AXES = "xyz"
 
 
 def find_mount(drive: Drive) -> tuple[Drive, str, str]:
-    """Turn the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note.
-
-    Raises
-    ------
-    InputError
-        The log does not show it; the message gives the reason.
-    """
+    """Turn the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note."""
     mounting = gather(drive).mounting
     if mounting is None or mounting.confidence == "no":
         reason = mounting.reason if mounting else "it needs ax, ay, az, gx, gy, gz and a moving vehicle"
@@ -39,7 +33,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
 
 
 def parse_mount(text: str) -> Array:
-    """The rotation (3, 3) from the sensor's axes to the vehicle's.
+    """Return the rotation (3, 3) from the sensor's axes to the vehicle's.
 
     Parameters
     ----------
@@ -47,11 +41,6 @@ def parse_mount(text: str) -> Array:
         ``"90"``: the sensor is turned by 90 degrees about z, counter-clockwise seen from above.
         ``"0,10.5,90"``: roll, pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z.
         ``"x=-y,y=x"``: the vehicle's axes as the sensor's; an axis that is left out follows from the others.
-
-    Raises
-    ------
-    InputError
-        It has none of these forms, or is a mirror image.
     """
     parts = text.replace(" ", "").split(",")
     if all("=" in part for part in parts):
@@ -70,7 +59,7 @@ def parse_mount(text: str) -> Array:
 
 
 def _turn(axis: int, angle: float) -> Array:
-    """The rotation (3, 3) by an angle, rad, about an axis; exact for quarter turns."""
+    """Return the rotation (3, 3) by an angle, rad, about an axis; exact for quarter turns."""
     quarter = angle / (math.pi / 2)
     c, s = math.cos(angle), math.sin(angle)
     if abs(quarter - round(quarter)) < 1e-12:
@@ -83,10 +72,7 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """The matrix of the given rows.
-
-    A missing one is the others' cross product; if two are missing, z or x is unchanged.
-    """
+    """Make the matrix of the given axes; one missing is the others' cross product, of two missing z or x is kept."""
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:
@@ -110,13 +96,7 @@ def _from_axes(text: str, parts: list[str]) -> Array:
 
 
 def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
-    """The IMU's columns (n,) each, in the vehicle's axes.
-
-    Raises
-    ------
-    InputError
-        If the mounting needs a column that the log does not have.
-    """
+    """Rotate the IMU's columns, (n,) each, to the vehicle's axes."""
     turned = dict(imu)
     for sensor, names in (("accelerometer", ("ax", "ay", "az")), ("gyro", ("gx", "gy", "gz"))):
         for row, name in enumerate(names):

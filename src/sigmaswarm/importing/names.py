@@ -79,14 +79,14 @@ class Name:
 
     @property
     def meaning(self) -> str | None:
-        """Find the drive's column of a name, else None. Roll, pitch and yaw per second are rates."""
+        """The drive's column of the name, else None. Roll, pitch and yaw per second are rates."""
         if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
             return TURNS[self.plain]
         return meaning_of_plain(self.plain)
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The words of the whole name, a unit behind it among them."""
+        """The words of the whole name, including its unit."""
         return tuple(plain_words(self.column))
 
     def is_one(self, pattern: str) -> bool:
@@ -95,7 +95,7 @@ class Name:
 
 
 def plain_words(text: str) -> list[str]:
-    """The words of a name in lower case, without text in brackets."""
+    """Split a name into words in lower case."""
     return re.findall(r"[a-z0-9]+", text[:LONGEST_NAME].lower())
 
 
@@ -144,7 +144,7 @@ def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
 
 
 def unit_of(words: list[str]) -> Unit | None:
-    """The unit that the last words of a name state: ["deg", "s"], ["m", "s", "2"], ["dps"]."""
+    """Return the unit that the last words of a name state: ["deg", "s"], ["m", "s", "2"], ["dps"]."""
     first, *rest = [word for word in words if word != "per"] or [""]
     if words[:1] == ["per"]:
         return None

@@ -1,4 +1,4 @@
-"""Positions and headings: rows without a fix, longitudes beyond 180 degrees, headings of another convention."""
+"""Check positions and headings: rows without a fix, longitudes beyond 180 degrees, conventions of headings."""
 
 from collections.abc import Callable
 
@@ -13,17 +13,16 @@ Say = Callable[[str], None]
 Values = dict[str, Array]
 
 FARTHEST = 100_000.0
-"""m from the median of all fixes: farther than any car drives in the time of a log."""
+"""m: largest distance of a fix from the median of all fixes, plus `FASTEST`, m/s, times the duration of the log."""
 FASTEST = 150.0
-"""m/s."""
 FIT = 0.35
-"""rad: a heading that agrees with the course within this, by its median, is in that convention."""
+"""rad: a heading whose median difference from the course is below this has the convention of the course."""
 MOVING = 1.0
 """m/s; at lower speeds the course does not show the heading."""
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """A mask of rows (n,) with a position: not 0, 0, within the range of degrees, and not far from all others."""
+    """Mark rows (n,) with a position: not 0, 0, within the range of degrees, and not far from the others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
@@ -51,7 +50,7 @@ def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) ->
 
 
 def with_longitudes(values: Values, role: str, say: Say) -> Values:
-    """Longitudes of 0 to 360 degrees as -180 to 180."""
+    """Convert longitudes of 0 to 360 degrees to -180 to 180."""
     if "lon" not in values or not (np.abs(values["lon"]) > 180).any() or (np.abs(values["lon"]) > 360).any():
         return values
     say(f"{role}: longitudes beyond 180 degrees taken as 0 to 360")
@@ -59,7 +58,7 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
 
 
 def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]]:
-    """The course (m,), rad, between places at least some meters apart, and at which rows it is the mean course."""
+    """Return the course (m,), rad, between positions some meters apart, and the rows (m,) in their middle."""
     if len(time) < 10:
         return np.zeros(0), np.zeros(0, np.int64)
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
@@ -70,7 +69,7 @@ def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]
 
 
 def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: str, say: Say) -> Array:
-    """A heading (n,) counter-clockwise from east in rad; one in another convention, by its course, is converted."""
+    """Convert an angle (n,) to rad counter-clockwise from east, if the course shows another convention."""
     if len(rows) < 5:
         if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
             return angle
@@ -86,16 +85,15 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
     best = int(np.argmin(errors))
     if errors[0] <= FIT or errors[best] > FIT:
         if errors[0] > FIT and "heading" in what:
-            say(
-                f"{what} differs from the course by {np.degrees(errors[0]):.0f} deg (median); check it, or map it"
-            )
+            apart = np.degrees(errors[0])
+            say(f"{what} differs from the course by {apart:.0f} deg (median); check it, or map it")
         return angle
     say(f"{what} runs {conventions[best][0] or 'otherwise'}, as the course shows: converted")
     return np.asarray(wrap_angle(conventions[best][1]))
 
 
 def level(values: Values, altitude: Array | float, origin: tuple[float, float, float], role: str) -> Values:
-    """The values with x and y, m, of latitude and longitude about an origin; these must be degrees."""
+    """Add x and y, m, of latitude and longitude, deg, relative to an origin."""
     for name, most in (("lat", 90.0), ("lon", 180.0)):
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):

@@ -15,7 +15,6 @@ import numpy as np
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.doctor.repairs import ACTIONS
-from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.table_files import LARGEST
 from sigmaswarm.errors import InputError, SigmaswarmError
@@ -40,21 +39,8 @@ MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
 """Words for directions, and their signs in x forward, y left, z up."""
 FORCE = {"a", "acc", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
-    *(
-        "gyro",
-        "gyr",
-        "gyroscope",
-        "omega",
-        "w",
-        "rate",
-        "angular",
-        "rot",
-        "rotation",
-        "angvel",
-        "yawrate",
-        "yaw",
-    ),
-    "turn",
+    *("gyro", "gyr", "gyroscope", "omega", "w", "rate", "angular", "rot", "rotation", "angvel"),
+    *("yawrate", "yaw", "turn"),
 }
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
 NO_PLACE = {
@@ -63,19 +49,19 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Words that show that an accuracy is not that of the position but of another quantity."""
+"""Words that show that an accuracy is that of another quantity than the position."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 """Repairs that are applied to a proposal's expressions; the others change the drive."""
 EXCHANGED = 0.2
 """A rotation whose elements are this close to integers exchanges axes or changes their signs."""
-DOUBTS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
-"""Warnings that deny that signs, axes and units agree."""
+CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
+"""Warnings that signs, axes or units do not agree."""
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """A possible assignment of a column: the column of a role, and its expression."""
+    """A possible meaning of a log's column: the role, the drive's column, and its expression."""
 
     role: Role
     column: str
@@ -130,24 +116,22 @@ class Proposal:
 
     @property
     def maps(self) -> list[str]:
-        """As ``--map`` takes them."""
+        """The expressions as ``--map`` takes them."""
         return [
-            f"{f'{role}.' if column == 't' else ''}{column}={expression}"
+            f"{f'{role}.' if name == 't' else ''}{name}={text}"
             for role, columns in self.columns.items()
-            for column, expression in columns.items()
+            for name, text in columns.items()
         ]
 
     @property
     def settings(self) -> dict[str, Mapping[str, str]]:
-        """As `import_log` takes it; each column with its role."""
-        maps = {
-            f"{role}.{name}": text for role, found in self.columns.items() for name, text in found.items()
-        }
+        """The proposal as settings of `import_log`; each column with its role."""
+        maps = {f"{role}.{name}": text for role, its in self.columns.items() for name, text in its.items()}
         return {"maps": maps, "tables": {**self.tables}}
 
     @property
     def options(self) -> str:
-        """Options for the command line, quoted: a shell must not run text in backticks, or in a log's header."""
+        """The proposal as options, quoted: a shell must not run text in backticks, or in a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
         return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
@@ -155,11 +139,11 @@ class Proposal:
 def proposed(
     tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
 ) -> tuple[str, dict[str, str]] | None:
-    """The table that has most of a role, and the columns recognized by name in addition to those that are ``known``.
+    """Find the table with most columns of a role; return it and its columns that are not ``known``.
 
     Parameters
     ----------
-    tables : by their names, the columns' names
+    tables : by table, the names of its columns
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, names in tables.items():
@@ -173,13 +157,7 @@ def proposed(
 
 
 def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Return the proposal as corrected by the doctor, a sentence on the evidence, and True if it makes a drive.
-
-    Parameters
-    ----------
-    make : callable
-        Imports the drive; nothing is written.
-    """
+    """Correct a proposal by the doctor; return it, a sentence on the evidence, and True if ``make`` makes a drive."""
     try:
         drive = _plausible(make(proposal))
         first = diagnose(drive)
@@ -193,7 +171,7 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
     said = f"read from the columns' names, {changed} the motion of the fixes"
     serious = [f.code for f in last.findings if f.severity == "serious"]
     warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
-    if serious or DOUBTS & {*warned}:
+    if serious or CONTRADICTIONS & {*warned}:
         return corrected, f"{said}; the doctor still finds {', '.join([*serious, *warned])}", True
     unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
     blind = f", but this log does not show all ({', '.join(unseen)})" if unseen else ""
@@ -202,7 +180,7 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
 
 
 def _plausible(drive: Drive) -> Drive:
-    """Refuse numbers that no sensor reports: the doctor's sums would overflow."""
+    """Refuse numbers that no sensor reports, since the doctor's sums would overflow."""
     for table in (drive.imu, drive.gps):
         for name, values in vars(table).items():
             if name != "time" and values is not None and np.abs(values).max(initial=0.0) > LARGEST:
@@ -211,9 +189,9 @@ def _plausible(drive: Drive) -> Drive:
 
 
 def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
-    """The number of serious findings, and of those that could be corrected in the expressions; fewer is better."""
-    mended = [f for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
-    return sum(f.severity == "serious" for f in diagnosis.findings), len(mended)
+    """Count the serious findings, and those that the expressions can correct; fewer is better."""
+    left = [f for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
+    return sum(f.severity == "serious" for f in diagnosis.findings), len(left)
 
 
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
@@ -224,10 +202,8 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
     """
     units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))
-    repairs = [finding.repair for finding in diagnosis.findings if finding.repair is not None]
-    for repair in sorted(
-        (r for r in repairs if r.action in CORRECTED), key=lambda r: CORRECTED.index(r.action)
-    ):
+    repairs = [f.repair for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
+    for repair in sorted(repairs, key=lambda r: CORRECTED.index(r.action)):
         values = np.array(repair.values)
         if repair.action == "rotate":
             if np.abs(values - np.round(values)).max() >= EXCHANGED:
@@ -241,17 +217,13 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
         k = int(np.argmax(np.abs(row)))
         if np.count_nonzero(row) == 1 and {name, IMU[k]} <= imu.keys():
             corrected[name] = _times(imu[IMU[k]], float(row[k]))
-    return Proposal(
-        proposal.tables, {**proposal.columns, "imu": {**imu, **corrected}} if imu else proposal.columns
-    )
+    return replace(proposal, columns={**proposal.columns, "imu": {**imu, **corrected}}) if imu else proposal
 
 
 def _times(expression: str, factor: float) -> str:
-    """The expression times a factor: a sign, g, or degrees."""
+    """Multiply an expression by a factor: a sign, g, or degrees."""
     if factor < 0:
         return _times(expression[1:] if expression.startswith("-") else f"-{expression}", -factor)
     if math.isclose(factor, math.pi / 180, rel_tol=1e-6):
         return f"radians({expression})"
-    return (
-        expression if factor == 1.0 else f"{expression}*{'9.80665' if factor == GRAVITY else f'{factor:.9g}'}"
-    )
+    return expression if factor == 1.0 else f"{expression}*{factor:.9g}"

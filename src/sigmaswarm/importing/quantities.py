@@ -1,4 +1,4 @@
-"""A column's quantity in a drive's units: by the unit in its name, or by the size of its values."""
+"""Convert columns to a drive's units: by the unit in the name, or by the size of the values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -41,20 +41,20 @@ class Columns:
         return what in self.names
 
     def has(self, *whats: str) -> bool:
-        """Return True if all of them exist."""
+        """Return True if a column exists for all of these quantities."""
         return self.names.keys() >= set(whats)
 
     def numbers(self, what: str) -> pl.Series:
-        """The numbers in a column, without placeholders."""
+        """Return the numbers in a column, without placeholders."""
         values = numbers_of(self.frame[self.names[what].column])
         return values.filter(~values.is_in(PLACEHOLDERS))
 
     def largest(self, what: str) -> float:
-        """The 99th percentile of a column's absolute values."""
+        """Return the 99th percentile of a column's absolute values."""
         return float(self.numbers(what).abs().quantile(0.99) or 0.0)
 
     def norm(self, axes: Sequence[str]) -> float:
-        """The median magnitude of a vector (3,); 0 if it has fewer than three numbers."""
+        """Return the median magnitude of a vector of three columns; 0 if there are fewer columns."""
         series = [self.frame[self.names[a].column] for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return 0.0
@@ -62,12 +62,12 @@ class Columns:
         return median_of(sum(squares[1:], squares[0]).sqrt())
 
     def text(self, what: str) -> str:
-        """A column as written in an expression."""
+        """Return the column's name as written in an expression."""
         return written(self.names[what].column)
 
 
 def quantity(columns: Columns, what: str, role: Role) -> Found:
-    """A column in a drive's units; angles of positions and headings in the unit that ``what`` has in a drive."""
+    """Convert a column to a drive's units."""
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
     if name.unit is None:
         return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
@@ -80,12 +80,11 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
-    """Accelerations in g or mg if their magnitude is then gravity; rates in deg/s if they exceed 5.
+    """Take accelerations as g or mg if their magnitude is then gravity, and rates as deg/s if they exceed 5.
 
-    Others are in SI units, or raw counts if they are too large for a car.
+    Others are taken as SI units, or as raw counts if they are too large for a car.
     """
-    text = columns.text(what)
-    letter = what[0]
+    text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]
     largest = max(map(columns.largest, axes))
     if letter == "a":
@@ -94,9 +93,8 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
         if 0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12:
             return Found(f"{text}*9.80665", "accelerations taken as g, since gravity in them is about 1")
         if 930 < size < 1050 and largest < 8000:
-            return Found(
-                f"{text}*0.00980665", "accelerations taken as mg, since gravity in them is about 1000"
-            )
+            note = "accelerations taken as mg, since gravity in them is about 1000"
+            return Found(f"{text}*0.00980665", note)
         raw = max(usual[a] for a in axes) > 30 or largest > MOST_FORCE
         return Found("", fault=_raw_counts(columns, what, role)) if raw else Found(text)
     whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
@@ -108,17 +106,14 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
-    """The sentence on a sensor's raw counts: one for all three axes, with the way to map them."""
+    """Describe the raw counts of a sensor's three axes, and how to map them."""
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
         gravity = columns.norm(axes)
         per = next((k for k in (16384, 8192, 4096, 2048, 1000) if abs(gravity / k - 1) < 0.12), 16384)
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS
-        seen = (
-            f"gravity appears as about {gravity:.5g}"
-            if gravity
-            else "they exceed the range of an accelerometer"
-        )
+        seen = "they exceed the range of an accelerometer"
+        seen = f"gravity appears as about {gravity:.5g}" if gravity else seen
     else:
         form, about = "radians({}/131)", _GYROS
         seen = f"they reach {max(columns.largest(a) for a in axes):.5g}"
@@ -131,12 +126,12 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
 
 
 def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
-    """The option that maps columns, with {} for the column."""
+    """Write the option that maps columns, with {} for the column."""
     return "--map " + " ".join(f'"{role}.{what}={form.format(columns.text(what))}"' for what in whats)
 
 
 def place(columns: Columns, role: Role) -> dict[str, Found]:
-    """Latitude and longitude in degrees: of radians, 1e-7 degrees, degrees and minutes, with N, S, E, W in columns."""
+    """Convert latitude and longitude to degrees: from radians, 1e-7 degrees, or degrees and minutes; N, S, E, W."""
     both = ("lat", "lon")
     forms: dict[str, str] = {}
     for what in both:
@@ -163,7 +158,7 @@ def place(columns: Columns, role: Role) -> dict[str, Found]:
 
 
 def _place_form(columns: Columns, role: Role) -> Found:
-    """The form of latitude and longitude whose unit is not named, with {} for the column."""
+    """Guess the form of latitude and longitude without a unit by their size, with {} for the column."""
     both = ("lat", "lon")
     lat, lon = (columns.numbers(what).filter(columns.numbers(what) != 0).abs() for what in both)
     if not len(lat) or not len(lon):
@@ -171,10 +166,9 @@ def _place_form(columns: Columns, role: Role) -> Found:
     low, high = (float(v.quantile(0.99) or 0.0) for v in (lat, lon))
     if low < 1.571 and high < 3.1416:
         radians, degrees = (_maps(columns, role, both, form) for form in ("degrees({})", "{}"))
-        said = f"{radians} for radians, {degrees} for degrees"
-        return Found(
-            "", fault=f"latitude and longitude are within 1.6 and 3.2 and may be radians; write {said}"
-        )
+        options = f"{radians} for radians, {degrees} for degrees"
+        fault = f"latitude and longitude are within 1.6 and 3.2 and may be radians; write {options}"
+        return Found("", fault=fault)
     if low <= 90 and high <= 360:
         return Found("{}")
     if low <= 9000 and high <= 18060 and all((v % 100 < 60).all() for v in (lat, lon)):
@@ -187,14 +181,12 @@ def _place_form(columns: Columns, role: Role) -> Found:
 
 
 def heading(columns: Columns, what: str, role: Role) -> Found:
-    """A direction in rad counter-clockwise from east: a bearing runs clockwise from north, also a course in degrees."""
+    """Convert a direction to rad counter-clockwise from east; bearings and courses in deg run clockwise from north."""
     name, text = columns.names[what], columns.text(what)
     if name.unit is not None and name.unit.dimension != "angle":
         return quantity(columns, what, role)
-    if name.unit is not None:
-        angle = in_si(name.unit, text)
-    else:
-        angle = f"radians({text})" if columns.largest(what) > 6.4 else text
+    angle = f"radians({text})" if name.unit is None and columns.largest(what) > 6.4 else text
+    angle = in_si(name.unit, text) if name.unit is not None else angle
     degrees = "radians" in angle
     if what == "bearing" or (what == "course" and degrees):
         note = f"{name.column} taken as {'degrees' if degrees else 'radians'} clockwise from north"

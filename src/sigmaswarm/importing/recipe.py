@@ -28,16 +28,16 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
     "odometer": ("t", "speed", "keep"),
     "mag": ("t", "mx", "my", "mz", "keep"),
 }
-"""Columns that can be given for each role. Next to the drive's columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
-north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
-rows count. A further table's ``+ax`` is added to ``ax``."""
+"""Columns of each role. In addition to a drive's columns (docs/drives.md): ``vx, vy`` of fixes (m/s east, north),
+``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth; and ``keep``, true in the
+rows to read. The ``+ax`` of a second table is added to ``ax``."""
 
 _SETTINGS: dict[str, type | int] = {
     "mount": str,
     **dict.fromkeys(("gps_offset_s", "truth_offset_s", "odometer_offset_s", "declination_deg"), float),
     **{"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2},
 }
-"""Types of the settings; for several numbers their count."""
+"""Types of the settings; for lists of numbers their length."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class Recipe:
     gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times of fixes, of truth and of the odometer
     origin : latitude (deg), longitude (deg), altitude (m) of the local frame
     gps_lever_arm_m : m forward, left, up from the IMU to the antenna
-    declination_deg : deg, magnetic north east of true north; found from the course where None
-    gps_from_truth : Hz, m; make fixes of the truth with so much white noise per axis, for data without a receiver
+    declination_deg : deg from true to magnetic north, east positive; None to find it by the course
+    gps_from_truth : rate, Hz, and white noise per axis, m, of fixes to make from the truth of a log without a receiver
     """
 
     roles: Mapping[Role, tuple[Part, ...]] = field(default_factory=dict[Role, tuple[Part, ...]])
@@ -86,7 +86,7 @@ class Recipe:
         return cls(roles={role: tuple(_parts(content[role], role, path)) for role in there}, **settings)
 
     def to_toml(self) -> str:
-        """The recipe as TOML that ``load`` reads."""
+        """Return the recipe as TOML that ``load`` reads."""
         content: dict[str, Any] = {k: v for k in _SETTINGS if (v := getattr(self, k)) != getattr(Recipe, k)}
         for role, parts in self.roles.items():
             content[role] = [{"table": part.table, **part.columns} for part in parts]
@@ -141,12 +141,7 @@ def with_maps(
 
     Parameters
     ----------
-    times : the time of a role's tables, for roles that map no time of their own
-
-    Raises
-    ------
-    InputError
-        An entry is not ``column=expression``, or no role has such a column.
+    times : by role, the time of its tables, unless the user maps it
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()
@@ -167,7 +162,7 @@ def with_maps(
 
 
 def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
-    """The roles whose columns are mapped, other than their time; wrong entries are refused later."""
+    """Return the roles with mapped columns other than the time; wrong entries are refused later."""
     roles: set[str] = set()
     for text in maps:
         with suppress(InputError):
@@ -177,7 +172,7 @@ def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
 
 
 def _entry(text: str) -> tuple[Role, str, str]:
-    """The role, column and expression of ``[role.]column=expression``."""
+    """Split ``[role.]column=expression`` into role, column and expression."""
     target, equals, expression = text.partition("=")
     prefix, dot, column = target.strip().rpartition(".")
     if not equals:
@@ -187,7 +182,7 @@ def _entry(text: str) -> tuple[Role, str, str]:
             f"--map {text!r}: {prefix!r} is not one of {', '.join(ROLES)}; write for example gps.t=stamp"
         )
     roles: list[Role] = [role for role in ROLES if prefix in ("", role)]
-    for role in roles:  # x, y without a role are the fixes'; t, keep the IMU's
+    for role in roles:  # without a role, x and y are those of the fixes; t and keep those of the IMU
         if column in COLUMNS[role]:
             return role, column, expression.strip()
     there = dict.fromkeys(c for role in roles for c in COLUMNS[role])

@@ -3,8 +3,9 @@
 import re
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,13 +20,58 @@ ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 """Rows of a batch, where they are decoded one by one."""
 FILES = "columns"
-"""The kind of tables that are files of columns, with the names of the files."""
+"""The kind of tables that are files and have their names."""
 Progress = Callable[[float], None]
 """Called with the share of the log that is read, 0 to 1."""
 Wanted = Mapping[str, Collection[str]]
 """Columns to read, by table."""
 Batch = tuple[str, pl.DataFrame, float]
 """A table, some of its rows with the wanted columns, and the share of the log that is read, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of an import; they can be raised.
+
+    Attributes
+    ----------
+    rows : of a table; 10 million are 28 hours at 100 Hz
+    columns : of all tables of a log
+    unpacked_mb : MB of a chunk, or of the required files of a zip, after unpacking
+    """
+
+    rows: int = 10_000_000
+    columns: int = 100_000
+    unpacked_mb: int = 500
+
+    def check_rows(self, count: int, path: Path, table: str) -> None:
+        """Refuse a table of too many rows."""
+        if count > self.rows:
+            where = path if path.name == table else f"{path}, {table}"
+            raise InputError(
+                f"{where}: contains more than {self.rows} rows; split the log, or raise --max-rows"
+            )
+
+    def check_unpacked(self, count: int, path: Path) -> None:
+        """Refuse data of too many bytes."""
+        if count > self.unpacked_mb * 1_000_000:
+            raise InputError(
+                f"{path}: would unpack at least {count / 1e6:.0f} MB at once, more than {self.unpacked_mb}; unpack it "
+                "yourself, or raise --max-unpacked-mb"
+            )
+
+    def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
+        """Return the names that are not empty; empty ones count, too, since fields without a number take time."""
+        found = list(islice(names, self.columns + 1))
+        if len(found) > self.columns:
+            raise InputError(
+                f"{path}: has more than {self.columns} columns; raise --max-columns if this is right"
+            )
+        return tuple(name for name in found if name)
+
+    def less(self, columns: int) -> "Limits":
+        """Return the limits that remain for the other tables of a log."""
+        return replace(self, columns=self.columns - columns)
 
 
 @dataclass(frozen=True)
@@ -39,7 +85,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Part:
-    """The part of one table in a role: a drive's columns (with ``t``) as expressions over the table's columns."""
+    """A drive's columns (with ``t``), as expressions over the columns of one table."""
 
     table: str
     columns: Mapping[str, str]
@@ -71,7 +117,7 @@ class Placement:
     frames: tuple[str, str, str]
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe what an import with this mounting and lever arm takes from tf_static."""
+        """Describe what an import with a mounting and a lever arm takes from tf_static."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
@@ -90,10 +136,10 @@ class Guess:
     ----------
     roles : the parts of each role; the first part's times count, further parts are interpolated to them
     notes : sentences for the user
-    origin : latitude (deg), longitude (deg), altitude (m) of the frame that the truth is in, where the format fixes it
+    origin : latitude (deg), longitude (deg), altitude (m) of the truth's frame, if the format defines it
     metadata : keys for drive.toml
-    downward : a sentence where the IMU's vertical axis points down, if its mounting is not given
-    fixed : expression over the fixes' first table: where carrier phases are fixed; empty where not stated
+    downward : a sentence if the IMU's vertical axis points down, for an import without a mounting
+    fixed : expression over the fixes' first table, true where carrier phases are fixed; empty if the log lacks it
     faults : reasons not to use columns unchanged, unless the user maps them
     placed : mounting and lever arm that the log states
     """
@@ -114,9 +160,9 @@ class Choice:
 
     Attributes
     ----------
-    tables : by role, the table that was named
-    receive_times : times of receipt are taken, not the stamps of headers
-    mapped : roles whose columns the user maps, so that their table may contain anything
+    tables : by role, the chosen table
+    receive_times : True to use times of receipt instead of the stamps of headers
+    mapped : roles whose columns the user maps; any table can be chosen for them
     """
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -132,8 +178,8 @@ class Log:
     ----------
     batches : reads the wanted columns, in the order of the log
     guess : makes a recipe
-    remarks : sentences of the reading; some are added while batches are read
-    mixed : rows of the tables alternate, so that the beginning of the log shows all of them
+    remarks : sentences on the log; some are added while batches are read
+    mixed : True if rows of the tables alternate, so that all tables occur at the beginning of the log
     """
 
     path: Path
@@ -144,7 +190,7 @@ class Log:
     mixed: bool = False
 
     def guessed(self, guess: Guess) -> "Log":
-        """The same log with a fixed guess."""
+        """Return the log with a fixed guess."""
         return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
 
 
@@ -169,7 +215,7 @@ def of_rows(
     guess: Guess,
     remarks: list[str],
 ) -> Log:
-    """Make a log of one table whose rows are decoded one by one, each with the share of the file that is read."""
+    """Make a log of one table; ``read`` yields its rows, each with the share of the file that is read."""
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
         rows: list[tuple[float, ...]] = []
@@ -188,15 +234,13 @@ def of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """The parts whose tables exist; of a tuple of expressions the first whose columns exist, else none."""
+    """Return the parts whose tables exist; of a tuple of expressions the first one whose columns exist, if any."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:
-            options = {name: (text,) if isinstance(text, str) else text for name, text in columns.items()}
-            required = {name for name, text in columns.items() if isinstance(text, str)}
             found = {
-                name: next((text for text in texts if name in required or fits(text, tables[table])), "")
-                for name, texts in options.items()
+                name: text if isinstance(text, str) else next((t for t in text if fits(t, tables[table])), "")
+                for name, text in columns.items()
             }
             part = Part(table, {name: text for name, text in found.items() if text})
             roles[role] = (*roles.get(role, ()), part)
@@ -208,7 +252,7 @@ EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 py
 
 
 def library(name: str, extra: str) -> Any:
-    """Import a format's library, or raise an error that explains its installation."""
+    """Import the library of a format; the error without it states how to install it."""
     try:
         return import_module(name)
     except ImportError:
@@ -219,14 +263,14 @@ def library(name: str, extra: str) -> Any:
 
 
 def require_distinct(columns: Sequence[str], path: Path) -> None:
-    """Refuse a header that names a column twice, since it is ambiguous."""
+    """Refuse a header that names a column twice."""
     for name in columns:
         if columns.count(name) > 1:
             raise InputError(f"{path}: column {quoted(name)} appears twice; delete or rename one of them")
 
 
 def first_bytes(path: Path, count: int = 4096) -> bytes:
-    """The beginning of a file, empty for a folder, by which formats are recognized."""
+    """Return the beginning of a file, by which formats are recognized; empty for a folder."""
     if not path.is_file():
         return b""
     with path.open("rb") as file:
@@ -235,7 +279,7 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 @contextmanager
 def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
-    """Turn any exception of a library on damaged bytes into one line."""
+    """Convert any exception of a library on damaged bytes to one line."""
     try:
         yield
     except InputError:

@@ -22,14 +22,13 @@ WRAPS: tuple[tuple[int, str], ...] = (
 )
 """Periods after which clocks restart, ns."""
 FEWEST_ROWS = 20
-"""Least number of rows of a recording of its own; fewer rows out of order are sorted."""
-LEAST_FALL = 0.2
-"""s: least step back of a clock at which a second recording begins; and the same in steps."""
-STEPS = 2
+"""Least number of rows of a separate recording; fewer rows out of order are sorted."""
+LEAST_FALL, STEPS = 0.2, 2
+"""Least step back of a clock at which a second recording begins: s, and median steps."""
 REPEATED = 0.02
-"""The share of rows with the time of the row before, above which these are not just a few duplicates."""
+"""A larger share of rows with the time of the row before means that rows share stamps."""
 UNEVEN = 0.1
-"""The share of stamps whose number of rows may differ from the usual one."""
+"""Largest share of stamps whose number of rows differs from the usual one."""
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
@@ -51,7 +50,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 
 
 def recordings(time: Nanoseconds) -> list[slice]:
-    """The stretches between restarts of a clock."""
+    """Return the rows between restarts of a clock."""
     falls = np.flatnonzero(np.diff(time) < 0) + 1
     whole = [slice(0, len(time))]
     if not len(falls) or len(falls) > max(len(time) // FEWEST_ROWS, 1):
@@ -69,7 +68,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
-    """Return the rows of the chosen recording; if there are several, one must be chosen."""
+    """Return the rows of the chosen recording, and a sentence or ""; of several recordings, one must be chosen."""
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
@@ -83,7 +82,7 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
 
 
 def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
-    """Times in order, rows that share a stamp spread evenly up to the next one; refused where their count varies."""
+    """Spread rows that share a stamp evenly up to the next one; refuse stamps whose number of rows varies."""
     new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
     repeated = 1 - len(new) / len(time)
     if repeated <= REPEATED or len(new) < 2:
@@ -100,9 +99,8 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
         lost, rate = len(time) - len(new), usual * SECOND / step
         raise InputError(
             f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and the number "
-            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too "
-            "coarse; name a "
-            f"finer one with --map {role}.t=..., or count rows where the rate is known, as "
+            f"of rows per time varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; "
+            f"name a finer one with --map {role}.t=..., or count rows where the rate is known, as "
             f'--map "{role}.t=row/{rate:.6g}"'
         )
     group = np.repeat(np.arange(len(new)), counts)
@@ -121,13 +119,14 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
 def in_order(
     time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
 ) -> tuple[Nanoseconds, NDArray[np.int64]]:
-    """A table's times (n,), strictly increasing, and the indices of their rows in the table."""
+    """Return a table's times (n,), strictly increasing, and the indices of their rows in the table."""
     time, note = unwrap(time)
     taken, chosen = choose_part(time, part, where)
     rows, time = np.arange(len(time))[taken], time[taken]
-    for text in (f"{where}: {note}" if note else "", chosen):
-        if text:
-            say(text)
+    if note:
+        say(f"{where}: {note}")
+    if chosen:
+        say(chosen)
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
         moved = int(np.count_nonzero(order != np.arange(len(order))))
@@ -143,16 +142,14 @@ def in_order(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse times in another unit than seconds: steps that are impossible for a sensor of a car."""
+    """Refuse times with steps that are impossible for a sensor of a car: their unit is not seconds."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
     if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
         return
-    units = {
-        unit: factor for unit, factor in UNITS.items() if SHORTEST_STEP < step * factor < LONGEST_STEP[role]
-    }
-    more = next(
-        (f'; if they are in {u}, write --map "{role}.t=({text})*{f:g}"' for u, f in units.items()), ""
-    )
+    remedy = "map its time"
+    for unit, factor in reversed(UNITS.items()):
+        if SHORTEST_STEP < step * factor < LONGEST_STEP[role]:
+            remedy = f'if they are in {unit}, write --map "{role}.t=({text})*{factor:g}"'
     raise InputError(
-        f"{where}: with {text} in seconds, two rows of the {role} are {step:.4g} s apart{more or '; map its time'}"
+        f"{where}: with {text} in seconds, two rows of the {role} are {step:.4g} s apart; {remedy}"
     )

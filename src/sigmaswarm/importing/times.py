@@ -1,4 +1,4 @@
-"""The time of a table: its column or columns, and the expression in seconds."""
+"""Find the time of a table: its column or columns, and the expression in seconds."""
 
 import re
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ _DATES_S = (3e8, 4e9)
 
 @dataclass(frozen=True)
 class Found:
-    """The expression of a drive's column, the assumptions, and reasons not to use it."""
+    """The expression of a drive's column, an assumption, and a reason not to use it."""
 
     expression: str
     note: str = ""
@@ -49,25 +49,25 @@ class Found:
 
 
 def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
-    """The time of a table, by its columns' names and values; None where it has none."""
+    """Find the time of a table by its columns' names and values; None if there is none."""
     names = [read_name(column) for column in frame.columns]
     several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
     return several or _date_and_time(names, frame) or _single(names, frame, role)
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
-    """The expression of a table's time, if a column looks like it."""
+    """Return the expression of a table's time, if a column looks like it."""
     found = find_time(frame, role)
     return found.expression or None if found else None
 
 
 def written(column: str) -> str:
-    """A column as an expression names it."""
+    """Write a column's name as in an expression."""
     return column if re.fullmatch(r"[A-Za-z_]\w*", column) else f"`{column}`"
 
 
 def numbers_of(values: pl.Series) -> pl.Series:
-    """The numbers among a column's values, without lists and bytes."""
+    """Return the numbers among a column's values; none of lists and bytes."""
     if values.dtype.is_nested() or isinstance(values.dtype, pl.Binary | pl.Object):
         return pl.Series([], dtype=pl.Float64)
     if values.dtype == pl.String:
@@ -76,12 +76,12 @@ def numbers_of(values: pl.Series) -> pl.Series:
 
 
 def median_of(values: pl.Series) -> float:
-    """The median of numbers, 0 where there are none."""
+    """Return the median of numbers, 0 where there are none."""
     return float(values.median() or 0.0)  # pyright: ignore[reportArgumentType]
 
 
 def step_of(values: pl.Series) -> float:
-    """The median of a time's forward steps; rows that share a stamp share a step."""
+    """Return the median of a time's forward steps; rows that share a stamp share a step."""
     steps = numbers_of(values).diff().drop_nulls()
     forward = steps.filter(steps > 0)
     shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
@@ -93,7 +93,7 @@ def _scaled(text: str, unit: str) -> str:
 
 
 def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """The stamp of a message's header, before the time at which the message was recorded."""
+    """Find the stamp of a message's header, which is preferred to the time of recording."""
     stamp = next((n for n in names if n.is_one(STAMP)), None)
     if stamp is None or not (numbers_of(frame[stamp.column]) > 0).any():
         return None
@@ -101,7 +101,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fou
 
 
 def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Whole seconds in one column, the rest of a second in another of the same name before it."""
+    """Find whole seconds in one column, and the rest of a second in another whose name begins like it."""
     pairs = [
         (first, rest, PARTS_OF_SECONDS[rest.words[-1]])
         for first in names
@@ -113,19 +113,15 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | Non
     ]
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = numbers_of(frame[first.column]), numbers_of(frame[rest.column])
-        if (
-            len(whole)
-            and len(part)
-            and (whole == whole.round()).all()
-            and part.is_between(0, 1 / scale - 0.5).all()
-        ):
+        fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
+        if len(whole) and len(part) and fits:
             text = f"{written(first.column)} + {written(rest.column)}*{scale:.0e}".replace("e-0", "e-")
             return Found(text, f"the time is {first.column} and {rest.column} together")
     return None
 
 
 def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """GPS week and time of week."""
+    """Find GPS week and time of week."""
     week = next((n for n in names if n.is_one(WEEK)), None)
     tow = next((n for n in names if n.is_one(TIME_OF_WEEK)), None)
     if week is None or tow is None or not len(numbers_of(frame[week.column])):
@@ -139,11 +135,9 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 
 
 def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """A day in one column of text, the time of day in another."""
-    days, clocks = (
-        ("date", "day", "utc_date", "gps_date"),
-        ("time", "time_of_day", "utc_time", "gps_time", "clock"),
-    )
+    """Find a day in one column of text and the time of day in another."""
+    days = ("date", "day", "utc_date", "gps_date")
+    clocks = ("time", "time_of_day", "utc_time", "gps_time", "clock")
     day, clock = (next((n.column for n in names if n.plain in those), None) for those in (days, clocks))
     if day is None or clock is None or frame.schema[clock] != pl.String or len(numbers_of(frame[clock])):
         return None
@@ -151,7 +145,7 @@ def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """A column with a name of a time, unless it is 0 in all rows (unset stamps); or else one that increases."""
+    """Find a column with a name of a time, unless it is always 0 (unset stamps); or else a clock that increases."""
     for name in names:
         numbers = numbers_of(frame[name.column]) if name.meaning == "t" else None
         if numbers is not None and not (len(numbers) > 1 and (numbers == 0).all()):
@@ -161,7 +155,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | N
 
 
 def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
-    """The time in one column: text are dates; else the unit in the name, the size of numbers, or their steps."""
+    """Read the time in one column: dates in text, or numbers by the unit in the name, their size or their steps."""
     values, text = frame[name.column], written(name.column)
     if values.dtype == pl.String and not len(numbers_of(values)) and values.str.len_chars().max():
         return _of_text([name.column], frame)
@@ -175,7 +169,7 @@ def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
 
 
 def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
-    """The sentence on a unit that can't be converted."""
+    """Describe a unit that can't be converted."""
     known = name.unit is not None and name.unit.known
     kind = f"a unit of {name.unit.dimension}, not of {dimension}" if name.unit and known else "not known"
     said = f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
@@ -183,7 +177,7 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
-    """Dates in text, by the first format that reads them all; dates that two formats read differently are refused."""
+    """Read dates in text by the first format that fits them all; refuse dates that two formats read differently."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d"))
     fitting = [f for f in DATE_FORMATS if len(texts) and _reads(texts, f)]
@@ -192,11 +186,12 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
         return Found(f"utc({called})")
     form = fitting[0]
     if len(fitting) > 1 and form.startswith("%m/%d") and fitting[1].startswith("%d/%m"):
-        said = (
+        option = (
             f"--time \"utc({called}, '{fitting[1]}')\" if the day comes first, with {form} if the month does"
         )
-        fault = f"column {quoted(columns[0])}: {shown(texts[0])} may be two days; write {said}"
-        return Found("", fault=fault)
+        return Found(
+            "", fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two days; write {option}"
+        )
     note = "times of day without a date" if form == "%H:%M:%S%.f" else ""
     return Found(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
@@ -208,7 +203,7 @@ def _reads(texts: pl.Series, form: str) -> bool:
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
-    """A time in numbers without a unit: by their size, if they count from 1970, else by a likely step."""
+    """Read a time in numbers without a unit: by their size, if they count from 1970, else by a likely step."""
     numbers = numbers_of(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
@@ -222,7 +217,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
 
 
 def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
-    """A time whose steps are too short for seconds: days of a spreadsheet or of MATLAB, or a share of a day."""
+    """Read a time with steps too short for seconds: days of a spreadsheet or of MATLAB, or a share of a day."""
     low, high = float(numbers.min()), float(numbers.max())  # pyright: ignore[reportArgumentType]
     likely = SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role]
     for begin, end, epoch, whose in ((2e4, 8e4, EXCEL_EPOCH, "1900"), (6.5e5, 8e5, MATLAB_EPOCH, "year 0")):
@@ -236,10 +231,9 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
-    """Describe an error in the unit of a time, ``column`` or ``column*number``, with the remedy; else empty.
+    """Describe an error in the unit of a time, ``column`` or ``column*number``, with the remedy; else return "".
 
-    Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely; preferably one
-    that gives a present-day date.
+    The unit is wrong if no sensor has such steps, and another unit makes them likely, preferably with a present date.
     """
     plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
     name = plain[1].strip("`") if plain else ""

@@ -1,6 +1,6 @@
 """Units in the names of columns: their dimensions, and their factors to SI.
 
-A unit is a product of powers of base units, as m/s^2, deg/sec, rad s^-1 or mm/s/s, or one of a few words, as knots.
+A unit is a product of powers of base units, such as m/s^2, deg/sec, rad s^-1 or mm/s/s, or a word such as knots.
 """
 
 import math
@@ -19,13 +19,8 @@ _DEGREE = math.pi / 180
 _BASE_WORDS = {
     "L": {
         **{1.0: "m meter meters metre metres", 1e3: "km", 0.1: "dm", 1e-2: "cm", 1e-3: "mm", 1e-6: "um"},
-        **{
-            0.3048: "ft feet foot",
-            0.0254: "in inch",
-            0.9144: "yd",
-            1609.344: "mi mile miles",
-            1852.0: "nmi nm",
-        },
+        **{0.3048: "ft feet foot", 0.0254: "in inch", 0.9144: "yd", 1609.344: "mi mile miles"},
+        1852.0: "nmi nm",
     },
     "T": {
         **{1.0: "s sec secs second seconds", 1e-3: "ms msec msecs millisec millis millisecond milliseconds"},
@@ -87,22 +82,9 @@ _WORDS: dict[str, tuple[Dimension, float]] = {
     word: (dimension, factor) for dimension, factor, text in _MORE for word in text.split()
 }
 NONE = (
-    *(
-        "",
-        "-",
-        "1",
-        "unitless",
-        "dimensionless",
-        "utc",
-        "gps",
-        "gnss",
-        "wgs84",
-        "enu",
-        "unix",
-        "epoch",
-        "local",
-    ),
-    *("body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu"),
+    "",
+    *("-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu", "unix", "epoch"),
+    *("local", "body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu"),
 )
 """Words in brackets that are not units."""
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
@@ -116,7 +98,7 @@ _TOKEN = re.compile(r"(/|per\b)|([a-z]+)\s*((?:\^|\*\*)?\s*-?\s*\d)?|([*.\s])")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as it was written, its dimension, and the factor that makes it SI; 0 where the unit is unknown."""
+    """A unit as it was written, its dimension, and its factor to SI; None and 0 where the unit is unknown."""
 
     text: str
     dimension: Dimension | None
@@ -129,7 +111,7 @@ class Unit:
 
 
 def parse_unit(text: str) -> Unit | None:
-    """The unit that a text states; None if it states none, an unknown unit if it is not recognized."""
+    """Read the unit that a text states; None if it states none, an unknown unit if it is not recognized."""
     plain = text.strip().lower().translate(_PLAIN)
     if plain in NONE:
         return None
@@ -155,7 +137,7 @@ def parse_unit(text: str) -> Unit | None:
 
 
 def in_si(unit: Unit, text: str) -> str:
-    """The expression of a column in SI units."""
+    """Write the expression of a column in SI units."""
     if math.isclose(unit.factor, 1.0):
         return text
     if unit.dimension in ("rate", "angle") and math.isclose(unit.factor, _DEGREE, rel_tol=1e-12):
@@ -170,7 +152,7 @@ def in_si(unit: Unit, text: str) -> str:
 
 
 def _times(text: str, factor: float) -> str:
-    """A text times a power of ten, or divided by a short number; else ""."""
+    """Write a text times a power of ten, or divided by a short number; else return ""."""
     power, inverse = round(math.log10(factor)), 1 / factor
     if math.isclose(factor, 10.0**power, rel_tol=1e-12):
         return f"{text}*1e{power}"

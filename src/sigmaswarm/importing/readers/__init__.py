@@ -1,1 +1,1 @@
-"""One file for each format: its detection, its tables, and the recipe of a drive."""
+"""Readers of logs, one file per format: detection, tables, and the recipe of a drive."""

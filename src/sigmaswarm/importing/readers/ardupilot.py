@@ -1,7 +1,7 @@
 """ArduPilot's dataflash logs, ``.bin``, through pymavlink.
 
-Messages of ArduPilot, libraries/AP_Logger/LogStructure.h: TimeUS in us since start; IMU in the body's forward, right,
-down (m/s2, rad/s); GPS in degrees, m/s, degrees from north; GPA with the stated accuracies; SIM the true place of a
+Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): TimeUS in us since start; IMU forward, right, down (m/s2,
+rad/s); GPS in degrees, m/s, degrees from north; GPA with the stated accuracies; SIM with the true position of a
 simulation.
 """
 
@@ -13,11 +13,20 @@ from typing import Any
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Log, Role, first_bytes, library, of_frames, roles_of, whole
+from sigmaswarm.importing.source import (
+    Guess,
+    Limits,
+    Log,
+    Role,
+    first_bytes,
+    library,
+    of_frames,
+    roles_of,
+    whole,
+)
 
 MOST_SKIPPED = 200_000
-"""Bytes that are no messages; a second is lost with so many."""
+"""Largest number of bytes outside of messages; pymavlink needs a second to skip them."""
 MAGIC = b"\xa3\x95\x80"
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}
@@ -40,7 +49,7 @@ _COLUMNS = {
 
 
 class _Skipped(StringIO):
-    """Sink for pymavlink's report of each skipped byte; keeps nothing and refuses a long file of other bytes."""
+    """Sink for pymavlink's report of each skipped byte, which refuses a long file of other bytes."""
 
     count = 0
 
@@ -52,15 +61,15 @@ class _Skipped(StringIO):
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it begins as a dataflash log does."""
+    """Return True if it begins like a dataflash log."""
     return first_bytes(path, 3) == MAGIC
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the messages that a drive is made of, of the first IMU and the first receiver."""
+    """Read the messages of the first IMU and the first receiver."""
     kind = library("pymavlink.DFReader", "logs").DFReader_binary
-    log = kind.__new__(kind)  # so that its files can be closed where its own beginning fails
-    log.init_arrays_fast = log.init_arrays  # the compiled one prints skipped data, which cannot be caught
+    log = kind.__new__(kind)  # its files can then be closed if __init__ fails
+    log.init_arrays_fast = log.init_arrays  # the output of the compiled one can't be caught
     try:
         with whole(path), redirect_stderr(_Skipped()), redirect_stdout(StringIO()):  # it prints skipped data
             log.__init__(str(path), zero_time_base=True)
@@ -68,7 +77,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     finally:
         for name in ("data_map", "filehandle"):
             if (stream := getattr(log, name, None)) is not None:
-                with suppress(BufferError):  # a failed message may still hold the map
+                with suppress(BufferError):  # a failed message may still refer to the map
                     stream.close()
     frames = {
         name: pl.DataFrame(values, schema=dict.fromkeys(_COLUMNS[name], pl.Float64), orient="row")
@@ -88,7 +97,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _rows(log: Any, path: Path, limits: Limits) -> dict[str, list[tuple[float, ...]]]:
-    """The fields of the messages, by their kinds."""
+    """Return the fields of the messages by their kinds."""
     rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in _COLUMNS}
     while (message := log.recv_match(type=list(_COLUMNS))) is not None:
         kind = message.get_type()

@@ -14,9 +14,8 @@ import polars as pl
 from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
-from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Log, Table, Wanted, first_bytes
+from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Limits, Log, Table, Wanted, first_bytes
 from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
@@ -51,7 +50,7 @@ def of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, scanned on use; without a reader's guess, guessed by their columns' names."""
+    """Make a log of tables in files, scanned on use; without a reader's guess, roles are guessed by columns' names."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
@@ -76,12 +75,12 @@ def of_files(
 
 
 def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
-    """A table file, not yet read; the kinds of a CSV's columns are found over all its rows.
+    """Scan a table file; the types of a CSV's columns are found over all its rows.
 
     Parameters
     ----------
-    shown_as : the file's name in messages, where it was unpacked to another place
-    remarks : receives columns that share a name
+    shown_as : the file's name in messages, if it was unpacked to another place
+    remarks : receives sentences on columns that share a name
     """
     if first_bytes(file, 4) == b"PAR1":
         _require_decodable(file, shown_as, limits)
@@ -132,7 +131,7 @@ def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
 
 
 def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
-    """The rows of a text table under the names of its dialect, as c1, c2, ...; texts of numbers have decimal dots."""
+    """Scan the rows of a text table, with columns c1, c2, ...; decimal commas become dots."""
     columns = [f"c{k}" for k in range(1, len(dialect.names) + dialect.surplus + 1)]
     try:
         if dialect.separator == BLANKS:  # any number of them
@@ -173,7 +172,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
 
 
 def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:
-    """The lines of a text after the first ``skip``, as the column ``line``; empty ones are null."""
+    """Scan the lines of a text after the first ``skip`` as a column ``line``; empty ones are null."""
     return pl.scan_csv(
         **one_file(file),
         separator="\x1f",
@@ -188,12 +187,12 @@ def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: A
 
 
 def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
-    """Names without spaces around them; more columns of a name are called as polars calls them."""
+    """Strip names of spaces, and rename repeated ones as polars does."""
     plain: dict[str, None] = {}
     numbers: dict[str, Iterator[int]] = {}  # a header may repeat one name a hundred thousand times
     others: dict[str, list[str]] = {}
     for name in names:
-        bare = name.strip().replace("`", "'")  # between backticks stand names in expressions
+        bare = name.strip().replace("`", "'")  # expressions quote names by backticks
         first = re.sub(r"_duplicated_\d+$", "", bare) if bare not in plain else bare
         if first in plain:
             free = numbers.setdefault(first, count())

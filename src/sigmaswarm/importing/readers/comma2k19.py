@@ -1,8 +1,8 @@
 """comma2k19: a segment's folder, with processed_log and global_pose.
 
 H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the data set's README: NumPy arrays of times
-(s since the device's start) and values; IMU forward, right, down; poses of the camera in ECEF, quaternions Hamilton,
-w first, that turn the device's axes to ECEF.
+(s since the device's start) and values; IMU forward, right, down; poses of the camera in ECEF, with quaternions
+(Hamilton, w first) that turn the device's axes to ECEF.
 """
 
 from contextlib import ExitStack
@@ -14,8 +14,7 @@ import pymap3d
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Log, Role, of_frames, roles_of, whole
+from sigmaswarm.importing.source import Guess, Limits, Log, Role, of_frames, roles_of, whole
 
 _TURNED = ("forward", "right", "down")
 _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -29,16 +28,13 @@ _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 """By table: the folders that may contain it, and its columns."""
 _FIX = {
-    "lat": "latitude",
-    "lon": "longitude",
-    "alt": "altitude",
-    "speed": "speed",
-    "course": "radians(90 - bearing)",
+    **{"t": "t", "lat": "latitude", "lon": "longitude", "alt": "altitude"},
+    **{"speed": "speed", "course": "radians(90 - bearing)"},
 }
 PARTS: tuple[tuple[Role, str, dict[str, str]], ...] = (
     ("imu", "accelerometer", {"t": "t", "ax": "forward", "ay": "-right", "az": "-down"}),
     ("imu", "gyro", {"t": "t", "gx": "forward", "gy": "-right", "gz": "-down"}),
-    ("gps", "gnss", {"t": "t", **_FIX}),
+    ("gps", "gnss", _FIX),
     ("truth", "pose", {name: name for name in ("t", "lat", "lon", "alt", "vx", "vy", "theta")}),
     ("odometer", "speed", {"t": "t", "speed": "speed"}),
 )
@@ -67,9 +63,9 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _load(path: Path, width: int, rows: int | None = None) -> Array:
-    """An array (rows, width) of numbers; (rows,) may stand for (rows, 1)."""
+    """Load an array (rows, width) of numbers; for a width of 1 it may have the shape (rows,)."""
     with whole(path, "can't be read as a NumPy array", "unpack the segment again"):
-        # mapped, a header that says more than the file holds is refused before memory is asked for
+        # mapped: a header with a larger shape than the file is refused before memory is allocated
         array = np.load(path, allow_pickle=False, mmap_mode="r")
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
             raise ValueError("no array of numbers")
@@ -82,7 +78,7 @@ def _load(path: Path, width: int, rows: int | None = None) -> Array:
 
 @np.errstate(all="ignore")
 def _pose(folder: Path) -> pl.DataFrame:
-    """The camera's position in degrees, and its velocity and heading; a broken position does not affect the others."""
+    """Return position in degrees, velocity and heading of the camera; a broken position does not affect others."""
     time = _load(folder / "frame_times", 1)
     if not len(time):
         raise InputError(f"{folder / 'frame_times'}: has shape (0,), not (1,); unpack the segment again")

@@ -1,4 +1,4 @@
-"""The dialect of a text table, by its first lines: separator, header, units, decimal commas, lines above the header."""
+"""Find the dialect of a text table by its first lines: separator, header, units, decimal commas."""
 
 import csv
 import re
@@ -13,10 +13,9 @@ from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 
 HEAD = 4_000_000
-"""Bytes in which a header is looked for."""
-SAMPLE = 200_000
-"""Bytes of rows by which a dialect is known."""
-MOST_LINES = 300
+"""Bytes in which a header is searched."""
+SAMPLE, MOST_LINES = 200_000, 300
+"""Characters and lines of rows by which the dialect is found."""
 SEPARATORS = (";", "\t", "|", ",")
 """In the order of preference if two fit equally well: commas may be decimal."""
 BLANKS = " "
@@ -36,9 +35,9 @@ class Dialect:
     Attributes
     ----------
     names : of the columns, with the unit of a units row in brackets
-    skip : lines above the first row of values
-    comma_columns : places of the columns whose numbers have decimal commas
-    surplus : whether each row ends in a separator, behind which an empty column stands
+    skip : number of lines above the first row of values
+    comma_columns : indices of the columns whose numbers have decimal commas
+    surplus : True if each row ends in a separator, so that an empty column follows
     remarks : one sentence each
     """
 
@@ -52,12 +51,7 @@ class Dialect:
 
 
 def dialect_of(file: Path, shown_as: Path) -> Dialect:
-    """The dialect of a file; InputError where header and rows disagree.
-
-    Parameters
-    ----------
-    shown_as : the file's name in messages
-    """
+    """Find the dialect of a file; ``shown_as`` is its name in messages."""
     lines, encoding = _lines(file, shown_as)
     stated = re.fullmatch(r'"?sep=(.)"?', lines[0].strip(" \r")) if lines else None
     begin = 1 if stated else 0
@@ -115,7 +109,7 @@ def _has_decimal_commas(cells: Sequence[str]) -> bool:
 
 
 def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
-    """The first lines of a file, and polars' name for its encoding."""
+    """Return the first lines of a file, and polars' name for its encoding."""
     head = first_bytes(file, HEAD)
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
@@ -129,7 +123,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
 
 
 def _first_lines(lines: Sequence[str], begin: int) -> list[int]:
-    """The positions of the first lines, up to a number of characters."""
+    """Return the indices of the first lines, up to `SAMPLE` characters."""
     size, places = 0, list[int]()
     for i, line in enumerate(lines[begin : begin + MOST_LINES], begin):
         size += len(line)
@@ -140,7 +134,7 @@ def _first_lines(lines: Sequence[str], begin: int) -> list[int]:
 
 
 def split(line: str, separator: str) -> list[str]:
-    """The cells of a line."""
+    """Split a line into cells."""
     line = line.rstrip("\r")
     if separator == BLANKS:
         return line.split()
@@ -162,7 +156,7 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """The separator with the most rows of equal length; else that of the first line."""
+    """Return the separator with the most rows of equal length; else that of the first line."""
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
         if separator == BLANKS and best:
@@ -177,7 +171,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _numeric_columns(rows: Rows) -> list[int]:
-    """Indices of columns with numbers in most of the rows in which they are not empty."""
+    """Return the indices of columns with values in at least half of the rows in which they are not empty."""
     filled, values = Counter[int](), Counter[int]()
     for row in rows:
         for k, cell in enumerate(row):
@@ -199,12 +193,12 @@ def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
 def _header(
     above: Sequence[str], separator: str, width: int, most: int, open_end: bool
 ) -> tuple[list[str], bool]:
-    """The names that lines above the rows give, and whether the rows end in a separator. A name may be missing.
+    """Read the names from the lines above the rows; return them, and True if the rows end in a separator.
 
     Parameters
     ----------
     width, most : the usual and the largest number of cells of a row
-    open_end : the last of the usual number is always empty
+    open_end : True if the last of ``width`` cells is always empty
     """
     fitting = [_fitting(line, separator, width, most, open_end) for line in above]
     place = next((k for k in range(len(above) - 1, max(len(above) - 4, -1), -1) if fitting[k]), None)
@@ -225,7 +219,7 @@ def _header(
 
 
 def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
-    """A line's cells, if they can be names of the rows' columns: by the rows' separator, or else by another."""
+    """Return a line's cells, by the rows' separator or another, if their number is that of the rows' columns."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():
@@ -237,7 +231,7 @@ def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -
 
 
 def _titles(line: str, separator: str) -> list[str]:
-    """The cells of a header; of "name"|"unit"|... between other separators, the name with its unit."""
+    """Split a header into cells; one of the form "name"|"unit"|... becomes the name with its unit."""
     line = line.strip("\r")
     if line.lstrip(" ")[:1] in (*COMMENTS, "/"):  # a leading tab is a separator
         line = line.lstrip(" " + COMMENTS + "/")
@@ -249,7 +243,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if a line's cells are units rather than names, and more likely so than the line above them."""
+    """Return True if a line's cells are units, and no more of them are names than in the line above."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
     meanings = [sum(read_name(c).meaning is not None for c in row[:100]) for row in (cells, above)]
@@ -262,7 +256,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
-    """The line of the first row with more cells than names, and its number of cells; None if there is none."""
+    """Find the first row with more cells than names; return its line and number of cells, or None."""
     most = len(dialect.names) + dialect.surplus
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, 1):

@@ -1,6 +1,6 @@
-"""A message's numbers by their paths, ``linear_acceleration.x``, ``covariance[0]``, and its header's stamp.
+"""Numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and header stamps.
 
-`columns_of` lists the paths from a definition in rosbags' type store, `getter` reads a number from a message.
+`columns_of` lists the paths of a definition in rosbags' type store; `getter` reads a number from a message.
 """
 
 import re
@@ -9,7 +9,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.source import Limits
 
 DEEPEST = 6
 MOST_ELEMENTS = 36
@@ -17,7 +17,7 @@ MOST_ELEMENTS = 36
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """A function that reads the number of a column from a message; None where a message in JSON has none."""
+    """Return a function that reads a column's number from a message, or None if a message in JSON has none."""
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)
@@ -33,7 +33,7 @@ def getter(column: str) -> Callable[[Any], Any]:
 
 
 def number_in(message: Any, path: str, i: int | None = None) -> int | float | None:
-    """The number at a path of a message in JSON: lists may be shorter than others, keys missing, values text."""
+    """Return the number at a path of a message in JSON, or None: keys may be missing, and lists vary in length."""
     for name in path.split("."):
         message = message.get(name) if isinstance(message, dict) else None
     if i is not None:
@@ -42,7 +42,7 @@ def number_in(message: Any, path: str, i: int | None = None) -> int | float | No
 
 
 def stamp_of(message: Any) -> int | None:
-    """The stamp of a message's header, ns; None where a message in JSON states none."""
+    """Return the stamp of a message's header, ns; None if a message in JSON has none."""
     if not isinstance(message, dict):
         stamp = message.header.stamp
         return stamp.sec * 10**9 + stamp.nanosec
@@ -56,12 +56,9 @@ def stamp_of(message: Any) -> int | None:
 
 
 def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tuple[str, ...]:
-    """``received``, ``stamp`` where the message has a header, and a column for each number.
+    """List the columns: ``received``, ``stamp`` if the message has a header, and one for each number.
 
-    Raises
-    ------
-    InputError
-        If there are too many fields: a definition of 2 kB can nest hundreds of millions.
+    Their number is limited, since a definition of 2 kB can nest hundreds of millions of fields.
     """
     if msgtype not in typestore.fielddefs:
         return ()
@@ -71,7 +68,7 @@ def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tupl
 
 
 def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[str]:
-    """Depth first; lists of unknown length and texts are not columns, but count as empty names."""
+    """Yield the paths depth first; lists of unknown length and texts yield only an empty name."""
     from rosbags.interfaces import Nodetype
 
     if depth > DEEPEST or msgtype not in typestore.fielddefs:
@@ -90,7 +87,7 @@ def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[st
 
 
 def json_columns(messages: Iterator[dict[str, Any]]) -> Iterator[str]:
-    """``received``, ``stamp``, and the paths of the numbers in a topic's first messages, whose lists may be empty."""
+    """Yield ``received``, ``stamp``, and the paths of the numbers in a topic's first messages."""
     known: set[str] = set()
     for content in messages:
         stamp = ("stamp",) if stamp_of(content) is not None else ()

@@ -1,4 +1,4 @@
-"""Where the IMU and the antenna are in the vehicle, by the static transforms of ROS (/tf_static)."""
+"""Poses of the IMU and the antenna in the vehicle, by the static transforms of ROS (/tf_static)."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -18,28 +18,26 @@ Tree = Mapping[str, tuple[str, Pose]]
 
 
 def static_topic(tables: Mapping[str, Table]) -> str | None:
-    """The topic of the static transforms, if the log has one."""
+    """Return the topic of the static transforms, if the log has one."""
     return next(
         (t for t, table in tables.items() if t.endswith("tf_static") and "tf" in table.kind.lower()), None
     )
 
 
 def frame_of(message: Any) -> str:
-    """The frame of a message's header; of an Odometry that of the body, which is the vehicle's if it has no name."""
+    """Return the frame of a message's header; of an Odometry that of the body, by default the vehicle's."""
     child = getattr(message, "child_frame_id", None)
     name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
     return name.strip("/") or (BASES[0] if child is not None else "")
 
 
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
-    """Where the IMU and the antenna are in the vehicle; None where the transforms do not connect the IMU with it.
+    """Find the poses of the IMU and the antenna in the vehicle; None if the transforms do not connect the IMU to it.
 
     Parameters
     ----------
-    messages : iterable
-        Of tf2_msgs/TFMessage; of a transform that comes twice the last one counts.
-    imu, antenna : str
-        Their frames.
+    messages : of type tf2_msgs/TFMessage; the last one of a repeated transform counts
+    imu, antenna : names of their frames
     """
     tree: dict[str, tuple[str, Pose]] = {}
     for message in messages:
@@ -62,7 +60,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """A transform as rotation and translation; None if its numbers are not a rotation."""
+    """Convert a transform to rotation and translation; None if its quaternion is not one of a rotation."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))
@@ -74,7 +72,7 @@ def _pose_of(transform: Any) -> Pose | None:
 
 
 def _ancestors(tree: Tree, frame: str) -> dict[str, Pose]:
-    """Pose of a frame in itself and in each of its ancestors, the nearest first."""
+    """Return the pose of a frame in itself and in each of its ancestors, the nearest first."""
     found, pose = dict[str, Pose](), (np.eye(3), np.zeros(3))
     while frame not in found:  # transforms may form a ring
         found[frame] = pose
@@ -86,7 +84,7 @@ def _ancestors(tree: Tree, frame: str) -> dict[str, Pose]:
 
 
 def _angles(rotation: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw, deg, to 1e-6: about x, then y, then z of the vehicle."""
+    """Return roll, pitch and yaw, deg, to 1e-6: about x, then y, then z of the vehicle."""
     roll = math.atan2(rotation[2, 1], rotation[2, 2])
     pitch = math.asin(max(-1.0, min(1.0, -rotation[2, 0])))
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])

@@ -1,8 +1,8 @@
-"""Android's GnssLogger: one text with lines of several kinds, each kind's columns in a comment at the top.
+"""Android's GnssLogger: one text with lines of several kinds; comments at the top name the columns of each kind.
 
-LOGGING.md of the app's public descriptions: Fix (degrees, m/s, AccuracyMeters a circle with 68%, bearing from north),
-Accel or UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all; in
-older logs Fix does not have it, and UTC in milliseconds is used.
+LOGGING.md of the app: Fix (degrees, m/s, AccuracyMeters the radius of a circle with 68%, bearing from north), Accel or
+UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all kinds; in older
+logs Fix lacks it, and UTC in milliseconds is used.
 """
 
 from contextlib import ExitStack
@@ -11,10 +11,18 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.columns import collect, of_files, text_lines
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68
-from sigmaswarm.importing.source import Guess, Log, Role, Wanted, first_bytes, require_distinct, roles_of
+from sigmaswarm.importing.source import (
+    Guess,
+    Limits,
+    Log,
+    Role,
+    Wanted,
+    first_bytes,
+    require_distinct,
+    roles_of,
+)
 
 _KINDS = ("Fix", "Accel", "UncalAccel", "Gyro", "UncalGyro")
 _MARKS = (b"# Fix,Provider", b"# Raw,utcTimeMillis", b"# Raw,ElapsedRealtimeMillis")
@@ -38,7 +46,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the comments, and find the existing kinds of lines; comments also name what was not logged."""
+    """Read the comments, and find the kinds of lines that were logged; comments also name others."""
     columns: dict[str, list[str]] = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -67,14 +75,14 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
-    """The cells of a kind's lines under their names; surplus cells are left out."""
+    """Split the lines of one kind into named cells; surplus cells are left out."""
     cells = pl.col("line").str.strip_chars().str.splitn(",", len(names) + 2)
     whole = cells.struct.rename_fields(["kind ", *names, "surplus "])
     return lines.select(whole.alias("cells")).unnest("cells").select(names)
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the clock that others have: its name is damaged, and UTC is another clock."""
+    """Refuse a sensor without the clock of the others: its comment is damaged, and UTC is another clock."""
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)
@@ -84,19 +92,16 @@ def _require_one_clock(columns: Wanted, path: Path) -> None:
 
 
 def _guess(columns: Wanted) -> Guess:
-    """Follow the app's documentation."""
+    """Guess the recipe by the app's documentation."""
     shared = all(_CLOCK in names for names in columns.values())
-    utc = "utcTimeMillis*1e-3"
-    t = f"{_CLOCK}*1e-9"
-    fix = ("`UnixTimeMillis`*1e-3", "`(UTC)TimeInMs`*1e-3")
-    parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [
-        ("gps", "Fix", {"t": t if shared else fix, **_FIX})
-    ]
+    t = f"{_CLOCK}*1e-9" if shared else "utcTimeMillis*1e-3"
+    fix = {"t": t if shared else ("`UnixTimeMillis`*1e-3", "`(UTC)TimeInMs`*1e-3"), **_FIX}
+    parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [("gps", "Fix", fix)]
     acceleration, gyro = ([k for k in kinds if k in columns] for kinds in (_KINDS[1:3], _KINDS[3:]))
     if acceleration and gyro:
         x, y, z = (f"{acceleration[0]}{axis}Mps2" for axis in "XYZ")
         p, q, r = (f"{gyro[0]}{axis}RadPerSec" for axis in "XYZ")
-        parts.append(("imu", acceleration[0], {"t": t if shared else utc, "ax": y, "ay": f"-{x}", "az": z}))
-        parts.append(("imu", gyro[0], {"t": t if shared else utc, "gx": q, "gy": f"-{p}", "gz": r}))
+        parts.append(("imu", acceleration[0], {"t": t, "ax": y, "ay": f"-{x}", "az": z}))
+        parts.append(("imu", gyro[0], {"t": t, "gx": q, "gy": f"-{p}", "gz": r}))
     late = () if shared else ("Fix has no elapsedRealtimeNanos: times are the milliseconds of UTC",)
     return Guess(roles_of(parts, columns), (FLAT, *late))

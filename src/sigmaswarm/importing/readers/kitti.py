@@ -13,8 +13,7 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Log, Part, of_frames
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, of_frames
 from sigmaswarm.wording import shown
 
 COLUMNS = (
@@ -51,7 +50,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all texts of a drive: an hour at 100 Hz is 360 000 files of 90 MB in total."""
+    """Read all texts of a drive; an hour at 100 Hz has 360,000 files of 90 MB in total."""
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(
@@ -70,7 +69,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _stamps(path: Path) -> np.ndarray:
-    """Nanoseconds of each line; a line may be empty where a sample was lost."""
+    """Return the time of each line, ns; the line of a lost sample may be empty."""
     said = [line.strip() or "NaT" for line in path.read_text("utf-8", "replace").splitlines()]
     try:
         with warnings.catch_warnings():
@@ -89,7 +88,7 @@ def _stamps(path: Path) -> np.ndarray:
 
 
 def _numbers(path: Path, count: int) -> list[float]:
-    """The sample's number, which is the file's name, and its values."""
+    """Return the sample's number, which is the file's name, and its values."""
     cells = path.read_text("utf-8", "replace").split()
     try:
         numbers = [float(cell) for cell in cells]
@@ -101,6 +100,6 @@ def _numbers(path: Path, count: int) -> list[float]:
         )
     if not re.fullmatch(r"[0-9]{1,18}", path.stem) or int(path.stem) >= count:
         raise InputError(
-            f"{path}: timestamps.txt has only {count} lines, none for it; unpack the drive again"
+            f"{path}: timestamps.txt has {count} lines and none for this file; unpack the drive again"
         )
     return [int(path.stem), *numbers]

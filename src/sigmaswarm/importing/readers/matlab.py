@@ -1,4 +1,4 @@
-"""MATLAB files, ``.mat`` up to version 7, through SciPy: structs and loose vectors of one length are tables."""
+"""MATLAB files, ``.mat`` up to version 7, through SciPy: structs, and other vectors of one length, are tables."""
 
 import io
 import math
@@ -14,8 +14,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import FILES, Choice, Guess, Log, first_bytes, of_frames, whole
+from sigmaswarm.importing.source import FILES, Choice, Guess, Limits, Log, first_bytes, of_frames, whole
 from sigmaswarm.wording import shown
 
 LOOSE = "variables"
@@ -23,14 +22,14 @@ LOOSE = "variables"
 DEEPEST = 5
 MOST_STRUCTS = 100_000
 MOST_PARTS = 9
-"""Numbers of columns of a matrix that become separate columns."""
+"""Largest number of columns of a matrix that become separate columns."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
-"""Types of elements in a file of version 5 to 7 (MathWorks, "MAT-File Format"), which are arrays."""
+"""Types of elements in a file of version 5 to 7 (MathWorks, "MAT-File Format")."""
 _NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
 """Types of elements that are numbers or text."""
 _OF_ARRAYS = (1, 2, 3, 16, 17)
-"""Classes of arrays that hold arrays: cell, struct, object, function, opaque."""
+"""Classes of arrays of arrays: cell, struct, object, function, opaque."""
 _SPARSE, _OPAQUE_CLASS, _COMPLEX = 5, 17, 0x800
 _DEEPEST_ARRAY = 50
 _OPAQUE = ("MatlabOpaque", "MatlabFunction")
@@ -42,7 +41,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all variables; timetables and files of version 7.3 are refused with the line to type in MATLAB."""
+    """Read all variables; the refusal of timetables and of version 7.3 states what to type in MATLAB."""
     from scipy.io import loadmat, whosmat
 
     if _HDF5 in first_bytes(path, 1024):
@@ -65,8 +64,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
             raise InputError(
                 f"{path}: contains MATLAB's own tables (timetable, table), which are not read; in MATLAB type for "
-                "each: "
-                "writetimetable(NAME, 'NAME.csv')  (or writetable), and import the folder of these files"
+                "each: writetimetable(NAME, 'NAME.csv')  (or writetable), and import the folder of these files"
             )
         raise InputError(
             f"{path}: contains neither vectors nor a struct of vectors; save the log's columns as vectors of one struct"
@@ -100,7 +98,7 @@ def _require_known_elements(path: Path, limits: Limits) -> None:
 
 
 def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]]:
-    """The type and the size of each element up to ``end``; the file stands at the content of it."""
+    """Yield type and size of each element up to ``end``; the file's position is then the element's content."""
     while (at := file.tell()) + 8 <= end:
         kind, size = struct.unpack(f"{order}II", file.read(8))
         following = at + 8 + size
@@ -136,7 +134,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
         elif inner not in _NUMBERS:
             raise ValueError(f"an element of type {inner} instead of numbers")
     if array in _OF_ARRAYS:
-        lacks = depth > 0 and count > MOST_STRUCTS  # a variable of too many is named by `open_log`
+        lacks = depth > 0 and count > MOST_STRUCTS  # `open_log` names a variable with too many
     elif array == _SPARSE:
         lacks = parts < 4 + bool(flags & _COMPLEX)  # a name, rows, columns, values
     else:
@@ -146,7 +144,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The tables of a struct's fields: vectors of the most common length together, structs in it by themselves."""
+    """Yield the tables of a struct: its vectors by length, the most common first, and its structs."""
     vectors: dict[str, Any] = {}
     for field, value in content.items():
         if hasattr(value, "_fieldnames") and depth < DEEPEST:
@@ -163,7 +161,7 @@ def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple
 
 
 def _columns(field: str, value: "np.ndarray[Any, Any]") -> Iterator[tuple[str, Any]]:
-    """The columns of a vector or of a matrix (n, 2 to 9) or its transpose."""
+    """Yield the columns of a vector, or of a matrix (n, 2 to 9) or its transpose."""
     if value.dtype.kind not in "fiub":
         return
     if value.ndim == 1:

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.fields import DEEPEST, MOST_ELEMENTS, columns_of, json_columns
 from sigmaswarm.importing.readers.messages import Message, message_log
-from sigmaswarm.importing.source import Log, Table, first_bytes, library, whole
+from sigmaswarm.importing.source import Limits, Log, Table, first_bytes, library, whole
 
 Decode = Callable[[bytes], Any]
 LOOKED_AT = 20
@@ -23,7 +22,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if a file begins as MCAP does, or has its name."""
+    """Return True if a file begins like MCAP, or has its name."""
     return first_bytes(path, 8) == MAGIC or (path.is_file() and path.suffix == ".mcap")
 
 
@@ -44,22 +43,22 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Unpacked size of a chunk in bytes, from its record and its packed data; LZ4 may not state it, and is unpacked."""
+    """Return the unpacked size of a chunk, bytes, by its record and data; LZ4 without a stated size is unpacked."""
     file.seek(offset + 9 + 16)  # behind the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))
     (packed,) = struct.unpack("<Q", file.read(8))
     data = file.read(min(packed, 32))
-    said, most = 0, limits.unpacked_mb * 1_000_000
+    stated, most = 0, limits.unpacked_mb * 1_000_000
     if kind == b"zstd":
-        said = library("zstandard", "ros").frame_content_size(data)
+        stated = library("zstandard", "ros").frame_content_size(data)
     elif kind == b"lz4":
         lz4 = library("lz4.frame", "ros")
-        said = lz4.get_frame_info(data)["content_size"]
-        if not said and packed * _LZ4_RATIO > most:
+        stated = lz4.get_frame_info(data)["content_size"]
+        if not stated and packed * _LZ4_RATIO > most:
             data += file.read(packed - len(data))
-            said = len(lz4.LZ4FrameDecompressor().decompress(data, max_length=most + 1))
-    return max(size, said)
+            stated = len(lz4.LZ4FrameDecompressor().decompress(data, max_length=most + 1))
+    return max(size, stated)
 
 
 def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> Log:
@@ -91,7 +90,7 @@ def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> Log:
 def _decoder(
     channel: Any, schema: Any, store: Any, reader: Any, limits: Limits, path: Path
 ) -> tuple[tuple[str, ...], Decode | None]:
-    """The columns of a channel's messages, and their decoder; None without a decoder."""
+    """Return the columns of a channel's messages, and their decoder, or None."""
     encoding = channel.message_encoding
     if encoding == "json" or (encoding == "protobuf" and schema is not None):
         decode = _json if encoding == "json" else _protobuf(schema)
@@ -114,19 +113,19 @@ def _decoder(
 
 
 def _json(data: bytes) -> dict[str, Any]:
-    """A message; one that is not an object is empty."""
+    """Decode a message; one that is not an object is empty."""
     content = json.loads(data)
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 
 
 def _protobuf(schema: Any) -> Callable[[bytes], dict[str, Any]]:
-    """Convert a message of Protobuf to one as in JSON."""
+    """Return a decoder of Protobuf messages to dictionaries."""
     parse = library("mcap_protobuf.decoder", "ros").DecoderFactory().decoder_for("protobuf", schema)
     return lambda data: _fields(parse(data), 0)
 
 
 def _fields(message: Any, depth: int) -> dict[str, Any]:
-    """The fields of a Protobuf message; a Timestamp as a ROS stamp."""
+    """Return the fields of a Protobuf message; a Timestamp becomes a ROS stamp."""
     if message.DESCRIPTOR.full_name == "google.protobuf.Timestamp":
         return {"sec": message.seconds, "nanosec": message.nanos}
     content: dict[str, Any] = {}

@@ -1,6 +1,6 @@
-"""Logs of messages on topics: each topic is a table, each number in its messages a column named by its path.
+"""Logs of messages on topics: each topic is a table, and each number in its messages a column named by its path.
 
-``received`` is the time of recording and ``stamp`` that of the header, both in ns.
+``received`` is the time of recording and ``stamp`` the time in the header, both in ns.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -35,8 +35,7 @@ from sigmaswarm.importing.source import (
 from sigmaswarm.importing.times import time_of
 
 LATE = 0.1
-"""s: header stamps that differ more from the receive times get a remark."""
-
+"""s: a larger median difference of header stamps from receive times gets a remark."""
 Message = tuple[str, int, Any]
 """Topic, receive time in ns, and the message with its fields as attributes or keys."""
 Stream = Callable[[Collection[str]], Iterator[Message]]
@@ -65,7 +64,7 @@ class _Messages:
     remarks: list[str] = field(default_factory=list[str])
 
     def batches(self, wanted: Wanted) -> Iterator[Batch]:
-        """Batches of some thousand messages."""
+        """Read the wanted columns in batches of some thousand messages."""
         total = sum(self.tables[topic].rows or 0 for topic in wanted)
         collectors = {topic: _Collector(topic, list(columns)) for topic, columns in wanted.items()}
         for seen, (topic, received, message) in enumerate(self._messages(wanted), 1):
@@ -106,7 +105,7 @@ class _Messages:
         return replace(guess, placed=self._placement(guess))
 
     def _placement(self, guess: Guess) -> Placement | None:
-        """The poses of IMU and antenna from the static transforms of the log."""
+        """Find the poses of IMU and antenna by the static transforms of the log."""
         static = static_topic(self.tables)
         if static is None or "imu" not in guess.roles:
             return None
@@ -117,7 +116,7 @@ class _Messages:
         return placement((message for _, _, message in sent), imu, antenna)
 
     def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
-        """A role's part from other messages, by PX4's types or by names; only the time if the rest is mapped."""
+        """Guess a role's part from other messages, by PX4's types or by names; only the time if the rest is mapped."""
         wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
         topics = [topic] if topic else list(self.tables)
         for name in topics:
@@ -138,7 +137,7 @@ class _Messages:
         return Guess({role: (Part(topic, {"t": time} if time else {}),)})
 
     def _sample(self, topic: str) -> pl.DataFrame:
-        """The first messages of a topic."""
+        """Read the first messages of a topic."""
         collector = _Collector(topic, list(self.tables[topic].columns))
         for _, received, message in islice(self._messages([topic]), SAMPLE):
             collector.add(received, message)
@@ -148,7 +147,7 @@ class _Messages:
 
 @dataclass
 class _Collector:
-    """Rows of one topic, and how far its stamps are from the receive times."""
+    """Rows of one topic, and the delays of its receive times after the stamps, s."""
 
     topic: str
     columns: list[str]
@@ -174,7 +173,7 @@ class _Collector:
         return pl.DataFrame({c: _numbers(v) for c, v in zip(self.columns, values, strict=True)})
 
     def remarks(self) -> Iterator[str]:
-        """A sentence if stamps and receive times differ."""
+        """Yield a sentence if stamps and receive times differ."""
         delay = float(np.median(self.delays)) if self.delays else 0.0
         if abs(delay) > LATE:
             when = "before" if delay > 0 else "after"
@@ -185,7 +184,7 @@ class _Collector:
 
 
 def _numbers(values: Sequence[Any]) -> pl.Series:
-    """A column (n,): integers stay integers, since a time has more digits than a float; others become floats."""
+    """Make a column (n,); integers stay integers, since a time has more digits than a float."""
     if {type(v) for v in values} <= {int, type(None)}:
         try:
             return pl.Series(values, dtype=pl.Int64)

@@ -12,9 +12,8 @@ import polars as pl
 
 from sigmaswarm.drives.table_files import one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.columns import collect, of_files
-from sigmaswarm.importing.source import Guess, Log, Part, Role
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role
 
 ORIGIN = (42.293227, -83.709657, 270.0)
 """Latitude, longitude (deg) and altitude (m) of the truth's frame."""
@@ -23,14 +22,9 @@ FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
     "imu": (
         "ms25.csv",
         "utime mag_x mag_y mag_z accel_x accel_y accel_z rot_r rot_p rot_h",
-        _T
-        | {
-            "ax": "accel_x",
-            "ay": "-accel_y",
-            "az": "-accel_z",
-            "gx": "rot_r",
-            "gy": "-rot_p",
-            "gz": "-rot_h",
+        {
+            **(_T | {"ax": "accel_x", "ay": "-accel_y", "az": "-accel_z"}),
+            **{"gx": "rot_r", "gy": "-rot_p", "gz": "-rot_h"},
         },
     ),
     "gps": (
@@ -54,7 +48,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open the files, which have no header lines; the truth may be in the same folder."""
+    """Open the files, which have no header lines; the file of the truth may be in the same folder."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():

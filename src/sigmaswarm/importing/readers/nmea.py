@@ -1,7 +1,7 @@
-"""NMEA 0183 sentences of a receiver, through pynmeagps: GGA or GNS for position, RMC for date and velocity, GST.
+"""NMEA 0183 sentences of a receiver, through pynmeagps.
 
-HDT, THS or PASHR give the heading of two antennas.
-Sentences with one time of day make one fix. The day is from RMC or ZDA and advances at midnight.
+GGA or GNS give the position, RMC date and velocity, GST deviations, and HDT, THS or PASHR the heading of two antennas.
+Sentences with the same time of day make one fix. The day comes from RMC or ZDA, and advances at midnight.
 """
 
 import math
@@ -12,13 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Log, Part, first_bytes, library, of_rows
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
 
-KNOT = 1852 / 3600
-"""m/s."""
-STILL = 0.5
-"""m/s."""
+KNOT, STILL = 1852 / 3600, 0.5
+"""m/s: a knot, and the speed below which a course means nothing."""
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),
@@ -58,7 +55,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row a fix."""
+    """Yield one row per fix."""
     day: date | None = None
     if not any(_day(message) for message, _ in _messages(path, pynmeagps, [])):
         day = date(1970, 1, 1)
@@ -88,7 +85,7 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
 
 
 def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[Any, float]]:
-    """The complete sentences, and the share of the file that is read."""
+    """Yield the complete sentences, each with the share of the file that is read."""
     broken = complete = read = 0
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -113,20 +110,20 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
 
 
 def _day(message: Any) -> date | None:
-    """The date that a sentence states."""
+    """Return the date that a sentence states."""
     if message.msgID == "RMC" and isinstance(said := getattr(message, "date", ""), date):
         return said
     if message.msgID != "ZDA":
         return None
     try:
         said = date(*(int(getattr(message, name, "")) for name in ("year", "month", "day")))
-    except (TypeError, ValueError):  # empty, or none of a calendar
+    except (TypeError, ValueError):  # empty, or not in the calendar
         return None
     return said if 1980 <= said.year < 2100 else None
 
 
 def _values(message: Any) -> dict[str, float]:
-    """The fix of a sentence, in a drive's units, except the course in degrees from north."""
+    """Return the values of a sentence in a drive's units, except the course in degrees from north."""
 
     def number(name: str) -> float:
         try:
@@ -144,7 +141,7 @@ def _values(message: Any) -> dict[str, float]:
     if kind == "RMC" and getattr(message, "status", "") == "A":
         speed, course = number("spd") * KNOT, number("cog")
         if math.isnan(course) and speed < STILL:
-            course = 0.0  # receivers leave the course empty at standstill, where it means nothing
+            course = 0.0  # receivers leave the course empty at standstill
         place = {"rmc_lat": number("lat"), "rmc_lon": number("lon"), "rmc_quality": 1.0}
         return {"speed": speed, "course": course, **place}
     if kind == "GST":
@@ -159,6 +156,6 @@ def _values(message: Any) -> dict[str, float]:
 
 
 def _row(day: date, clock: time, fix: dict[str, float]) -> tuple[float, ...]:
-    """A fix; RMC's position where no other sentence has one."""
+    """Return the row of a fix, with RMC's position if no other sentence has one."""
     seconds = datetime.combine(day, clock, UTC).timestamp()
     return (seconds, *(fix.get(name, fix.get(f"rmc_{name}", math.nan)) for name in COLUMNS[1:]))

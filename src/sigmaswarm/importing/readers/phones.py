@@ -1,4 +1,4 @@
-"""Common parts of exports of phones: folders or zips of CSVs, and the mounting of a phone."""
+"""Exports of phones: folders or zips of CSVs, and the mounting of a phone."""
 
 import shutil
 import tempfile
@@ -8,9 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.columns import of_files, scan
-from sigmaswarm.importing.source import Guess, Log, whole
+from sigmaswarm.importing.source import Guess, Limits, Log, whole
 from sigmaswarm.limits import require_text
 
 FLAT = "the phone is assumed to lie flat, screen up, top edge forward; --mount states another mounting"
@@ -20,20 +19,20 @@ RADIUS_68 = 1.515
 
 
 def names_in(path: Path) -> set[str]:
-    """The names of a folder's or a zip's files, without their folders."""
+    """List the names of a folder's or a zip's files, without their folders."""
     if path.is_dir():
         return {file.name for file in path.iterdir() if file.is_file()}
     if path.suffix.lower() == ".zip" and zipfile.is_zipfile(path):
         try:
             with zipfile.ZipFile(path) as archive:
                 return {PurePosixPath(name).name for name in archive.namelist()}
-        except Exception:  # a damaged directory: nothing is known of what is in it
+        except Exception:  # the zip's directory is damaged
             return set()
     return set()
 
 
 def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:
-    """The tables of a folder or a zip by their file names; those of a zip are unpacked to a temporary folder."""
+    """Open the named tables of a folder or a zip; those of a zip are unpacked to a temporary folder."""
     folder = path if path.is_dir() else Path(stack.enter_context(tempfile.TemporaryDirectory()))
     if not path.is_dir():
         with whole(path, "is cut short or no zip", "export it again"), zipfile.ZipFile(path) as archive:
@@ -51,7 +50,7 @@ def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitS
 def _wanted(
     archive: zipfile.ZipFile, path: Path, names: Collection[str], limits: Limits
 ) -> dict[str, zipfile.ZipInfo]:
-    """The files of those names in the outermost folder that has any of them."""
+    """Find the files of these names in the outermost folder that has any of them."""
     found = [(PurePosixPath(m.filename), m) for m in archive.infolist() if not m.is_dir()]
     found = [(inside, m) for inside, m in found if inside.name in names]
     folders = {inside.parent for inside, _ in found}

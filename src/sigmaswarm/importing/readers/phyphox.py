@@ -8,9 +8,8 @@ import re
 from contextlib import ExitStack
 from pathlib import Path
 
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files
-from sigmaswarm.importing.source import Guess, Log, Part, Role, first_bytes
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role, first_bytes
 
 FILES = ("Accelerometer.csv", "Gyroscope.csv", "Location.csv")
 _AXES = {"t": "time", "x": "x", "y": "y", "z": "z"}
@@ -37,7 +36,7 @@ _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if phyphox's files are in it, and begin with its "Time (s)"."""
+    """Return True if it contains phyphox's files, in a folder with "Time (s)" at their beginning."""
     begin = first_bytes(path / FILES[0], 100).decode("utf-8-sig", "replace").strip('" ').lower()
     there = {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path)
     return there and (path.is_file() or begin.startswith("time (s)"))

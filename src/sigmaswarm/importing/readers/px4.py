@@ -1,8 +1,8 @@
 """PX4's flight logs, ``.ulg``, through pyulog, and PX4's messages in ROS 2 bags.
 
-Messages of PX4-Autopilot, msg/: times in us since start; sensor_combined in the body's forward, right, down (m/s2,
-rad/s); fixes in degrees (or 1e-7 degrees, mm in older logs), velocity north and east; in simulation also the true
-position, north and east of a reference.
+Messages (PX4-Autopilot, msg/): times in us since start; sensor_combined forward, right, down (m/s2, rad/s); fixes in
+degrees (in older logs 1e-7 degrees and mm), velocity north and east; in simulation also the true position, north and
+east of a reference.
 """
 
 import io
@@ -12,9 +12,9 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import (
     Guess,
+    Limits,
     Log,
     Part,
     Role,
@@ -51,7 +51,7 @@ _KINDS: dict[Role, tuple[str, ...]] = {"imu": ("SensorCombined",), "gps": ("Sens
 
 
 def part_of(topic: str, table: Table, role: Role) -> Part | None:
-    """The part of a role from a topic of px4_msgs, or None."""
+    """Return the part of a role from a topic of px4_msgs, or None."""
     package, _, kind = table.kind.rpartition("/")
     if not package.startswith("px4_msgs") or kind not in _KINDS.get(role, ()):
         return None
@@ -60,12 +60,12 @@ def part_of(topic: str, table: Table, role: Role) -> Part | None:
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it begins as ULog does."""
+    """Return True if it begins like ULog."""
     return first_bytes(path, 7) == MAGIC or (path.is_file() and path.suffix == ".ulg")
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the topics that a drive is made of; the others are skipped."""
+    """Read the topics of a drive; the others are skipped."""
     core = library("pyulog.core", "logs")
     with whole(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # it prints its findings
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))
@@ -86,8 +86,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 class _Log(io.BufferedReader):
     """A file that records where its reader stopped, and refuses the search for a message after a broken one.
 
-    pyulog ends silently at a message that is too short. After one of unknown kind and impossible size it continues at
-    the next byte, which takes hours, or never ends at the end of the file.
+    pyulog ends silently at a message that is too short. After a message of unknown kind and impossible size, its search
+    byte by byte takes hours, or never ends.
     """
 
     stopped = 0
@@ -95,11 +95,11 @@ class _Log(io.BufferedReader):
 
     def read(self, size: int | None = -1, /) -> bytes:
         content = super().read(size)
-        self._last = len(content) if len(content) == size else -4  # cut short: no way back
+        self._last = len(content) if len(content) == size else -4  # cut short: refuse to go back
         return content
 
     def seek(self, offset: int, whence: int = 0, /) -> int:
-        # it goes back over a sound message at the end of the definitions, and over the content of an unknown one
+        # pyulog goes back over a sound message at the end of the definitions, and over the content of an unknown one
         if whence == io.SEEK_CUR and -offset not in (self._last, self._last + 3):
             raise EOFError(f"at byte {self.tell()}")
         return super().seek(offset, whence)

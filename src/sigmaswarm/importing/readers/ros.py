@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.fields import columns_of
 from sigmaswarm.importing.readers.messages import Message, message_log
-from sigmaswarm.importing.source import Log, Table, broken, first_bytes, library, whole
+from sigmaswarm.importing.source import Limits, Log, Table, broken, first_bytes, library, whole
 
 _FILES = (".bag", ".db3", ".mcap")
 
@@ -23,14 +22,14 @@ def recognizes(path: Path) -> bool:
 
 
 def bag_paths(path: Path) -> list[Path]:
-    """Return the paths for rosbags: a bag's folder, or the files of one without metadata."""
+    """Return the paths for rosbags: a folder with metadata, or the files of one without."""
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
     return sorted(f for f in path.iterdir() if f.suffix in _FILES)
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; definitions that a ROS 2 bag lacks are the given ones, or those of the latest ROS."""
+    """Open a bag; ``definitions``, and those of the latest ROS, replace the ones that a ROS 2 bag lacks."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
     paths = bag_paths(path)
@@ -49,7 +48,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 
 
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
-    """Add the definitions in files, .msg, to those of a bag; a file's folders name its package."""
+    """Add the definitions in .msg files to those of a bag; the folder of a file is its package."""
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:
         files = sorted(given.rglob("*.msg")) if given.is_dir() else [given]
@@ -73,7 +72,7 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
 
 
 def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
-    """Make a ROS 1 bag's chunks unpack at most to the limit, since their size is not known before."""
+    """Limit the unpacked size of a ROS 1 bag's chunks, which is not known before."""
     lz4 = library("lz4.frame", "ros")
     streams = {bz2.decompress: bz2.BZ2Decompressor, lz4.decompress: lz4.LZ4FrameDecompressor}
     for bag in reader.readers:
@@ -100,7 +99,7 @@ def _log(path: Path, reader: Any, limits: Limits) -> Log:
     unread: list[str] = []
     try:
         topics = reader.topics
-    except TypeError as error:  # metadata.yaml has a number of messages that is none
+    except TypeError as error:  # a number of messages in metadata.yaml is no number
         raise broken(path, error, "its metadata.yaml is damaged", "run `ros2 bag reindex` on it") from None
     for topic, info in topics.items():
         kind = info.msgtype or "several types"

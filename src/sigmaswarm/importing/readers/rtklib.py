@@ -1,7 +1,8 @@
 """RTKLIB's solutions, ``.pos``: fixes, or truth.
 
-RTKLIB ver. 2.4.2 Manual, B.1: comments begin with %, the last one names the columns; dates or GPS week and seconds;
-latitude and longitude in degrees, height above the ellipsoid, deviations north, east, up; Q 1 fixed, 2 float.
+RTKLIB ver. 2.4.2 Manual, B.1: comments begin with %, and the last one names the columns; times are dates, or GPS week
+and seconds; latitude and longitude in degrees, height above the ellipsoid, deviations north, east, up; Q is 1 for fixed
+and 2 for float solutions.
 """
 
 import re
@@ -13,8 +14,7 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import GPS_EPOCH, WEEK, gps_to_unix
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Log, Part, first_bytes, of_rows, require_distinct
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, of_rows, require_distinct
 from sigmaswarm.wording import names_shown
 
 _UNIT = re.compile(r"^(latitude|longitude|height|sd[neu]|age|v[neu])\((?:deg|m|s|m/s)\)$")
@@ -48,15 +48,15 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _header(path: Path) -> tuple[str, list[str]]:
-    """The time system, and the columns after the time."""
-    said = ""
+    """Return the time system, and the columns after the time."""
+    header = ""
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
             if not line.startswith("%"):
                 break
             if re.match(r"%\s*(GPST|UTC|JST)\b", line):
-                said = line
-    words = re.sub(r"[%,;]", " ", said).split()
+                header = line
+    words = re.sub(r"[%,;]", " ", header).split()
     if len(words) < 3 or words[0] not in ("GPST", "UTC"):
         raise InputError(f"{path}: has no RTKLIB header with GPST or UTC; write the solution with its header")
     columns = [re.sub(_UNIT, r"\1", word) for word in words[1:]]
@@ -69,7 +69,7 @@ def _header(path: Path) -> tuple[str, list[str]]:
 
 
 def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Time and numbers of each line; times in GPS time become UTC."""
+    """Yield time and numbers of each line; GPS time becomes UTC."""
     size, read = path.stat().st_size, 0
     with path.open(encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
@@ -91,7 +91,7 @@ def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...]
 
 
 def _seconds(first: str, second: str) -> float:
-    """s since 1970, without leap seconds, of a date and a time of day, or of a GPS week and its seconds."""
+    """Return s since 1970, without leap seconds, of date and time of day, or of GPS week and seconds."""
     if "/" not in first:
         return GPS_EPOCH + int(first) * WEEK + float(second)
     day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)

@@ -1,8 +1,8 @@
 """Sensor Logger (iOS, Android): a folder or zip with Accelerometer.csv, Gyroscope.csv, Location.csv and others.
 
-Units and axes from UNITS.md and COORDINATES.md in the author's repository tszheichoi/awesome-sensor-logger: ``time`` in
-ns since 1970; Accelerometer without gravity, and Gravity, both with opposite signs on iOS; TotalAcceleration
-with gravity on Android; bearing in degrees from north; negative values are invalid.
+Units and axes (UNITS.md and COORDINATES.md in tszheichoi/awesome-sensor-logger): ``time`` in ns since 1970;
+Accelerometer without gravity, and Gravity, both with opposite signs on iOS; TotalAcceleration with gravity on Android;
+bearing in degrees from north; negative values are invalid.
 """
 
 from contextlib import ExitStack
@@ -11,9 +11,8 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files
-from sigmaswarm.importing.source import Guess, Log, Role, roles_of
+from sigmaswarm.importing.source import Guess, Limits, Log, Role, roles_of
 
 FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")
 _TOTAL, _MOVED, _GRAVITY, _RATES, _PLACES = FILES
@@ -25,7 +24,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
     "speed": ("where(speed >= 0, speed, 0/0)",),
     "course": ("where(bearing >= 0, radians(90 - bearing), 0/0)",),
 }
-"""A tuple: left out where the export lacks the column."""
+"""Expressions in a tuple are left out if the export lacks their column."""
 
 
 def recognizes(path: Path) -> bool:
@@ -47,7 +46,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
-    """Specific force: as logged with gravity, or the sum of acceleration and gravity (with opposite signs on iOS)."""
+    """Find the specific force: as logged, or the sum of acceleration and gravity (with opposite signs on iOS)."""
     if _TOTAL in log.tables:
         return {_TOTAL: {"ax": "y", "ay": "-x", "az": "z"}}
     if not {_MOVED, _GRAVITY} <= log.tables.keys():

@@ -1,4 +1,4 @@
-"""The topics of a drive, by the content of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
+"""Find the topics of a drive by the content of their messages (sensor_msgs, geometry_msgs, nav_msgs)."""
 
 import math
 import re
@@ -12,8 +12,9 @@ from sigmaswarm.importing.readers.fields import getter, stamp_of
 from sigmaswarm.importing.source import Choice, Guess, Part, Role, Table
 from sigmaswarm.wording import names_shown
 
-_IMU = {f"a{i}": f"linear_acceleration.{i}" for i in "xyz"} | {
-    f"g{i}": f"angular_velocity.{i}" for i in "xyz"
+_IMU = {
+    **{f"a{i}": f"linear_acceleration.{i}" for i in "xyz"},
+    **{f"g{i}": f"angular_velocity.{i}" for i in "xyz"},
 }
 _FIX = {"lat": "latitude", "lon": "longitude", "alt": "altitude"}
 _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
@@ -31,13 +32,13 @@ STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_F
 
 
 def _yaw(at: str) -> str:
-    """Yaw of a quaternion, as an expression."""
+    """Return the expression of a quaternion's yaw."""
     w, x, y, z = (at + i for i in "wxyz")
     return f"atan2(2*({w}*{z} + {x}*{y}), 1 - 2*({y}*{y} + {z}*{z}))"
 
 
 def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
-    """The prefix of paths in a topic's columns: "" in the message itself, "imu." in a field of it."""
+    """Return the prefix of paths in a topic's columns: "" in the message itself, "imu." in a field of it."""
     columns = set(table.columns)
     first = next(iter(paths.values()))
     for column in table.columns:
@@ -50,12 +51,7 @@ def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
 
 @dataclass
 class Topics:
-    """Finds the topics of the roles, and notes choices among several.
-
-    Attributes
-    ----------
-    first : gives the first message of a topic
-    """
+    """Finds the topics of the roles, and notes choices among several; ``first`` returns a topic's first message."""
 
     path: Path
     tables: Mapping[str, Table]
@@ -64,13 +60,7 @@ class Topics:
     notes: list[str] = field(default_factory=list[str])
 
     def guess(self) -> Guess:
-        """The topics of IMU, fixes with their velocity, truth, and odometer.
-
-        Raises
-        ------
-        InputError
-            A topic that the user chose is not there, or contains something else.
-        """
+        """Find the topics of IMU, fixes with their velocity and heading, truth, and odometer."""
         roles: dict[Role, tuple[Part, ...]] = {}
         metadata: dict[str, Any] = {}
         inertial = self._having(_IMU)
@@ -78,32 +68,27 @@ class Topics:
             roles["imu"] = (self._part(imu, self._imu(imu)),)
             self._note_frame(imu)
             metadata = self._stated_noise(imu)
-        placed = {
-            t for t in self._having(_POSITION) if _SATELLITES.search(t)
-        }  # as navsat_transform_node gives them
+        # navsat_transform_node publishes fixes as positions
+        placed = {t for t in self._having(_POSITION) if _SATELLITES.search(t)}
         fixes = self._topic("gps", {t for t in self._having(_FIX) or placed if not _TRUTH.search(t)})
         if fixes:
             roles["gps"] = (self._part(fixes, self._position(fixes)),)
-            moving = {
-                t for t in self._having(_VELOCITY) if _RECEIVER.search(t) and not re.search("cmd|odom", t)
-            }
-            if velocity := self._topic("velocity", moving - self._having(_POSITION)):
+            moving = {t for t in self._having(_VELOCITY) - self._having(_POSITION) if _RECEIVER.search(t)}
+            if velocity := self._topic("velocity", {t for t in moving if not re.search("cmd|odom", t)}):
                 roles["gps"] += (self._part(velocity, self._named(velocity, _VELOCITY)),)
                 self.notes.append(f"{velocity} taken as the receiver's velocity, m/s east and north")
-            if heading := self._topic(
-                "heading", {t for t in self._having(_ORIENTATION) if _HEADING.search(t)}
-            ):
+            turning = {t for t in self._having(_ORIENTATION) if _HEADING.search(t)}
+            if heading := self._topic("heading", turning):
                 roles["gps"] += (self._part(heading, self._heading(heading)),)
                 self.notes.append(f"{heading} taken as the heading of two antennas")
         located = self._having(_POSITION) | self._having(_FIX)
         truth = self._topic("truth", {t for t in located if _TRUTH.search(t)})
         if truth:
             roles["truth"] = (self._part(truth, self._motion(truth)),)
-        elif poses := sorted(
-            t for t, table in self.tables.items() if "Odometry" in table.kind and t != fixes
-        ):
+        elif poses := sorted(t for t, one in self.tables.items() if "Odometry" in one.kind and t != fixes):
+            there = names_shown(poses)
             self.notes.append(
-                f"{names_shown(poses)} not taken as truth, since no name indicates it; choose one with --truth-topic"
+                f"{there} not taken as truth, since no name indicates it; choose one with --truth-topic"
             )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
@@ -121,7 +106,7 @@ class Topics:
         return {t for t, table in self.tables.items() if prefix(table, paths) is not None}
 
     def _topic(self, role: str, candidates: Collection[str]) -> str | None:
-        """The topic that the user chose, or the one with the most messages."""
+        """Return the topic that the user chose, or the one with the most messages."""
         chosen = self.choice.tables.get(role)
         if chosen is not None:
             near = {chosen, "/" + chosen.lstrip("/")} & set(self.tables)
@@ -139,7 +124,7 @@ class Topics:
         return ranked[0] if ranked else None
 
     def _named(self, topic: str, paths: Mapping[str, str]) -> dict[str, str]:
-        """The columns with their prefix, of a topic that must have them."""
+        """Return the columns with their prefix; the topic must have them."""
         at = prefix(self.tables[topic], paths)
         if at is None:
             wanted = ", ".join(paths.values())
@@ -149,7 +134,7 @@ class Topics:
         return {name: at + path for name, path in paths.items()}
 
     def _speed(self, topic: str) -> str:
-        """The path of a speed forward in a topic's messages; empty where there is none."""
+        """Return the path of a forward speed in a topic's messages; empty if there is none."""
         found = ((prefix(self.tables[topic], {"speed": path}), path) for path in _SPEEDS)
         return next((at + path for at, path in found if at is not None), "")
 
@@ -162,7 +147,7 @@ class Topics:
         return found
 
     def _stated_noise(self, topic: str) -> dict[str, Any]:
-        """The variances of gz and ax that the first message states, for drive.toml; none where they are unknown."""
+        """Return the variances of gz and ax that the first message states, for drive.toml, if it states them."""
         before = self._named(topic, _IMU)["ax"].removesuffix(_IMU["ax"])
         columns = [f"{before}angular_velocity_covariance[8]", f"{before}linear_acceleration_covariance[0]"]
         message = self.first(topic)
@@ -173,7 +158,7 @@ class Topics:
         return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
 
     def _position(self, topic: str) -> dict[str, str]:
-        """Fixes: NavSatFix in degrees, or a pose in meters east and north; with stated deviations, if any."""
+        """Return the columns of fixes, NavSatFix or a pose in m east and north, with stated deviations, if any."""
         columns = set(self.tables[topic].columns)
         if (at := prefix(self.tables[topic], _FIX)) is not None:
             found = self._named(topic, _FIX)
@@ -191,7 +176,7 @@ class Topics:
         return found
 
     def _heading(self, topic: str) -> dict[str, str]:
-        """Yaw of an Imu message's orientation, whose first covariance is -1 where it has none and 0 where unknown."""
+        """Return the yaw of an Imu message, without an orientation if its first covariance is -1."""
         at = self._named(topic, _ORIENTATION)["w"].removesuffix("w")
         covariance = at.removesuffix(".") + "_covariance"
         found = {"heading": _yaw(at)}
@@ -200,7 +185,7 @@ class Topics:
         return found
 
     def _motion(self, topic: str) -> dict[str, str]:
-        """Truth: a pose with its heading and, in Odometry, the velocity in the body; or fixes in degrees."""
+        """Return the columns of truth: a pose with its heading, and velocity in Odometry; or fixes in degrees."""
         if prefix(self.tables[topic], _FIX) is not None:
             return {k: v for k, v in self._position(topic).items() if not k.startswith("std")}
         found = self._named(topic, _POSITION)
@@ -214,7 +199,7 @@ class Topics:
         return found
 
     def _part(self, topic: str, columns: dict[str, str]) -> Part:
-        """The part with its time: the header's stamp, unless it is unset or excluded."""
+        """Make a part with its time: the header's stamp, unless it is unset or the user excludes it."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
             self.notes.append(f"{topic}: messages have no header; receive times used")
@@ -227,7 +212,7 @@ class Topics:
         return Part(topic, {"t": time, **columns})
 
     def _note_frame(self, topic: str) -> None:
-        """Note the frame that an IMU's values are in."""
+        """Note the frame of an IMU's values."""
         message = self.first(topic)
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):

@@ -1,9 +1,9 @@
 """u-blox receivers' UBX streams, through pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
-u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are standard
-deviations by the receiver's estimate. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in cm/s,
-times in GPS week (SOL) and ms of week. NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from one
-antenna to the other. Other messages in the stream, such as NMEA, are skipped.
+u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc and sAcc are the
+receiver's estimates of standard deviations. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED in
+cm/s, times as GPS week (SOL) and ms of week. NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from
+one antenna to the other. Other messages in the stream, such as NMEA, are skipped.
 """
 
 import calendar
@@ -18,8 +18,7 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import GPS_EPOCH, WEEK, gps_to_unix
-from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Log, Part, first_bytes, library, of_rows
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
 from sigmaswarm.wording import names_shown
 
 SYNC = b"\xb5\x62"
@@ -28,37 +27,16 @@ NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED = b"\x01\x02", b"\x01\x06", b"\x01\x
 COLUMNS = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gSpeed", "fixType", "gnssFixOk", "carrSoln")
 HEADING = ("relPosHeading", "accHeading")
 COLUMNS_6 = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gpsFix")
-_SPLIT = "the stated horizontal accuracy is split evenly between east and north"
 _FIX = {
     **{"t": "t", "lat": "lat", "lon": "lon", "alt": "height*1e-3"},
     **dict.fromkeys(("std_x", "std_y"), "hAcc*1e-3/sqrt(2)"),
 }
-GUESS = Guess(
-    {
-        "gps": (
-            Part(
-                "NAV-PVT",
-                _FIX
-                | {"vx": "velE*1e-3", "vy": "velN*1e-3"}
-                | {"heading": "radians(90 - relPosHeading)", "std_heading": "radians(accHeading)"}
-                | {"keep": "gnssFixOk == 1 and fixType >= 2 and fixType <= 4"},
-            ),
-        )
-    },
-    (f"NAV-PVT: times are UTC; {_SPLIT}",),
-    fixed="gnssFixOk == 1 and carrSoln == 2",
-)
-GUESS_6 = Guess(
-    {
-        "gps": (
-            Part(
-                "NAV-POSLLH",
-                _FIX | {"vx": "velE*1e-2", "vy": "velN*1e-2", "keep": "gpsFix >= 2 and gpsFix <= 4"},
-            ),
-        )
-    },
-    (f"NAV-POSLLH: GPS time made UTC; {_SPLIT}",),
-)
+PVT = _FIX | {
+    **{"vx": "velE*1e-3", "vy": "velN*1e-3"},
+    **{"heading": "radians(90 - relPosHeading)", "std_heading": "radians(accHeading)"},
+    "keep": "gnssFixOk == 1 and fixType >= 2 and fixType <= 4",
+}
+POSLLH = _FIX | {"vx": "velE*1e-2", "vy": "velN*1e-2", "keep": "gpsFix >= 2 and gpsFix <= 4"}
 RAW = "raw measurements: make fixes of them with RTKLIB (convbin, rnx2rtkp) and import its .pos"
 
 
@@ -74,14 +52,18 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: contains no UBX messages; name the format with --format")
     remarks: list[str] = []
+    split = "the stated horizontal accuracy is split evenly between east and north"
     kinds = {raw[2:4] for raw, _ in _messages(path) if raw is not None}
     if NAV_PVT in kinds:
+        fixed = "gnssFixOk == 1 and carrSoln == 2"
+        guess = Guess({"gps": (Part("NAV-PVT", PVT),)}, (f"NAV-PVT: times are UTC; {split}",), fixed=fixed)
         columns = (*COLUMNS, *HEADING)
-        return of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), GUESS, remarks)
+        return of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), guess, remarks)
     if NAV_POSLLH in kinds:
-        return of_rows(
-            path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), GUESS_6, remarks
+        guess = Guess(
+            {"gps": (Part("NAV-POSLLH", POSLLH),)}, (f"NAV-POSLLH: GPS time converted to UTC; {split}",)
         )
+        return of_rows(path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), guess, remarks)
     there = sorted(pyubx2.UBX_MSGIDS.get(kind, kind.hex()) for kind in kinds)
     raw = any(kind[:1] == b"\x02" for kind in kinds)
     what = RAW if raw else "have the receiver send NAV-PVT, or NAV-POSLLH and NAV-SOL"
@@ -91,7 +73,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row per NAV-PVT message with a valid date and time."""
+    """Yield one row per NAV-PVT message with a valid date and time."""
     broken = undated = 0
     headings = _headings(path, pyubx2)
     for raw, done in _messages(path):
@@ -106,7 +88,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
             else:
                 undated += 1
                 continue
-        except Exception:  # of a length or a date that is none
+        except Exception:  # a wrong length, or no date
             broken += 1
             continue
         yield row, done
@@ -117,24 +99,23 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
 
 
 def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
-    """Heading and accuracy, deg, from one antenna to the other, by time of week, where the ambiguities are fixed."""
+    """Return heading and accuracy, deg, of two antennas by time of week, where the ambiguities are fixed."""
     found: dict[int, tuple[float, float]] = {}
     for raw, _ in _messages(path):
         if raw is None or raw[2:4] != NAV_RELPOSNED:
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)
-            if (
-                message.relPosHeadingValid and message.carrSoln == 2 and message.isMoving
-            ):  # not a base station
+            moving_base = message.isMoving  # the other antenna is not a base station
+            if message.relPosHeadingValid and message.carrSoln == 2 and moving_base:
                 found[message.iTOW] = message.relPosHeading, message.accHeading
-        except Exception:  # of a length that is none, or of version 0, which has no heading
+        except Exception:  # a wrong length, or version 0, which has no heading
             continue
     return found
 
 
 def _time(message: Any) -> float:
-    """s since 1970; ValueError for an impossible date or time."""
+    """Return s since 1970; ValueError for an impossible date or time."""
     day = date(message.year, message.month, message.day)
     if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
         raise ValueError("no time of day")
@@ -143,7 +124,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row per time of week, from the messages that state it; the week is the last one in NAV-SOL."""
+    """Yield one row per time of week, from all its messages; the week is the last one in NAV-SOL."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
@@ -154,7 +135,7 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)
-        except Exception:  # of a length that is none
+        except Exception:  # a wrong length
             broken += 1
             continue
         tow = int.from_bytes(raw[6:10], "little")
@@ -182,9 +163,9 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
 
 
 def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
-    """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is read.
+    """Yield messages with a right checksum, and None for damaged bytes; each with the share that is read.
 
-    The length of a damaged message is unreliable: the next one is searched right after its first bytes.
+    The length of a damaged message is unreliable, so the next one is searched right after its first bytes.
     """
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as stream:
         at, damaged = stream.find(SYNC), False
@@ -199,6 +180,6 @@ def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
 
 
 def _checksum(content: bytes) -> bytes:
-    """Fletcher's, in 8 bits: section 32.4 of the description."""
+    """Return Fletcher's checksum of 8 bits: section 32.4 of the description."""
     values = np.frombuffer(content, dtype=np.uint8).astype(np.int64)
     return bytes([int(values.sum()) & 255, int(np.cumsum(values).sum()) & 255])
