@@ -30,7 +30,7 @@ def lagged(p: FilterParameters) -> None:
     LiveFilter(p, initial_state(equipped()), nominal_interval=0.01, lag=1.0)
 
 
-def hindsight(p: FilterParameters) -> None:
+def smoothed(p: FilterParameters) -> None:
     smooth(equipped(), p)
 
 
@@ -40,12 +40,12 @@ def many(p: FilterParameters) -> None:
 
 LASTING: dict[str, Any] = {"kind": "ekf", "fix_error": 1.3, "fix_error_time": 2.0}
 FILTERS = [
-    (parameters("tilted12", kind="ukf"), (run, live, hindsight)),
-    (parameters("tilted12"), (lagged, run, hindsight, live, many)),
-    (parameters("tilted12", **LASTING), (run, hindsight, live)),
-    (parameters("planar8", **LASTING), (run, hindsight, live)),
-    (parameters("planar8"), (run, lagged, hindsight, live, many)),
-    (parameters("planar5"), (run, hindsight, many)),
+    (parameters("tilted12", kind="ukf"), (run, live, smoothed)),
+    (parameters("tilted12"), (lagged, run, smoothed, live, many)),
+    (parameters("tilted12", **LASTING), (run, smoothed, live)),
+    (parameters("planar8", **LASTING), (run, smoothed, live)),
+    (parameters("planar8"), (run, lagged, smoothed, live, many)),
+    (parameters("planar5"), (run, smoothed, many)),
     (parameters("planar5", **LASTING), (run,)),
     (parameters("robot-localization"), (run,)),
 ]

@@ -4,5 +4,5 @@ import pytest
 
 
 @pytest.fixture(autouse=True)
-def anew(simulated_anew: None) -> None:
+def simulate_every_time(simulated_anew: None) -> None:
     """Each drive is computed."""

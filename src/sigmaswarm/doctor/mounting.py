@@ -213,9 +213,8 @@ def _round(drive: Drive, course: Course, last: _Round | None) -> _Round | None:
     far = np.abs((ANGLES - yaw + np.pi) % (2 * np.pi) - np.pi) >= np.pi / 2
     margin, mirrored = float(straight[far].min() - at), float(at - mirror.min())
     tilt, tilt_std, spread = _tilt(drive, fit, yaw)
-    std = np.append(
-        tilt_std[::-1], math.hypot(YAW_FLOOR, yaw_std)
-    )  # the slope along y is roll, along x pitch
+    # The slope along y is roll, along x pitch.
+    std = np.append(tilt_std[::-1], math.hypot(YAW_FLOOR, yaw_std))
     lateral = _lateral(drive, course, fit, rate, yaw)
     gyro = _scaled(drive.imu, "g", math.copysign(1.0, yaw_fit.gain))
     if travel := direction_of_travel(turned(gyro, about_z(yaw)), course, fit.late):
