@@ -30,6 +30,9 @@ from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
     from sigmaswarm.api import evaluate, export, import_log, inspect_log, plot, report, run, split
+    from sigmaswarm.doctor.agreements import Agreement as Agreement
+    from sigmaswarm.doctor.agreements import agreements as agreements
+    from sigmaswarm.doctor.agreements import shown_by as shown_by
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.doctor.findings import Diagnosis as Diagnosis
     from sigmaswarm.doctor.findings import Finding as Finding
@@ -53,11 +56,14 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
+    from sigmaswarm.errors import TuningStopped as TuningStopped
     from sigmaswarm.experiments.compare import compare as compare
     from sigmaswarm.experiments.comparison import Comparison as Comparison
     from sigmaswarm.experiments.study.config import StudyConfig as StudyConfig
     from sigmaswarm.experiments.study.study import Study as Study
     from sigmaswarm.experiments.study.study import run_study as run_study
+    from sigmaswarm.exports.trajectory import time_origin_of as time_origin_of
+    from sigmaswarm.exports.trajectory import write_estimate as write_estimate
     from sigmaswarm.filters.bank.live import LiveFilterBank
     from sigmaswarm.filters.bank.run import run_bank as run_bank
     from sigmaswarm.filters.custom.log import Log as Log
@@ -80,8 +86,14 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.textbook import ExtendedKalmanFilter as ExtendedKalmanFilter
     from sigmaswarm.filters.textbook import SigmaPoints as SigmaPoints
     from sigmaswarm.filters.textbook import UnscentedKalmanFilter as UnscentedKalmanFilter
+    from sigmaswarm.importing.look import Glance as Glance
+    from sigmaswarm.importing.look import Look as Look
+    from sigmaswarm.importing.look import Range as Range
+    from sigmaswarm.importing.mounting import find_mount as find_mount
+    from sigmaswarm.importing.mounting import parse_mount as parse_mount
     from sigmaswarm.references.reference import reference
     from sigmaswarm.reports.compare import comparison_table as comparison_table
+    from sigmaswarm.reports.evaluation import save_evaluation as save_evaluation
     from sigmaswarm.reports.study_charts import save_study as save_study
     from sigmaswarm.reports.study_charts import study_figures as study_figures
     from sigmaswarm.reports.study_tables import study_tables as study_tables
@@ -95,13 +107,19 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.batch import BatchResult as BatchResult
     from sigmaswarm.tuning.batch import run_batch
     from sigmaswarm.tuning.config import TuneConfig as TuneConfig
+    from sigmaswarm.tuning.defaults import explain_tuning as explain_tuning
     from sigmaswarm.tuning.lever_arm import LeverArmEstimate as LeverArmEstimate
     from sigmaswarm.tuning.lever_arm import estimate_lever_arm as estimate_lever_arm
+    from sigmaswarm.tuning.options import Option as Option
     from sigmaswarm.tuning.result import Tuning
+    from sigmaswarm.tuning.search import Progress as Progress
+    from sigmaswarm.tuning.store import saved_history as saved_history
+    from sigmaswarm.tuning.store import saved_options as saved_options
     from sigmaswarm.tuning.tune import tune
 
 _HOMES = {
     "api": "evaluate export import_log inspect_log plot report run split",
+    "doctor.agreements": "Agreement agreements shown_by",
     "doctor.diagnose": "diagnose",
     "doctor.findings": "Diagnosis Finding",
     "drives.alignment": "InitialState initial_state",
@@ -109,11 +127,12 @@ _HOMES = {
     "drives.reader": "read_drive",
     "drives.split": "clip split_drives split_time",
     "drives.writer": "write_drive",
-    "errors": "AlignmentError DriveError DriveWarning InputError SigmaswarmError SigmaswarmWarning",
+    "errors": "AlignmentError DriveError DriveWarning InputError SigmaswarmError SigmaswarmWarning TuningStopped",
     "experiments.compare": "compare",
     "experiments.comparison": "Comparison",
     "experiments.study.config": "StudyConfig",
     "experiments.study.study": "Study run_study",
+    "exports.trajectory": "time_origin_of write_estimate",
     "filters.bank.live": "LiveFilterBank",
     "filters.bank.run": "run_bank",
     "filters.custom.log": "Log",
@@ -126,8 +145,11 @@ _HOMES = {
     "filters.run": "Estimate Innovations run_filter run_innovations run_textbook",
     "filters.smoothing": "smooth",
     "filters.textbook": "ExtendedKalmanFilter SigmaPoints UnscentedKalmanFilter",
+    "importing.look": "Glance Look Range",
+    "importing.mounting": "find_mount parse_mount",
     "references.reference": "reference",
     "reports.compare": "comparison_table",
+    "reports.evaluation": "save_evaluation",
     "reports.study_charts": "save_study study_figures",
     "reports.study_tables": "study_tables",
     "scoring.consistency": "Consistency consistency",
@@ -138,8 +160,12 @@ _HOMES = {
     "simulation.scenarios": "simulate",
     "tuning.batch": "BatchResult run_batch",
     "tuning.config": "TuneConfig",
+    "tuning.defaults": "explain_tuning",
     "tuning.lever_arm": "LeverArmEstimate estimate_lever_arm",
+    "tuning.options": "Option",
     "tuning.result": "Tuning",
+    "tuning.search": "Progress",
+    "tuning.store": "saved_history saved_options",
     "tuning.tune": "tune",
 }
 """Modules and the names that they define.

@@ -6,9 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing import convert
 from sigmaswarm.importing.convert import Request, complete_recipe, opened
@@ -70,6 +71,10 @@ class Look:
         default_factory=dict[str, pl.DataFrame], repr=False, compare=False
     )
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def numbers(self, table: str, column: str) -> Array:
+        """Return the numbers among a column's first values."""
+        return numbers_of(self.rows[table][column]).to_numpy().astype(np.float64)
 
 
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]

@@ -11,9 +11,10 @@ from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import clash
-from sigmaswarm.tuning.config import C, TuneConfig
+from sigmaswarm.tuning.config import C, TuneConfig, validated_config
 from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION
 from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.wording import counted
 
 PLAIN = "planar5"
 """The paper's model, which by default uses position fixes alone."""
@@ -124,6 +125,19 @@ def settled(config: C, data: Sequence[Sensors | Log]) -> C:
     model, use = (config.model, config.use) if car else (PLAIN, ())
     objective = objective_for(data, config.objective, model, use)
     return with_guards(config.model_copy(update={"objective": objective}))
+
+
+def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[str]:
+    """State in three sentences what `tune` would do with these drives and options: filter, objective and search."""
+    sensors = [sensors_of(one) for one in drives]
+    options, because = with_filter(options, sensors)
+    config = settled(validated_config(TuneConfig, options), sensors)
+    sets, trials = config.particles * config.generations * config.trials, counted(config.trials, "trial")
+    return [
+        f"Filter: {because or config.model}",
+        f"Objective: {config.objective}: {objective_named(config.objective).summary}",
+        f"Search: {sets} parameter sets by {config.optimizer}, {trials}, seed {config.seed}",
+    ]
 
 
 def with_guards(config: C) -> C:

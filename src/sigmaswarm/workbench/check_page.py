@@ -6,8 +6,7 @@ from typing import Any
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import Diagnosis, Drive, Finding
-from sigmaswarm.doctor.agreements import Agreement, agreements, shown_by
+from sigmaswarm import Agreement, Diagnosis, Drive, Finding, agreements, shown_by
 from sigmaswarm.wording import counted
 from sigmaswarm.workbench.parts import Page, button, card, line, link, message, select, text
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot

@@ -5,8 +5,7 @@ from typing import Any
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import Tuning
-from sigmaswarm.reports.evaluation import save_evaluation
+from sigmaswarm import Tuning, save_evaluation
 from sigmaswarm.workbench.parts import Page, button, card, line, link, select, text
 from sigmaswarm.workbench.state import Workbench, attempt
 

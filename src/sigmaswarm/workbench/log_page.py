@@ -7,7 +7,7 @@ from nicegui import ui
 from nicegui.events import MultiUploadEventArguments
 
 from sigmaswarm import write_drive
-from sigmaswarm.workbench import columns
+from sigmaswarm.importing import choices as columns
 from sigmaswarm.workbench.mounting_panel import MountingPanel
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import button, card, command, line, link, select, text

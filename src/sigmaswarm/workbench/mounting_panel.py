@@ -8,8 +8,8 @@ import numpy as np
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
+from sigmaswarm import parse_mount
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.importing.mounting import parse_mount
 from sigmaswarm.reports.style import BLUE, GREEN, VERMILION
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import button, card, line, message, text

@@ -7,11 +7,8 @@ from typing import Any
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import Drive
-from sigmaswarm.doctor.agreements import Agreement, agreements
-from sigmaswarm.importing.look import Look
-from sigmaswarm.importing.mounting import find_mount
-from sigmaswarm.workbench import columns
+from sigmaswarm import Agreement, Drive, Look, agreements, find_mount
+from sigmaswarm.importing import choices as columns
 from sigmaswarm.workbench.parts import Page, message, text
 from sigmaswarm.workbench.state import Workbench, attempt
 

@@ -7,8 +7,7 @@ import numpy as np
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
-from sigmaswarm import Drive
-from sigmaswarm.doctor.agreements import Agreement
+from sigmaswarm import Agreement, Drive
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 

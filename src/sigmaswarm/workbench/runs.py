@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 
 import sigmaswarm
-from sigmaswarm import Drive
-from sigmaswarm.errors import TuningStopped
-from sigmaswarm.tuning.search import Progress
-from sigmaswarm.tuning.store import saved_history, saved_options
+from sigmaswarm import Drive, Progress, TuningStopped, saved_history, saved_options
 from sigmaswarm.workbench.plots import Series, thinned
 from sigmaswarm.workbench.state import Workbench
 

@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from fastapi.responses import PlainTextResponse
 from nicegui import ui
 
-from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm import InputError, SigmaswarmWarning
 from sigmaswarm.workbench.frame import FAVICON, Frame
 from sigmaswarm.workbench.state import MOST_UPLOADED, Workbench
 

@@ -3,13 +3,11 @@
 from functools import partial
 from typing import Any
 
-import numpy as np
 from nicegui import ui
 
-from sigmaswarm.importing.look import Glance, Look, Range
-from sigmaswarm.importing.times import numbers_of
-from sigmaswarm.workbench import columns
-from sigmaswarm.workbench.columns import CUSTOM, NAMES, TARGETS, UNUSED, Uses
+from sigmaswarm import Glance, Look, Range
+from sigmaswarm.importing import choices as columns
+from sigmaswarm.importing.choices import CUSTOM, NAMES, TARGETS, UNUSED, Uses
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
@@ -122,7 +120,7 @@ class ColumnRow:
 
         def chosen(unit: str) -> None:
             if unit != CUSTOM:
-                page.express(target, units[unit].format(columns.written(column)))
+                page.express(target, columns.expression_of(target, column, unit))
 
         unit = columns.unit_in(target, column, expression)
         pick = select(f"Unit of {column}", [*units, CUSTOM], unit, chosen)
@@ -133,8 +131,7 @@ class ColumnRow:
     def _spark(self) -> str:
         if self.about.low is None:
             return ""
-        values = numbers_of(self.panel.look.rows[self.panel.glance.table][self.about.column])
-        return sparkline(values.to_numpy().astype(np.float64))
+        return sparkline(self.panel.look.numbers(self.panel.glance.table, self.about.column))
 
     def _faults(self, target: str) -> list[str]:
         """Sentences about the column: reasons not to read it as guessed, and an error that names it."""

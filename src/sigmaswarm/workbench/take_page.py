@@ -8,8 +8,7 @@ from typing import Any
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import FilterParameters
-from sigmaswarm.exports.trajectory import time_origin_of, write_estimate
+from sigmaswarm import FilterParameters, time_origin_of, write_estimate
 from sigmaswarm.files import make_folder
 from sigmaswarm.workbench.parts import Page, button, card, command, line, link, message, select, text
 from sigmaswarm.workbench.state import Workbench, attempt

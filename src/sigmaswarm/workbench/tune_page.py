@@ -8,12 +8,15 @@ import numpy as np
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import Drive, FilterParameters, TuneConfig, Tuning
-from sigmaswarm.drives.sensors import sensors_of
-from sigmaswarm.tuning.defaults import settled, with_filter
-from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.options import Option
-from sigmaswarm.tuning.store import saved_history
+from sigmaswarm import (
+    Drive,
+    FilterParameters,
+    Option,
+    TuneConfig,
+    Tuning,
+    explain_tuning,
+    saved_history,
+)
 from sigmaswarm.wording import counted
 from sigmaswarm.workbench.parts import Page, button, card, line, link, message, number, select, table, text
 from sigmaswarm.workbench.plots import lines, map_lines, redraw, show_map, show_plot
@@ -134,16 +137,8 @@ class TunePage(Page):
         self.refresh()
 
     def _reasons(self) -> list[str]:
-        """The filter, the objective, and why."""
-        sensors = [sensors_of(self.bench.read(n)) for n, what in self.plan.items() if what != LEFT_OUT]
-        options, because = with_filter(self._options, sensors)
-        config = settled(TuneConfig(**options), sensors)
-        sets, trials = config.particles * config.generations * config.trials, counted(config.trials, "trial")
-        return [
-            f"Filter: {because or config.model}",
-            f"Objective: {config.objective}: {objective_named(config.objective).summary}",
-            f"Search: {sets} parameter sets by {config.optimizer}, {trials}, seed {config.seed}",
-        ]
+        used = [self.bench.read(name) for name, what in self.plan.items() if what != LEFT_OUT]
+        return explain_tuning(used, **self._options)
 
     def _begin(self) -> None:
         self.start(STARTING, self._drives, then=self._begun)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sigmaswarm import InputError
+from sigmaswarm.errors import InputError
 from sigmaswarm.importing.look import Look
 from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
@@ -95,6 +95,12 @@ def unit_in(target: str, column: str, expression: str) -> str:
     return CUSTOM
 
 
+def expression_of(target: str, column: str, unit: str = "") -> str:
+    """Return the expression of a target that is recorded in a unit; by default in the usual one."""
+    units = units_of(target)
+    return (units[unit] if unit else next(iter(units.values()))).format(written(column))
+
+
 def assign(choices: dict[str, Any], look: Look, table: str, column: str, target: str) -> None:
     """Use a column for another target, in its usual unit; the target that it had is left out."""
     maps: dict[str, str] = choices.setdefault("maps", {})
@@ -104,7 +110,7 @@ def assign(choices: dict[str, Any], look: Look, table: str, column: str, target:
     if not target:
         return
     role = target.partition(".")[0]
-    maps[target] = next(iter(units_of(target).values())).format(written(column))
+    maps[target] = expression_of(target, column)
     tables = {part.table for name, parts in look.recipe.roles.items() if name == role for part in parts}
     if len(look.tables) > 1 and table not in tables:
         choices.setdefault("tables", {})[role] = table
