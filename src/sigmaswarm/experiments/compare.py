@@ -55,10 +55,10 @@ OWN = (
 )
 """Options in which contenders may differ, in addition to optimizer and scale."""
 REFUSED = {
-    **{name: f"is compared; use {name}s instead" for name in ("seed", "optimizer", "scale")},
+    **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
         ("prior", "inflation", "margin"),
-        "guards a tuning; a comparison compares plain costs, so leave it out",
+        "is not used in a comparison, which compares costs without it; leave it out",
     ),
 }
 """Options of `tune` that a comparison rejects, and the reasons."""

@@ -129,7 +129,11 @@ class EvaluationView:
     def radius_table(self) -> Table:
         """Return the table of stated radii of the tuned filter's position, and the shares of the errors inside."""
         percent = "{:.1f}".format
-        columns = [Column("95% radius", "m"), Column("99.9% radius", "m"), Column("lasting fix error", "m")]
+        columns = [
+            Column("95% radius", "m"),
+            Column("99.9% radius", "m"),
+            Column("correlated fix error", "m"),
+        ]
         if not self.blind:
             columns += [
                 Column("errors", number="{:.0f}".format),
@@ -190,7 +194,7 @@ class EvaluationView:
         data = self.setup.data
         late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
         blind = [drive.name for drive in data if drive.has_truth is False]
-        said = [f"Filters start, and scores with them, {', '.join(late)}: at {START_RULE}."] if late else []
+        said = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
         said += map(_sentence, partly_scored(data))
         said += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
         said += map(_sentence, how_far(self.scores, data))
@@ -218,7 +222,7 @@ class EvaluationView:
             if (found := records.get(TRACKING)) is None:
                 continue
             inside, ratio = found.inside_95, found.sigma_ratio
-            held = "" if inside is None else f", and {100 * inside:.0f}% do"
+            held = "" if inside is None else f", and {100 * inside:.0f}% are"
             sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
             lasts = f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
             lasts = lasts if found.lasting_m else ""
@@ -238,7 +242,9 @@ class EvaluationView:
         data = self.setup.data
         said: list[str] = []
         if any(drive.seen_s for drive in data):
-            said.append("the filter was tuned on some of these drives: its scores there are too good")
+            said.append(
+                "the filter was tuned on some of these drives, where its errors are smaller than on others"
+            )
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             said.append(f"the tuned filter failed on {', '.join(failed)}")
         said += worse_than_raw(self.scores)
@@ -251,7 +257,7 @@ class EvaluationView:
         ]
         said += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
-            said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
+            said.append(f"the scores come from one drive of {data[0].duration_s:.0f} s: others may differ")
         return tuple(map(_sentence, said))
 
     def findings(self) -> tuple[str, ...]:
@@ -302,9 +308,9 @@ def explained_consistency(nees: bool) -> str:
         f"Do the tuned filter's {'predictions and errors' if nees else 'predictions'} agree with its covariances? "
         f"{what} 2 where they do; above 2 the filter is overconfident, below 2 too cautious."
         f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
-        "the next fix. p is the probability that white ones look as correlated as these (Ljung and Box's test over "
-        "ten fixes). Below 0.01, each error is partly that of the fix before, as with most real receivers, and "
-        "averages out less than the filter assumes."
+        "the next fix. p is the probability that white innovations look as correlated as these (Ljung and Box's test "
+        "over ten fixes). Below 0.01, consecutive fixes share a part of their errors, as with most real receivers, "
+        "and the errors average out less than the filter assumes."
     )
 
 
@@ -315,9 +321,9 @@ def explained_radius() -> str:
         "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
         "Its variance per axis is the filter's plus that of correlated fix errors, which the log does not show: the "
         "square of what the receiver states, else of 2.1 m, minus the white noise of the fixes. The radii are "
-        f"{factors[0]:.2f} and {factors[1]:.2f} sigma, as of Student's t with {DOF:g} degrees of freedom, since a "
-        "training drive determines a covariance from few independent errors. The estimates and the filter's own "
-        "covariance, also in exports, do not contain this addition."
+        f"{factors[0]:.2f} and {factors[1]:.2f} sigma, from Student's t with {DOF:g} degrees of freedom, since a "
+        "training drive determines a covariance from few independent errors. The filter's own covariances, in "
+        "estimates and in exports, do not contain this addition."
     )
 
 
@@ -331,7 +337,7 @@ def explained_scores(view: EvaluationView) -> str:
             "is the RMS over the ends of all of them."
         )
         if not with_truth:
-            drifts += " Without truth it is against the hidden fixes and includes their own errors."
+            drifts += " Without truth the drift is relative to the hidden fixes and includes their errors."
     if with_truth:
         rmse = (
             " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 "
@@ -340,7 +346,7 @@ def explained_scores(view: EvaluationView) -> str:
     return (
         f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
         f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
-        "IMU only uses no fix after the drive's start, so its drift accumulates from there."
+        "The method IMU only uses no fix after the drive's start, so its drift accumulates from the start."
     )
 
 

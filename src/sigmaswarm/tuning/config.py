@@ -68,7 +68,7 @@ class SearchConfig(BaseModel):
     """The cost is the mean over this share of the drives, the worst ones; 1 means all drives."""
     # at the same budget at least as good as de and better than the paper's pso (docs/optimizers.md)
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
-    """Search algorithm; bo needs scikit-learn. In Python also a class of your own. See docs/optimizers.md."""
+    """Search algorithm; bo needs scikit-learn. In Python also a custom class. See docs/optimizers.md."""
     polish: int = Field(default=0, ge=0)
     """Evaluations of the budget reserved for a final Nelder-Mead search from the best point."""
     racing: bool = False
@@ -108,11 +108,11 @@ class TuneConfig(SearchConfig):
     """Options for tuning a built-in model, after `defaults.with_filter` has chosen model and use."""
 
     model: ModelName = "planar5"
-    """Process model: planar5 (the paper's), planar8 (IMU biases), tilted12 (roll and pitch too); chosen by the logs."""
+    """Process model: planar5 (paper), planar8 (IMU biases), tilted12 (roll, pitch). Default: by the sensors."""
     kind: FilterKind = "ukf"
-    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy; the first that the model has."""
+    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy. Default: the model's first."""
     use: tuple[Option, ...] = ()
-    """Measurements and constraints in addition to position fixes; chosen by the logs by default. See docs/method.md."""
+    """Measurements and constraints in addition to position fixes. Default: by the sensors. See docs/method.md."""
     outage_seed: int = Field(default=0, ge=0)
     """Seed of the outage windows, for objectives that hide fixes."""
     as_recorded: bool = False

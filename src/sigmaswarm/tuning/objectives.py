@@ -157,13 +157,13 @@ OBJECTIVES = {
         ),
         Objective(
             "nis",
-            "|ln(mean NIS / 2)|: how far the innovations are from their covariances",
+            "|ln(mean NIS / 2)|: deviation of the innovations from their covariances",
             lambda scores: _off(scores.mean_nis),
             nats=1.0,
         ),
         Objective(
             "nees",
-            "|ln(mean NEES / 2)|: how far the position error is from its covariance",
+            "|ln(mean NEES / 2)|: deviation of the position error from its covariance",
             lambda scores: _off(scores.mean_nees),
             needs_truth=True,
             nats=1.0,

@@ -37,7 +37,7 @@ PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a warning reports that it determined R."""
 SMOOTH = 0.5
 """Scatter of the fixes, m, below which the receiver either smooths them or uses RTK."""
-UNKNOWN = "no log without truth shows their common error"
+UNKNOWN = "without truth a log does not show the error that they share"
 STATE = "write the receiver's deviation, m per axis, as gps_std_m into drive.toml"
 
 
@@ -115,7 +115,7 @@ def noise_warnings(
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
         why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
-        return [to_do(remedy, f"{why}; correlated errors would scatter as little, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}; fixes with correlated errors can scatter as little, and {UNKNOWN}")]
     else:
         return []
     said = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"

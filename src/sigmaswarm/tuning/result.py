@@ -41,7 +41,7 @@ OF_THESE_SENSORS = (
     "a filter tuned with truth suits the receiver and the IMU of these drives: with others it may be far less accurate "
     "than the fixes. For others tune without truth (--objective innovation-t)"
 )
-MORE_DRIVES = "tune on more drives, or on drives that are more like those of the validation"
+MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 LARGE_GAP = 0.2
 """Relative increase of the errors on the validation drives above which a remark is made."""
 

@@ -49,7 +49,9 @@ if TYPE_CHECKING:
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
-NOT_ROBUST = "innovation-nll counts outliers in full, with robust, too; for robust use innovation-t"
+NOT_ROBUST = (
+    "innovation-nll does not reduce the weight of outliers, even with robust; with robust use innovation-t"
+)
 P = TypeVar("P")
 
 
@@ -171,7 +173,7 @@ def _problem_of(
         if cluster is not None:
             raise InputError("cluster: a model of your own runs on this machine only; leave cluster out")
         if start is not None:
-            raise InputError("start: is for built-in models; leave start out")
+            raise InputError("start: is available for built-in models only; leave start out")
         data, others = listed(drives), listed(validation)
         stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
         if stray:
@@ -249,7 +251,7 @@ def tune_problem(
     if not np.isfinite(cost):
         raise InputError(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
-            + (problem.why_none(point) or "look for NaN or wildly wrong values in the drives")
+            + (problem.why_none(point) or "check the drives for NaN and for values in wrong units")
         )
     if isinstance(config, TuneConfig) and config.inflation:
         point, cost, factor = inflated(problem, point, cost, config.inflation, executor)
@@ -292,11 +294,11 @@ def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
     seen = {entry["sha256"] for entry in problem.data}
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
-        raise InputError(f"{both[0]} is among the training drives, too; hold others back for validation")
+        raise InputError(f"{both[0]} is among the training drives, too; use other drives for validation")
     known = tuple(problem.seen) if len(held_back.seen) else ()
     for drive in held_back.seen:
         if found := overlap_of(drive, known):
             raise InputError(
                 f"{drive.name}: {found.seconds:.0f} s of it are in the training drives, too ({', '.join(found.of)}); "
-                "hold others back for validation"
+                "use other drives for validation"
             )

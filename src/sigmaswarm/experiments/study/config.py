@@ -221,7 +221,7 @@ class StudyConfig(BaseModel):
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError("is for a study with rivals; add rivals")
+            raise ValueError("needs a study with rivals; add rivals")
         return value
 
     @model_serializer(mode="wrap")

@@ -299,7 +299,7 @@ def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
     for drive in drives:
         if not drive.truth:
             raise InputError(
-                f"{drive.name}: has no truth, which a study scores against; "
+                f"{drive.name}: has no truth, which a study needs for its scores; "
                 "tune on it with `sigmaswarm tune --objective innovation-nll`"
             )
         if drive.name in names:

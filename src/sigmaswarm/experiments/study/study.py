@@ -273,7 +273,7 @@ def _tune_all(
         if not np.isfinite(trial.cost):
             raise InputError(
                 f"{task.folder}: no parameter set gave a finite cost in trial {task.trial}; "
-                "look for NaN or wildly wrong values in the drives"
+                "check the drives for NaN and for values in wrong units"
             )
         return trial
 
