@@ -1,6 +1,6 @@
 """Compare optimizers with the same budget on the same drives, over many seeds.
 
-A folder of a comparison contains
+The folder of a comparison contains
 
     config.json       configuration and data, which must be the same for a resumed comparison
     runs/NAME-SEED/   folder of each tuning, as written by `tune`, and run.json of a finished one

@@ -120,7 +120,7 @@ def _allows_forecasts(cars: Sequence[Sensors]) -> bool:
 
 
 def settled(config: C, data: Sequence[Sensors | Log]) -> C:
-    """Replace the objective ``auto`` and the missing guards of a configuration by those that suit the data."""
+    """Fill in the objective, the prior on R and the process-noise inflation, if the user did not set them."""
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PLAIN, ())
     objective = objective_for(data, config.objective, model, use)

@@ -147,7 +147,7 @@ def prior_warnings(
                 f"{name} states no accuracy of its fixes, so R was kept near that of a usual receiver, {std:.2g} m per "
                 "axis, and NIS will be low where its fixes are smoothed"
             )
-            return [to_do("write gps_std_m into drive.toml if yours is another receiver", why)]
+            return [to_do("if the receiver is more or less accurate, write gps_std_m into drive.toml", why)]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
     return []
 

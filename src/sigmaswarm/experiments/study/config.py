@@ -221,7 +221,7 @@ class StudyConfig(BaseModel):
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError("needs a study with rivals; add rivals")
+            raise ValueError("is an option of studies with rivals; set rivals, too")
         return value
 
     @model_serializer(mode="wrap")
