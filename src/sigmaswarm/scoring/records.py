@@ -50,7 +50,7 @@ class ScoresRecord(BaseModel):
     failed: dict[str, list[str]] = Field(default_factory=dict)
     """Failed methods by drive."""
     radius: dict[str, dict[str, RadiusRecord]] = Field(default_factory=dict)
-    """Radii of the tuned filter by drive, for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
+    """Radii of the tuned filter by drive for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
     """Number of stale fixes by drive; they repeat an earlier fix though the vehicle may have moved."""
 
