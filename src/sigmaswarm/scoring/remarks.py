@@ -104,8 +104,7 @@ def said_of_first_look(look: FirstLook) -> str:
         others = ", ".join(
             f"{METHODS[m]} {rmse[m]:.2g} m" for m in (UNTUNED, "raw_gps") if np.isfinite(rmse[m])
         )
-        said = f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive"
-        return f"{said}; errors on other drives are usually larger"
+        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: expect larger errors on others"
     if look.consistency is None or not look.consistency.own_sigma:
         return ""
     return _without_truth(name, look.consistency)

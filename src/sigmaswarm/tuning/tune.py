@@ -49,9 +49,7 @@ if TYPE_CHECKING:
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
-NOT_ROBUST = (
-    "innovation-nll does not reduce the weight of outliers, even with robust; with robust use innovation-t"
-)
+NOT_ROBUST = "innovation-nll does not downweight outliers, even with robust; for robust use innovation-t"
 P = TypeVar("P")
 
 
