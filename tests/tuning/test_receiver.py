@@ -58,7 +58,7 @@ def with_r(std: float):
 def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNoise, said: str):
     found = noise_warnings(with_r(std), [noise])
     assert len(found) == bool(said)
-    assert all(said in one and "no log without truth shows" in one for one in found)
+    assert all(said in one and "without truth a log does not show" in one for one in found)
     scaled = replace(with_r(std), accuracy_scale=1.0)
     assert noise_warnings(scaled, [noise]) == []
 

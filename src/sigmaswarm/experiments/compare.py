@@ -1,10 +1,10 @@
 """Compare optimizers with the same budget on the same drives, over many seeds.
 
-A folder of a comparison contains
+The folder of a comparison contains
 
-    config.json       configuration and data; a resumed comparison must have the same
-    runs/NAME-SEED/   the folder of each tuning, as `tune` writes it, and run.json once it has ended
-    times.csv         processor time of each run: the only file that differs between two comparisons
+    config.json       configuration and data, which must be the same for a resumed comparison
+    runs/NAME-SEED/   folder of each tuning, as written by `tune`, and run.json of a finished one
+    times.csv         processor time of each run; the only file that differs between two identical comparisons
 """
 
 import threading
@@ -55,17 +55,17 @@ OWN = (
 )
 """Options in which contenders may differ, in addition to optimizer and scale."""
 REFUSED = {
-    **{name: f"is compared; use {name}s instead" for name in ("seed", "optimizer", "scale")},
+    **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
         ("prior", "inflation", "margin"),
-        "guards a tuning; a comparison compares plain costs, so leave it out",
+        "is not used in a comparison, which compares costs without it; leave it out",
     ),
 }
-"""Options of `tune` that a comparison does not have, and why."""
+"""Options of `tune` that a comparison rejects, and the reasons."""
 
 
 class GridOptions(CompareOptions, total=False):
-    """All options of a comparison: the varied ones, and those of every tuning."""
+    """All options of a comparison: those that vary between tunings, and those of every tuning."""
 
     optimizers: Sequence[str]
     scales: Sequence[str]
@@ -88,33 +88,33 @@ def compare(
     Parameters
     ----------
     drives, validation : Drive or sequence of Drive
-        The training drives, and held-out drives.
+        Training drives, and held-out drives for testing.
     out : path, optional
-        Folder of all runs; a killed comparison can be resumed.
+        Folder for all runs, so that a killed comparison can be resumed.
     resume : bool
-        Continue with the content of ``out``; the result is the same as without interruption, except for the times.
+        Continue the comparison in ``out``; except for the times, the result is the same as without interruption.
     cluster : distributed.Client, optional
-        A Dask cluster whose workers read the drives, given as paths or URLs too, and do the work; ``workers`` is
-        then the number of tunings at a time. The result does not depend on it.
+        Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters; ``workers`` is
+        then the number of simultaneous tunings. The result does not depend on it.
     progress : callable, optional
         Called with the numbers of finished runs and of all runs.
     optimizers : sequence of str
-        Names, with their own settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All must have the same
-        budget: particles x generations x trials. The first is the reference of the tests. By default pso, ga,
-        ga-pso, de, cma-es and random.
+        Names, optionally with settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All must have the same
+        budget: particles x generations x trials. The statistical tests compare with the first one. The default is pso,
+        ga, ga-pso, de, cma-es and random.
     scales : sequence of str
         log10 (the default), linear or both.
     seeds : int
-        Runs of each, with seeds 0, 1, ...; 20 by default.
+        Number of runs of each optimizer, with seeds 0, 1, ...; 20 by default.
     workers : int, optional
-        Threads; as many as cores by default. The result does not depend on it.
+        Number of threads; by default the number of cores. The result does not depend on it.
     **options
-        `CompareOptions`, other options of `tune`: objective, model, particles, generations, ...
+        Options of every tuning, see `CompareOptions`: objective, model, particles, generations, ...
 
     Raises
     ------
     InputError
-        If an option, optimizer, drive or folder can't be used.
+        If an option, optimizer, drive or folder is invalid.
     """
     workers = options.pop("workers", None) or (cores() if cluster is None else None)
     grid = _grid(options, *datasets_of(drives, validation, cluster=cluster))
@@ -128,7 +128,7 @@ def compare(
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """The runs of a comparison, and the training and held-out drives."""
+    """Plan of a comparison: its contenders and seeds, and the problems on training and held-out drives."""
 
     rivals: Sequence[Contender]
     seeds: int
@@ -138,7 +138,7 @@ class _Grid:
     def run(
         self, out: Path, pool: Executor, resume: bool, progress: Callable[[int, int], None] | None
     ) -> Comparison:
-        """Run all, or those that are not in the folder yet."""
+        """Run all tunings that are not finished in the folder, and return the comparison."""
         steps_per_set = int(self.problem.steps.sum())
         config = {
             "compared": {c.label: c.config.model_dump(mode="json", exclude={"seed"}) for c in self.rivals},
@@ -166,13 +166,13 @@ class _Grid:
         )
 
     def _fixes_alone(self) -> float | None:
-        """Mean RMSE of the fixes alone on the held-out drives, m; None without truth."""
+        """Return the mean RMSE of the fixes alone on the held-out drives, m; None without truth."""
         assert self.test is not None
         alone = partial(_rmse_alone, noise=self.problem.fixes_alone())
         return _mean(np.array(self.test.replays.of_each_prepared(alone)))
 
     def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
-        """Return the function that runs a contender with a seed, or reads its outcome."""
+        """Return a function that runs a contender with a seed, or reads the finished run."""
         lock, times = threading.Lock(), out / "times.csv"
         spaces = {rival.scale: car_space(rival.config, self.problem.sensors) for rival in self.rivals}
         if not times.exists():
@@ -201,7 +201,7 @@ class _Grid:
 
 
 def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Grid:
-    """Check the options, and prepare contenders and drives."""
+    """Check the options, and prepare the contenders and the drives."""
     seeds = options.get("seeds", SEEDS)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
@@ -218,7 +218,7 @@ def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Gr
 
 
 def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
-    """Combine every optimizer with every scale, all with the same filter, objective and budget of evaluations."""
+    """Create a contender for every optimizer and scale, and check that all have the same budget of evaluations."""
     given: dict[str, Any] = {**options}
     given.pop("seeds", None)
     names = given.pop("optimizers", ("pso", "ga", "ga-pso", "de", "cma-es", "random"))

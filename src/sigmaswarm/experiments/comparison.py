@@ -1,4 +1,4 @@
-"""The results of a comparison of optimizers: the outcome of every tuning, and statistics of them."""
+"""Results of a comparison of optimizers: the outcome of every tuning, and their statistics."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 FEWEST_SEEDS = 6
-"""With fewer pairs a two-sided signed-rank test can't reach 5%: its lowest p is 2^(1 - pairs)."""
+"""Number of seeds below which a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
 
 COMPARED = {
     "cost": "training cost",
@@ -26,14 +26,14 @@ COMPARED = {
     "held_out_rmse": "held-out RMSE, m",
     "held_out_heading": "held-out heading error, deg",
 }
-"""The measures; lower wins."""
+"""Measures of a comparison; lower is better."""
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One row of a comparison: an optimizer with its settings, as ``pso:polish=300``, and a scale.
+    """One row of a comparison: an optimizer with its settings, such as ``pso:polish=300``, and a scale.
 
-    ``config`` is that of the tunings, without the seed.
+    ``config`` is the configuration of the tunings; each run sets its own seed.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Contender:
 
     @property
     def budget(self) -> int:
-        """Evaluations of a tuning, at most."""
+        """Largest number of evaluations of a tuning."""
         return self.config.particles * self.config.generations * self.config.trials
 
     @property
@@ -52,27 +52,27 @@ class Contender:
 
     @property
     def folder(self) -> str:
-        """A name for files."""
+        """Name for files and folders."""
         return f"{self.name}-{self.scale}".replace(":", "-").replace(",", "-").replace("=", "")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one tuning of a comparison: run.json.
+    """Outcome of one tuning of a comparison, the content of run.json.
 
     Attributes
     ----------
     cost : float
-        The objective on the training drives.
+        Value of the objective on the training drives.
     held_out_cost, held_out_rmse, held_out_heading : float or None
-        Objective, and means of position RMSE (m) and heading error (deg), on the held-out drives; None without such
-        drives or truth, or where the filter failed.
+        Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives; None without such drives,
+        without truth, or if the filter failed.
     touched : tuple of str
         Parameters that ended at a bound.
     evaluations, failures : int
-        Number of parameter sets, and of failed ones.
+        Numbers of parameter sets tried and failed.
     history_evaluations, history_steps : tuple of int
-        Evaluations and filter steps spent after each generation.
+        Total numbers of evaluations and of filter steps after each generation.
     history_best : tuple of float
         Lowest cost so far after each generation.
     """
@@ -105,17 +105,17 @@ class Comparison:
     Attributes
     ----------
     contenders : tuple of Contender
-        The first one is the reference.
+        The statistical tests compare with the first one.
     runs : mapping of a contender's label to tuple of Outcome
-        One for each seed.
+        One outcome for each seed.
     budget : int
-        Evaluations of each run, at most.
+        Largest number of evaluations of each run.
     steps_per_set : int
-        Filter steps of one evaluation on all training drives.
+        Number of filter steps of one evaluation on all training drives.
     drives, test : tuple of str
-        Training and held-out drives.
+        Names of the training and of the held-out drives.
     fixes_alone_rmse : float or None
-        Mean position RMSE on the held-out drives of a filter of the fixes alone, fitted to the training drives, m.
+        Mean position RMSE on the held-out drives, m, of a filter of the fixes alone, fitted to the training drives.
     """
 
     contenders: tuple[Contender, ...]
@@ -132,21 +132,22 @@ class Comparison:
         return len(self.runs[self.contenders[0].label])
 
     def values(self, label: str, measure: str) -> Array:
-        """One figure of every run, shape (seeds,); ``inf`` where the filter failed."""
+        """Return the values of a measure in every run, shape (seeds,); ``inf`` where it is None."""
         found = [getattr(run, measure) for run in self.runs[label]]
         return np.array([np.inf if v is None else v for v in found], dtype=np.float64)
 
     @cached_property
     def measures(self) -> tuple[str, ...]:
-        """The measures that are known of at least one run."""
+        """Measures with a value in at least one run."""
         every = [run for runs in self.runs.values() for run in runs]
         return tuple(m for m in COMPARED if any(getattr(run, m) is not None for run in every))
 
     @cached_property
     def frame(self) -> pl.DataFrame:
-        """One row for each contender: medians with 95% intervals, worst runs, and tests against the first.
+        """Table with one row for each contender: medians with 95% intervals, worst runs, and tests against the first.
 
-        ``p`` is of a two-sided Wilcoxon test over the seeds, corrected after Holm over all contenders of a measure.
+        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds. It has Holm's correction over all contenders
+        of a measure.
         """
         rows = [self._row(contender) for contender in self.contenders]
         for measure in self.measures:
@@ -175,7 +176,7 @@ class Comparison:
 
     @cached_property
     def runs_frame(self) -> pl.DataFrame:
-        """One row for each run."""
+        """Table with one row for each run."""
         rows = [
             {
                 **{"optimizer": c.name, "scale": c.scale, "seed": seed},
@@ -190,10 +191,10 @@ class Comparison:
 
     @cached_property
     def curves(self) -> pl.DataFrame:
-        """Median and quartiles over the seeds of the lowest cost so far, after 1%, 2%, ... of the budget's steps.
+        """Table of the lowest cost so far after 1%, 2%, ... of the budget: median and quartiles over the seeds.
 
-        The budget is counted in evaluations on all drives; raced ones count by their filter steps. The cost is ``inf``
-        in the first generation.
+        The budget is counted in evaluations on all drives; with racing, filter steps are converted to such evaluations.
+        The cost is ``inf`` until the first generation ends.
         """
         grid = self.budget * np.arange(1, 101) / 100
         frames: list[pl.DataFrame] = []

@@ -1,10 +1,10 @@
-"""Run the tasks of an experiment side by side: on the threads of an executor, or in forked processes.
+"""Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
-A task leaves its results in a folder. When a grid runs again, a finished task is read from there, an interrupted one
-continues and the others start, so an interrupted experiment ends in the same bytes.
+Each task saves its results in a folder. When the grid runs again, finished tasks are read from there, interrupted tasks
+continue and the others start. An interrupted experiment therefore has the same bytes in the end.
 
-Forked processes take three quarters of the time of threads: a tuning spends a quarter of its time in the interpreter,
-which one thread holds at a time. A fork inherits drives and prepared time lines without a copy.
+Forked processes take 75% of the time of threads: a tuning spends 25% of its time in the Python interpreter, which only
+one thread can use at a time. A forked process inherits drives and prepared time lines without a copy.
 """
 
 import ctypes
@@ -27,14 +27,14 @@ from sigmaswarm.errors import SigmaswarmError
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Report = Callable[[int], None]
-"""Takes the number of finished rounds of a task; raises where the grid was interrupted."""
+"""Function that receives the number of finished rounds of a task; raises `InterruptedError` after an interrupt."""
 PR_SET_PDEATHSIG = 1
 """Option of prctl(2): the signal that Linux sends to a process when its parent dies."""
 POLL = 0.05
-"""s between two looks at the progress of the tasks."""
+"""Interval, s, at which the progress of the tasks is read."""
 KILLED = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None
-"""In a forked process: runs a task, given by its index."""
+"""Function of a forked process that runs a task by its index."""
 
 
 def run_grid(
@@ -52,17 +52,17 @@ def run_grid(
     Parameters
     ----------
     tasks, run : sequence, callable
-        Runs one task. Its second argument is a function that it calls with the number of finished rounds.
+        ``run(task, report)`` runs one task and calls ``report`` with the number of finished rounds.
     executor : concurrent.futures.Executor
-        Threads that run the tasks where there are no processes.
+        Threads that run the tasks if ``processes`` is 0.
     processes : int
-        Fork so many processes (Linux only). Results and errors are pickled; compile kernels before.
+        Number of processes to fork (Linux only). Results and errors are pickled. Kernels should be compiled before.
     rounds : int
-        Of each task.
+        Number of rounds of each task.
     effort : callable
-        Duration of a task in any unit: the longest start first, so that workers end together.
+        Returns the estimated duration of a task in any unit. The longest tasks start first.
     progress : callable, optional
-        Called in this thread with the finished rounds of all tasks, their total, and a task that advanced.
+        Called in this thread with the finished rounds of all tasks, the total number, and a task that advanced.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def run_grid(
 
 
 def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: Any, stop: Any, k: int) -> R:
-    """Run a task, given by its index, and note its finished rounds in shared memory."""
+    """Run a task by its index, and write its finished rounds to shared memory."""
 
     def report(finished: int) -> None:
         if stop[0]:
@@ -115,7 +115,7 @@ def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: A
 
 def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) -> dict[int, Future[R]]:
     try:
-        with warnings.catch_warnings():  # of a fork with threads: they hold no lock that the child needs
+        with warnings.catch_warnings():  # of forks with threads; these hold no lock that a child needs
             warnings.simplefilter("ignore", DeprecationWarning)
             return {k: pool.submit(run, k) for k in order}
     except OSError as error:
@@ -123,10 +123,10 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 
 
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
-    """Prepare a forked process, which ends at once with its parent or with the grid: files are written whole."""
+    """Prepare a forked process; it is killed when its parent or the grid ends, since files are written atomically."""
     global _run
     _run = run
-    # Before a resumed run removes unfinished files, which must not be written any more.
+    # A resumed run removes unfinished files, so no old process may still write them.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     gc.freeze()  # a collection would copy all inherited objects

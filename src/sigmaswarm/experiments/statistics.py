@@ -1,10 +1,11 @@
-"""Statistics of repeated tunings: intervals of means and medians, paired tests, and many tests at once.
+"""Statistics of repeated tunings: intervals of means and medians, paired tests, and correction for multiple tests.
 
-Scores of a study are arrays of shape (trials, drives), NaN where a trial did not test on a drive.
+Scores of a study are arrays of shape (trials, drives); they are NaN where a trial did not test on a drive.
 
-C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; J. N. K. Rao and C. F. J.
-Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988 (a bootstrap that draws
-n of n makes the variance of a mean too small by (n - 1) / n, which matters in small strata: so it draws n - 1).
+Sources: C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; J. N. K. Rao and
+C. F. J. Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988. After the
+latter, the bootstrap draws n - 1 of n values: with n draws the variance of a mean is too small by the factor
+(n - 1) / n, which matters in small strata.
 """
 
 import math
@@ -19,9 +20,9 @@ from sigmaswarm.drives.drive import Array
 
 Interval = tuple[float, float]
 Known = dict[Hashable, tuple[Array, Any]]
-"""Cache of draws: (kind, state of the generator) -> (draw, next state)."""
+"""Cache of random draws: (key, state of the generator) -> (draw, next state)."""
 RESAMPLES = 2000
-"""Resamples of each bootstrap."""
+"""Number of resamples of each bootstrap."""
 LEVEL = 0.95
 
 
@@ -37,7 +38,7 @@ def drive_means(values: Array) -> Array:
 
 def _mean_known(values: Array, axis: int) -> Array:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of a row without any
+        warnings.simplefilter("ignore", RuntimeWarning)  # rows without values
         return np.asarray(np.nanmean(values, axis=axis))
 
 
@@ -47,7 +48,7 @@ def spread(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n), as in the paper; it covers the mean of new drives half of the time."""
+    """Return mean +- 1.96 SD / sqrt(n), as in the paper; it covers the mean of new drives in half of all cases."""
     if not len(values):
         return math.nan, math.nan
     half = 1.96 * spread(values) / math.sqrt(len(values))
@@ -73,8 +74,8 @@ def bootstrap(
 ) -> Interval:
     """Return the percentile interval of a statistic of the means of paired columns.
 
-    Drives are resampled within their conditions. ``statistic`` takes the mean of each column, shape
-    (RESAMPLES,). ``known`` is a cache: see `_once`.
+    Drives are resampled within their strata. ``statistic`` is called with the resampled means of each column, shape
+    (RESAMPLES,). ``known`` is a cache of draws: see `_once`.
     """
     n = len(columns[0])
     if n < 2 or not all(np.isfinite(column).all() for column in columns):
@@ -88,11 +89,11 @@ def crossed_bootstrap(
 ) -> Interval:
     """Return the percentile interval of the mean, with drives and trials resampled independently.
 
-    It includes the choice of drives and the variation of the optimizer, as in A. B. Owen, The pigeonhole bootstrap,
-    Annals of Applied Statistics 1, 2007. The levels of drives and of trials are resampled, not the scores, in which
-    trials would differ by their drives as well. The tails are Student's, in normal scale (T. C. Hesterberg, What
-    teachers should know about the bootstrap, The American Statistician 69, 2015), since quantiles are too narrow with
-    few trials or drives.
+    The interval covers the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole bootstrap,
+    Annals of Applied Statistics 1, 2007). Levels of drives and of trials from `levels` are resampled instead of scores,
+    since trials also differ by their drives. With few trials or drives, quantiles give too narrow an interval. Their
+    tails are therefore widened by Student's t (T. C. Hesterberg, What teachers should know about the bootstrap, The
+    American Statistician 69, 2015).
     """
     known_values = ~np.isnan(values)
     kept, trials = known_values.any(axis=0), known_values.any(axis=1)
@@ -108,23 +109,23 @@ def crossed_bootstrap(
     freedom = np.array([max(len(own) - len(set(own)), 1), len(trial_levels) - 1])
     if not variances.any():
         return _middle(by_drive + by_trial)
-    # Satterthwaite's degrees of freedom of the sum of the two.
+    # Satterthwaite's degrees of freedom of the sum of both variances.
     together = float(variances.sum() ** 2 / np.sum(variances**2 / freedom))
     return _middle(by_drive + by_trial, float(stats.norm.cdf(stats.t.ppf((1 - LEVEL) / 2, together))))
 
 
 def levels(values: Array) -> tuple[Array, Array]:
-    """Return levels of drives (n,) and of trials (m,) whose sums are nearest to the known scores (m, n)."""
+    """Return drive levels (n,) and trial levels (m,) whose sums fit the known scores (m, n) by least squares."""
     known = ~np.isnan(values)
     counted, filled = known.astype(np.float64), np.where(known, values, 0.0)
-    share = counted / counted.sum(axis=0)  # of a trial in its drives' levels
+    share = counted / counted.sum(axis=0)  # weight of each trial in the levels of its drives
     normal = np.diag(counted.sum(axis=1)) - share @ counted.T
     trials = np.linalg.lstsq(normal, filled.sum(axis=1) - share @ filled.sum(axis=0), rcond=1e-9)[0]
     return (filled.sum(axis=0) - trials @ counted) / counted.sum(axis=0), trials
 
 
 def _once(known: Known | None, rng: np.random.Generator, of: Hashable, draw: Callable[[], Array]) -> Array:
-    """Draw, or return an earlier draw: hundreds of figures of a study share drives and generator."""
+    """Draw, or return the cached draw, since hundreds of results of a study share drives and generator state."""
     if known is None:
         return draw()
     key = of, str(rng.bit_generator.state)
@@ -137,8 +138,8 @@ def _once(known: Known | None, rng: np.random.Generator, of: Hashable, draw: Cal
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array | None = None) -> Array:
     """Return the weight of each drive in each resample, shape (RESAMPLES, n), drawn within each stratum.
 
-    A drive may count several ``times``, shape (n,); each stratum keeps its share. Strata of one drive each are joined;
-    one such stratum among larger ones adds nothing to the width of an interval.
+    ``times``, shape (n,), is the multiplicity of each drive. Each stratum keeps its total weight. If every stratum has
+    one drive, all are joined. A single-drive stratum among larger ones adds nothing to the width of an interval.
     """
     names = np.array(strata)
     times = np.ones(len(names)) if times is None else times
@@ -153,7 +154,7 @@ def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array
 
 
 def _weights(n: int, rng: np.random.Generator) -> Array:
-    """Draw n - 1 of n (Rao and Wu 1988), scaled to the weight of n, shape (RESAMPLES, n)."""
+    """Draw n - 1 of n values (Rao and Wu 1988); return their weights, with sum n, shape (RESAMPLES, n)."""
     if n == 1:
         return np.ones((RESAMPLES, 1))
     drawn = rng.integers(0, n, (RESAMPLES, n - 1)) + n * np.arange(RESAMPLES)[:, np.newaxis]
@@ -162,7 +163,7 @@ def _weights(n: int, rng: np.random.Generator) -> Array:
 
 
 def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
-    """Return the interval of the values without two tails of this share each."""
+    """Return the interval between the quantiles ``tail`` and 1 - ``tail`` of the finite values."""
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan
@@ -177,25 +178,25 @@ def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
 
 
 def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
-    """Return a distribution-free interval of the median: two of the sorted values.
+    """Return a distribution-free interval of the median.
 
-    The narrowest symmetric pair of order statistics that covers the median with at least this confidence (W. J.
-    Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2); lowest and highest where no pair does,
-    as with fewer than six values at 95%.
+    It is the narrowest symmetric pair of order statistics that covers the median with at least this confidence (W. J.
+    Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2). With too few values (fewer than six at
+    95%) it is the lowest and the highest value.
     """
     ordered = np.sort(values)
     n = len(ordered)
-    k = 0  # how many values are cut at each end
+    k = 0  # number of values outside the interval at each end
     while 2 * stats.binom.cdf(k, n, 0.5) <= 1 - confidence:
         k += 1
     return float(ordered[k]), float(ordered[n - 1 - k])
 
 
 def signed_rank(ours: Array, theirs: Array) -> float:
-    """Return p of the two-sided signed-rank test over pairs.
+    """Return the p-value of the two-sided signed-rank test over pairs.
 
-    F. Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945. Infinite costs count as the
-    largest of all; pairs without a difference are left out, and 1 is returned if no pair is left.
+    Infinite costs count as the largest of all. Pairs without a difference are left out; if none is left, p is 1.
+    Source: F. Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945.
     """
     finite = np.concatenate([ours, theirs])
     finite = finite[np.isfinite(finite)]
@@ -209,9 +210,9 @@ def signed_rank(ours: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Return the share of the rank sum below zero minus that above: 1 if every pair is lower, -1 if higher.
+    """Return the rank-sum share of negative minus that of positive differences, from -1 to 1.
 
-    D. S. Kerby, The simple difference formula, Comprehensive Psychology 3, 2014.
+    Source: D. S. Kerby, The simple difference formula, Comprehensive Psychology 3, 2014.
     """
     nonzero = difference[difference != 0]
     if not len(nonzero):
@@ -221,9 +222,9 @@ def rank_biserial(difference: Array) -> float:
 
 
 def holm(probabilities: Sequence[float]) -> list[float]:
-    """Correct p values so that one false alarm among all tests is as rare as in one test.
+    """Correct p-values so that the probability of any false alarm among all tests is that of a single test.
 
-    S. Holm, A simple sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6, 1979.
+    Source: S. Holm, A simple sequentially rejective multiple test procedure, Scandinavian J. of Statistics 6, 1979.
     """
     p = np.asarray(probabilities, dtype=np.float64)
     order = np.argsort(p, kind="stable")

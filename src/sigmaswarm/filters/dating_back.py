@@ -79,7 +79,7 @@ def dated_back(
 
 
 def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDrive:
-    """The drive up to the first IMU sample after a time, with another start."""
+    """Return the drive up to the first IMU sample after a time, s, with another start."""
     drive, imu = ready.drive, ready.drive.imu
     last = int(np.searchsorted(imu.time, until, side="right")) + 1
     past = replace(

@@ -251,7 +251,7 @@ class _Contradiction:
         return next((k for k, lasts in enumerate(lasting) if lasts), len(times) - 1)
 
     def _note(self, time: float, contradicts: bool | None) -> None:
-        """Use the result of a check; None (no result) is not a break."""
+        """Record the result of a check; None (no result) does not end a contradiction."""
         if contradicts is False:
             self._checks = 0
         elif contradicts:

@@ -1,4 +1,4 @@
-"""The names of the models and kinds of filters; without imports, for the command line's help."""
+"""Names of models and filter types, in a module without imports, so that the command line's help is fast."""
 
 from typing import Literal
 

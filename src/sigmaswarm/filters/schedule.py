@@ -57,7 +57,7 @@ GAP_TILT_STD = 0.01
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:
-    """Names in `MEASURED` of the measurements that a parameter set uses; "ay" with a noise of its own."""
+    """Return the names in `MEASURED` of a parameter set's measurements; "ay" if it has its own noise."""
     used = {name for name, noise in NOISE_OF.items() if getattr(p, noise) is not None}
     return frozenset(used | ({"ay"} if len(p.imu_noise) > 2 else set()))
 
@@ -213,7 +213,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """Gyro observations of starts, and their starts: all at once if all have one, since each call takes 50 us."""
+    """Return the gyro observations and the indices of their starts, combined if all starts have one, to save calls."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]

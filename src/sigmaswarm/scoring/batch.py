@@ -31,7 +31,7 @@ LOG_2PI = math.log(2 * math.pi)
 class Scores:
     """Scores of every parameter set on every drive; each array has shape (n_sets, n_drives).
 
-    The names and units are those of `Score`; NaN where a score is not defined or the filter failed.
+    Names and units are as in `Score`. A value is NaN where the score is undefined or the filter failed.
     """
 
     position_rmse: Array
@@ -47,16 +47,16 @@ class Scores:
     failed: NDArray[np.bool_]
 
     def __getitem__(self, at: tuple[int, int]) -> Score:
-        """The score of one set on one drive."""
+        """Return the score of set i on drive j for ``scores[i, j]``."""
         return Score(**{name: values[at].item() for name, values in vars(self).items()})
 
     def stacked(self) -> Array:
-        """All scores as one array, shape (n_scores, n_sets, n_drives), for transport."""
+        """Return all scores as one array, shape (n_scores, n_sets, n_drives), for transport."""
         return np.array([*vars(self).values()], dtype=np.float64)
 
     @classmethod
     def unstacked(cls, stacked: Array) -> "Scores":
-        """Scores from the array of `stacked`."""
+        """Restore scores from the array that `stacked` returns."""
         *numbers, failed = (np.asfortranarray(one) for one in stacked)
         return cls(*numbers, failed=failed.astype(np.bool_))
 
@@ -66,7 +66,7 @@ _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed
 
 @dataclass(frozen=True)
 class Passes:
-    """Passes over a drive, and its preprocessing: see `Replayer` and `PreparedDrive`."""
+    """Options of the passes over a drive (see `Replayer`) and of its preprocessing (see `PreparedDrive`)."""
 
     outages: bool = False
     forecasts: bool = False
@@ -77,8 +77,8 @@ class Passes:
 class Replayer:
     """Drives that are prepared once and replayed with any number of parameter sets.
 
-    ``outages`` (windows of ``outage_length`` s, placed by ``outage_seed``) and ``forecasts`` (fixes hidden all over the
-    drive) are further passes over each drive.
+    ``outages`` and ``forecasts`` each add a pass over every drive: with outages of ``outage_length`` s, placed by
+    ``outage_seed``, or with fixes hidden in windows of 3 to 5 s.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class Replayer:
 
     @staticmethod
     def together(parts: Sequence["Replayer"]) -> "Replayer":
-        """Join replayers with the same passes, without preparing anything again."""
+        """Join replayers that have the same passes; prepared drives are reused."""
         whole = Replayer.__new__(Replayer)
         whole._ready = tuple(one for part in parts for one in part._ready)
         whole._passes = {
@@ -115,7 +115,7 @@ class Replayer:
         return whole
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
-        """A replayer of some of the drives, by index, without preparing anything again."""
+        """Return a replayer of some of the drives, by index; prepared drives are reused."""
         if list(drives) == list(range(len(self._ready))):
             return self
         part = Replayer.__new__(Replayer)
@@ -130,7 +130,7 @@ class Replayer:
 
     @cached_property
     def initial(self) -> tuple[InitialState, ...]:
-        """The start on each drive."""
+        """Initial state on each drive."""
         return tuple(ready.initial for ready in self._ready)
 
     @property
@@ -140,17 +140,17 @@ class Replayer:
 
     @property
     def truth_moments(self) -> list[int]:
-        """Number of moments of truth at which each drive is scored."""
+        """Number of truth times at which each drive is scored."""
         return [replay.targets.n_positions for replay in self._passes["tracking"]]
 
     @property
     def hidden_fixes(self) -> list[int]:
-        """Number of fixes that are hidden on each drive; empty without forecasts."""
+        """Number of hidden fixes on each drive; empty without forecasts."""
         return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
+        """Number of filter steps of one parameter set on each drive, over all passes, shape (n_drives,)."""
         return np.sum(np.array([*self._steps.values()], dtype=np.int64), axis=0)
 
     @cached_property
@@ -164,11 +164,11 @@ class Replayer:
 
     @cached_property
     def _jobs(self) -> dict[tuple[int, str, int], list[Job]]:
-        """Results of `jobs_for`, since all generations of a search have the same jobs."""
+        """Cache of `jobs_for`, since all generations of a search have the same jobs."""
         return {}
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Score the sets; the result has the same bits whatever the executor and its number of workers."""
+        """Score the parameter sets; the bits of the result do not depend on the executor or its number of workers."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
@@ -180,7 +180,7 @@ class Replayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Apply a function to the scores, shape (n_sets, n_drives)."""
+        """Score the parameter sets and apply a function to the scores; it returns shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
@@ -188,7 +188,7 @@ class Replayer:
         return [function(one) for one in self._ready]
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
-        """Run every pass by every set, in jobs that keep all workers busy."""
+        """Run every pass with every set, divided into jobs that keep all workers busy."""
         workers = cores() if executor else 1
         work: list[tuple[Job, NDArray[np.intp], KernelArray]] = []
         for places, table in tables_of(parameter_sets):
@@ -200,7 +200,7 @@ class Replayer:
             work += [
                 (job, places[job.sets.start : job.sets.stop], array.part(job.sets)) for job in self._jobs[key]
             ]
-        # The longest first, so that no worker is left with one at the end.
+        # The longest jobs start first, so that all workers end at about the same time.
         work.sort(key=lambda item: item[0].work, reverse=True)
         tasks = [
             (self._passes[job.name][job.replays.start : job.replays.stop], array) for job, _, array in work
@@ -212,15 +212,15 @@ class Replayer:
 
 
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
-    """Scores from the sums of each pass (``tracking``, ``outages``, ``forecasts``); NaN for a missing pass."""
+    """Compute scores from the sums of each pass (``tracking``, ``outages``, ``forecasts``); NaN without a pass."""
     return _scores_by({name: _divisors_of(passes[name]) for name in sums}, sums)
 
 
 def _divisors_of(replays: Sequence[Replay]) -> Array:
-    """Divisors of the sums of each replay, (5, n_drives, 1); NaN in place of 0.
+    """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN in place of 0.
 
-    They are the numbers of positions, the total weights of positions and headings, and the numbers of fixes and of
-    hidden ones.
+    They are the number of positions, the total weights of positions and of headings, and the numbers of all fixes and
+    of hidden fixes.
     """
     counts = np.array(
         [
@@ -245,7 +245,7 @@ def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, Sums]) -> Score
 
 
 def _scores_in(name: str, divisors: Array, sums: Sums) -> dict[str, Array]:
-    """Scores of a pass, each of shape (n_drives, n_sets)."""
+    """Compute the scores of a pass, each of shape (n_drives, n_sets)."""
     moments, positions, headings, fixes, hidden = divisors
     if name == "outages":
         return {"outage_drift": np.sqrt(sums.squared_position / positions)}

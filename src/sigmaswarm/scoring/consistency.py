@@ -17,13 +17,13 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
 GATE_95 = -2 * math.log(0.05)
-"""NIS below which 95% of the fixes are if the filter is consistent: 5.99."""
+"""95% quantile of NIS for a consistent filter: 5.99."""
 FAR_NEES = 4.0
-"""Mean NEES above which errors are clearly too large: by a factor of 1.4; NEES has no band."""
+"""Mean NEES above which errors are clearly too large, by a factor of 1.4; a fixed limit, since NEES has no band."""
 RIGHT_NEES = 1.5
-"""Mean NEES from which, up to `FAR_NEES`, a filter's position covariance counts as right."""
+"""Lowest mean NEES for which a filter's position covariance counts as right; the highest is `FAR_NEES`."""
 LAGS = 10
-"""Fixes over which innovations are tested for correlation."""
+"""Largest lag, in fixes, at which innovations are tested for correlation."""
 _KEYS = {
     "nis_band": "nis_band_95",
     "inside_gate": "share_inside_95_gate",
@@ -32,7 +32,7 @@ _KEYS = {
     "expected": "expected_m",
     "own_sigma": "own_sigma_m",
 }
-"""Names in scores.json that differ."""
+"""Names in scores.json that differ from those of the attributes."""
 _CONFIG = ConfigDict(
     frozen=True,
     alias_generator=lambda name: _KEYS.get(name, name),
@@ -48,24 +48,24 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        2 where the filter is consistent; above, the filter is overconfident.
+        2 for a consistent filter, more for an overconfident one.
     nis_band : (float, float)
-        95% band of the mean of this many independent values.
+        95% band of the mean NIS of a consistent filter with ``n_fixes`` independent innovations.
     inside_gate : float
         Share of the fixes inside the 95% gate.
     autocorrelation : list of float, length LAGS
-        Of the normalized innovations, 1 to LAGS fixes apart, mean of both axes; 0 where they are white.
+        Autocorrelation of the normalized innovations at lags 1 to LAGS, mean of both axes; near 0 if they are white.
     white_band : float
-        95% of the autocorrelations of white innovations lie within plus and minus this.
+        Half width of the 95% band of the autocorrelation of white innovations.
     white_p : float
-        p-value of the test of G. M. Ljung and G. E. P. Box (1978) that they are white.
+        p-value of the test for whiteness of G. M. Ljung and G. E. P. Box (1978).
     mean_nees : float or None
-        Of the position at moments of truth; 2 where the filter is consistent, None without truth. Its values are
-        correlated over time, so it has no band.
-    missed, expected : float
-        m, RMS: actual innovations, and innovations according to their covariances.
+        Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. Position errors are
+        correlated over time, so there is no band.
+    missed, expected : float or None
+        RMS of the innovations, m: actual, and according to their covariances.
     own_sigma : float or None
-        m, RMS over the drive: standard deviation of the position according to the filter. None where not computed.
+        RMS over the drive of the filter's position standard deviation, m; None if not computed.
     """
 
     model_config = _CONFIG
@@ -86,14 +86,14 @@ class Consistency(BaseModel):
 def consistency(
     drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = math.nan
 ) -> Consistency | None:
-    """Compute a filter's consistency over a drive; None where it failed or had too few fixes."""
+    """Compute a filter's consistency over a drive; None if it failed or had too few fixes."""
     return consistency_of(run_innovations(drive, parameters), mean_nees)
 
 
 def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
-    """Compute consistency from innovations; None where a covariance is invalid or they are too few."""
+    """Compute consistency from innovations; None if a covariance is invalid or there are too few innovations."""
     n = len(innovations.time)
     s = innovations.covariance
     if n <= 2 * LAGS or not (
@@ -103,7 +103,7 @@ def consistency_of(
     from scipy.special import chdtrc, gammaincinv  # 0.1 s to import
 
     nis, values = innovations.nis, innovations.normalized.T
-    # Around zero, the mean of a consistent filter's innovations.
+    # The mean is not subtracted, since innovations of a consistent filter have zero mean.
     each = np.array([[x[k:] @ x[:-k] / (x @ x) for k in range(1, LAGS + 1)] for x in values])
     ljung_box = n * (n + 2) * float(np.sum(each**2 / (n - np.arange(1, LAGS + 1))))
     low, high = 2 * gammaincinv(n, [0.025, 0.975]) / n  # quantiles of chi-square with 2n degrees of freedom
@@ -132,18 +132,19 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Overconfident (``optimistic``): innovations are larger than their covariances imply; pessimistic: smaller.
+"""Kind of a verdict, by the innovations relative to their covariances.
 
-Alike: smaller, and consecutive innovations are nearly equal, so the error is unknown without truth.
-Lasting: smaller, although errors against truth match the covariances, since predictions share the fixes' errors.
-Correlated: of the right size, but consecutive innovations are correlated; only without truth.
+``optimistic``: larger (overconfident). ``pessimistic``: smaller. ``alike``: smaller, and consecutive innovations are
+nearly equal, so the error is unknown without truth. ``lasting``: smaller, although errors against truth agree with the
+covariances, since predictions share the fixes' errors. ``correlated``: of the right size, but consecutive innovations
+are correlated; only without truth.
 """
 ALIKE = 0.5
-"""Correlation of neighboring innovations from which they are nearly equal."""
+"""Lag-1 correlation above which consecutive innovations count as nearly equal."""
 CORRELATED = 0.2
-"""The same, from which a consistent NIS is not sufficient."""
+"""Lag-1 correlation above which a right NIS does not prove consistency."""
 FORECASTS = "this covers predictions of the fixes; position errors cannot be judged without truth"
-"""Added to the verdicts where no truth is known."""
+"""Note that is added to the verdicts without truth."""
 
 VERDICTS: dict[Kind, str] = {
     "optimistic": "is overconfident: the sigmas of its predictions are {nis_size}",
@@ -170,7 +171,7 @@ VERDICTS: dict[Kind, str] = {
 
 
 def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
-    """Sentences on the consistency on several drives, one for each kind of verdict."""
+    """Return sentences on the consistency on several drives, one for each kind of verdict."""
     known = [one for one in found if one]
     of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)
@@ -206,13 +207,13 @@ def _kinds(one: Consistency) -> Iterator[Kind]:
 
 
 def _size(mean_squares: Sequence[float], what: str) -> str:
-    """Compare sigmas with the right ones, from mean NIS or NEES, which should be 2."""
+    """Compare sigmas with the right values, from the mean NIS or NEES, which should be 2."""
     mean = sum(mean_squares) / max(len(mean_squares), 1)
     return f"{size_of(math.sqrt(2 / mean) if mean > 0 else math.inf)} (mean {what} {mean:.2g}, should be 2)"
 
 
 def size_of(ratio: float) -> str:
-    """Describe sigmas by their ratio to the right ones."""
+    """Describe the ratio of sigmas to the right values, as ``20% too small``."""
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:
         return f"{100 * abs(ratio - 1):.0f}% too {size}"

@@ -1,4 +1,4 @@
-"""Drift of methods while fixes are hidden, over several random placements of the outages."""
+"""Drift of each method during outages, over several random placements of the outages."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -30,17 +30,17 @@ SMOOTHED = "smoothed"
 SWARM = "swarm"
 """A filter bank of the tuned filter."""
 LEARNED = ("outage-lstm", "noise-gru")
-"""The tuned filter with a learned network, by the names of the networks: see `learned`."""
+"""Networks that help the tuned filter: see `learned`."""
 OWN = "against"
-"""Another tuning, or a filter of the user's own."""
+"""Another tuning, or the user's own filter."""
 FIXES = "fixes_alone"
-"""A constant-velocity filter of the fixes, without the IMU."""
+"""A constant-velocity filter that uses the fixes only, without the IMU."""
 UNTUNED = "untuned"
-"""The baseline: the tuned filter's model with usual noises, not tuned."""
+"""The baseline: the tuned filter's model with typical noises instead of tuned ones."""
 
 
 class Run(Protocol):
-    """An iterator over the estimates of a drive, in pieces."""
+    """A run over a drive, which yields its estimates in pieces."""
 
     @property
     def initial(self) -> InitialState: ...
@@ -52,15 +52,14 @@ class Run(Protocol):
 
 
 Runs = Mapping[str, Callable[[Replay], Run]]
-"""Methods that are not a single filter, by their names."""
+"""Methods other than single filters: functions that run them on a replay, by name."""
 
 
 class Outages:
-    """The outages of one length on a drive in several placements, and the drifts of methods over them.
+    """Outages of one length on a drive in several placements, and the drifts of methods over them.
 
-    ``seeds`` are those of the placements, none where no outage fits; ``failed`` the methods that failed in one of them.
-    ``stated`` has the ends of the outages, s, with the tuned filter's position variances per axis there, m2, and its
-    errors, m.
+    ``seeds`` has the seed of each placement; it is empty if no outage fits. ``failed`` has the methods that failed in
+    any placement.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -76,11 +75,11 @@ class Outages:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Times, variances and errors at the ends of the outages, if the tuned filter ran."""
+        """Ends of the outages, s, and the tuned filter's position variances per axis, m2, and errors, m, at them."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
-        """Add an estimate that uses no fix, so it needs no further run."""
+        """Add an existing estimate that uses no fixes, and so is the same with the fixes hidden."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
     def run(
@@ -90,9 +89,9 @@ class Outages:
         *,
         watched: bool = True,
     ) -> None:
-        """Run filters and other methods with the fixes hidden. No steps are kept.
+        """Run filters and other methods with the fixes hidden, without storing their estimates.
 
-        ``watched``: filters are monitored and reset after divergence; otherwise they run side by side.
+        With ``watched`` filters are monitored and reset after divergence. Otherwise they run as one batch.
         """
         for seed in self.seeds:
             self._ready.forget()
@@ -102,7 +101,7 @@ class Outages:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, watched: bool
     ) -> None:
-        """Run one placement; a separate function, to free its memory before the next one."""
+        """Run one placement; a separate function, so that its memory is freed before the next placement."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         if watched:
             sums = joined([self._recorded(m, outages, p).sums for m, p in filters.items()], axis=1)
@@ -120,7 +119,7 @@ class Outages:
             self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
 
     def _recorded(self, method: str, outages: Replay, parameters: FilterParameters) -> Recording:
-        """Run a filter; of the tuned one keep what is stated at the ends of the outages."""
+        """Run a filter; for the tuned filter, store variances and errors at the ends of the outages."""
         recording = Recording(outages, parameters, recover=True)
         if method != "tuned":
             return recording.finished()
@@ -142,7 +141,7 @@ class Outages:
             self.failed.add(method)
 
     def drift(self, method: str) -> float:
-        """Return the RMS over the outages of all placements, m; NaN where none fits or the method failed."""
+        """Return the RMS drift over the outages of all placements, m; NaN if no outage fits or the method failed."""
         if not self.seeds or method in self.failed:
             return float("nan")
         counts = [len(ends) for ends in self._ends]
@@ -150,19 +149,19 @@ class Outages:
 
     @property
     def record(self) -> DriftRecord:
-        """The record in scores.json."""
+        """Record for scores.json."""
         each = {m: [v if np.isfinite(v) else None for v in values] for m, values in self._each.items()}
         return DriftRecord(outages=sum(map(len, self._ends)), each=each)
 
 
 def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: Array) -> float:
-    """Return the RMS position error at the ends of the windows, m; NaN where there are none."""
+    """Return the RMS position error at the ends of outages, m; NaN without outages."""
     places = [np.interp(ends, estimate.time, estimate.mean[:, i]) for i in (0, 1)]
     return _drift(ready, ends, np.column_stack(places))
 
 
 def _drift(ready: PreparedDrive, ends: Array, places: Array) -> float:
-    """The RMS error of positions (k, 2) at the ends of outages."""
+    """Return the RMS error, m, of positions at the ends of outages, shape (k, 2)."""
     reference = drift_reference(ready)
     true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
     squares = np.square(places - np.column_stack(true)).sum(axis=1)

@@ -77,23 +77,23 @@ class Options:
     Attributes
     ----------
     against : FilterParameters or path, optional
-        Another tuning or filter, of any model, or a file of one, also an ekf.yaml of robot_localization; it is the
-        first row of every table.
+        Another filter of any model, or its file: a tuning.toml, or an ekf.yaml of robot_localization. It is the first
+        row of every table.
     outage_length : float
-        s, of the shorter outages; the longer ones last 30 s.
+        Length of the medium outages, s; the others last 1 s and 30 s.
     outage_seed : int
-        Seed of the outages, which are the same for every method; see `placements`.
+        Seed of the outages, which are the same for all methods; see `placements`.
     as_recorded : bool
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth : bool
-        Also evaluate the smoothed estimates, see `sigmaswarm.smooth`. In an outage they use the fixes after it.
+        Also evaluate the smoothed estimates: see `sigmaswarm.smooth`. During an outage they use later fixes.
     swarm : bool
-        Also evaluate a filter bank, see `sigmaswarm.LiveFilterBank`.
+        Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
-        Further methods, by names of `ALSO`: callables that run on a replay, such as a trained network.
+        Further methods, with names from `ALSO`: functions that run a method on a replay, such as a trained network.
     fixes_alone : MotionNoise, optional
-        Noises of the filter of the fixes alone, ``tuning.fixes_alone``. None: they are fitted to each drive, so its
-        scores are lower bounds.
+        Noises of the filter of the fixes alone, as in ``tuning.fixes_alone``. By default they are fitted to each
+        evaluated drive, so the scores of this filter are lower bounds.
     """
 
     against: FilterParameters | None = None
@@ -106,7 +106,7 @@ class Options:
     fixes_alone: MotionNoise | None = None
 
     def further(self, parameters: FilterParameters) -> dict[str, Callable[[Replay], Run]]:
-        """The methods that are not a single filter, apart from fixes alone."""
+        """Return the methods other than single filters, without fixes alone."""
         runs: dict[str, Callable[[Replay], Run]] = {}
         if self.smooth:
             runs[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
@@ -120,10 +120,10 @@ class Options:
 class Evaluated:
     """Results of all methods on a drive.
 
-    Scores, times of resets (s), and drifts with the number of outages are by method or measure. Consistency and
-    innovations are those of the tuned filter. ``tracks`` are those of tracks.npz, ``picture`` has more points, for
-    print. ``frozen`` counts stale fixes, which no filter used. ``findings`` are the doctor's, ``truth_offset`` is a
-    sentence on a constant offset between fixes and truth. ``radius`` is that of `ScoresRecord`.
+    ``scores`` and ``restarts`` (times of resets, s) are by method, ``drifts`` by measure. ``consistency`` and
+    ``innovations`` belong to the tuned filter. ``tracks`` is the content of tracks.npz; ``picture`` has more points,
+    for print. ``frozen`` is the number of stale fixes, which no filter used. ``findings`` are findings of the doctor.
+    ``truth_offset`` is a sentence on a constant offset between fixes and truth. ``radius``: see `ScoresRecord`.
     """
 
     scores: Mapping[str, Score]
@@ -140,7 +140,7 @@ class Evaluated:
     radius: Mapping[str, RadiusRecord] = field(default_factory=dict[str, RadiusRecord])
 
     def called(self, name: str) -> "Evaluated":
-        """The same under another name, where two drives have one."""
+        """Return a copy with another drive name, for drives of the same name."""
         tracks, picture = self.tracks, self.picture
         return replace(
             self,
@@ -150,7 +150,7 @@ class Evaluated:
         )
 
     def seen_in(self, overlap: Overlap) -> "Evaluated":
-        """The same with the part of the drive that the filter was tuned on."""
+        """Return a copy that records which part of the drive the filter was tuned on."""
         part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
         return replace(self, record=self.record.model_copy(update=part))
 
@@ -165,13 +165,13 @@ class Evaluation:
     names : mapping of method to str
         Display names.
     outage_length, outage_seed : float, int
-        Length of the shorter outages, s (the longer ones last 30 s), and the seed of their placement.
+        Length of the medium outages, s (the others last 1 s and 30 s), and seed of the placements.
     against : FilterParameters or None
-        The other filter that was compared with.
+        Other filter in the comparison.
     parameters : FilterParameters or None
-        The filter that was evaluated.
+        Evaluated filter.
     fixes_alone : MotionNoise or None
-        Noises of the filter of the fixes alone; None where they were fitted to each drive.
+        Noises of the filter of the fixes alone; None if they were fitted to each drive.
     """
 
     drives: Mapping[str, Evaluated]
@@ -193,9 +193,9 @@ class Evaluation:
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
-        """Return the mean of a measure over the drives that have it; None where none has, or the method failed.
+        """Return the mean of a measure over the drives with a value; None without values or if the method failed.
 
-        ``method`` is a key as in scores.json (``untuned``) or a name as it is printed (``baseline``).
+        ``method`` is a key of scores.json (``untuned``) or a display name (``baseline``).
         """
         method = self._key(method)
         if any(found.scores[method].failed for found in self.drives.values()):
@@ -204,7 +204,7 @@ class Evaluation:
         return float(np.mean(known)) if known else None
 
     def value(self, drive: str, method: str, measure: str) -> float | None:
-        """Return one score, or None where it is not known; ``method`` as in `mean`."""
+        """Return one score, or None if it is unknown; ``method`` as in `mean`."""
         value = MEASURES[measure].of(self.drives[drive].scores[self._key(method)])
         return float(value) if np.isfinite(value) else None
 
@@ -212,28 +212,28 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = UNTUNED, measure: str = "position_rmse_m") -> float | None:
-        """The paper's equation 5: (manual - tuned) / manual x 100, in percent, of the means over drives."""
+        """Return 100 (manual - tuned) / manual, % (the paper's equation 5), of the means over drives."""
         manual, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not manual or tuned is None else 100 * (manual - tuned) / manual
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """`MEASURES`, named after the length of this evaluation's outages."""
+        """`MEASURES`, with the outage length of this evaluation in their names."""
         return measures(self.outage_length)
 
     @property
     def restarted(self) -> tuple[str, ...]:
-        """A sentence for each drive on which the tuned filter diverged."""
+        """Sentences on the drives on which the tuned filter diverged."""
         return restarted(self.record)
 
     @property
     def worse_than_raw(self) -> tuple[str, ...]:
-        """A sentence for each drive on which the tuned filter's position is worse than the raw fixes."""
+        """Sentences on the drives on which the tuned filter's position is worse than the raw fixes."""
         return worse_than_raw(self.record)
 
     @property
     def worse_than_untuned(self) -> tuple[str, ...]:
-        """A sentence for each method without tuning that is better on average over the drives."""
+        """Sentences on the methods without tuning that are better on average over the drives."""
         return worse_than_untuned(self.record, self.measures)
 
     @property
@@ -277,11 +277,11 @@ class Evaluation:
 
     @property
     def view(self) -> EvaluationView:
-        """Tables and sentences, as the terminal, notebooks and the page show them."""
+        """Tables and sentences for the terminal, notebooks and the page."""
         return EvaluationView(self.record, self.setup, self.names)
 
     def to_frame(self) -> pl.DataFrame:
-        """Return one row per drive and method; methods have the names that the command line prints."""
+        """Return one row per drive and method; methods have their display names."""
         return self._frame(self.names)
 
     def _frame(self, names: Mapping[str, str]) -> pl.DataFrame:
@@ -293,12 +293,12 @@ class Evaluation:
         return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
 
     def to_pandas(self) -> "pd.DataFrame":
-        """The same for pandas, which must be installed.
+        """Return the table of `to_frame` as a pandas DataFrame.
 
         Raises
         ------
         InputError
-            Where it is not.
+            If pandas is not installed.
         """
         return notebook.to_pandas(self.to_frame().to_dict(as_series=False))
 
@@ -309,7 +309,7 @@ class Evaluation:
         return self.view.to_html()
 
     def save(self, folder: Path) -> list[Path]:
-        """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; their paths."""
+        """Write scores.json, scores.csv, evaluation.json, tracks.npz and any other filter; return the paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_whole(paths[1], self._frame({m: m for m in self.names}).write_csv())
@@ -334,19 +334,19 @@ def evaluate(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Preferably drives that the tuning did not use. Without truth only the outage drift is computed, against the
-        hidden fixes.
+        Preferably drives that the tuning did not use. Without truth the only error is the outage drift, relative to
+        the hidden fixes.
     parameters : FilterParameters
-        The tuned ones.
+        Parameters of the tuned filter.
     seen : sequence of Landmarks, optional
-        Landmarks of the training drives: ``tuning.seen``, or `tuning.record.seen_by` of its file. The evaluation then
-        reports the part of each drive that they contain, also of renamed, cut or repaired drives. Without seen.npz
-        only complete drives are recognized.
+        Landmarks of the training drives: ``tuning.seen``, or the result of `tuning.record.seen_by` for a tuning.toml.
+        With them the evaluation reports the part of each drive that was used for training, even if the drive was
+        renamed, cut or repaired. Without seen.npz only complete drives are recognized.
     cluster : distributed.Client, optional
-        A Dask cluster whose workers read the drives, also given as paths or URLs, and do the work. The result's bits
+        Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters. The result's bits
         do not depend on it.
     **options
-        Those of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more, fixes_alone.
+        Attributes of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more, fixes_alone.
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
@@ -381,7 +381,7 @@ def evaluate(
 def _evaluated(
     drive: Drive, parameters: FilterParameters, options: Options, marked: bool
 ) -> tuple[str, Evaluated, Landmarks | None]:
-    """Run every method over a drive; return its name, its results and, if ``marked``, its landmarks."""
+    """Run every method over a drive; return the drive's name, the results and, if ``marked``, its landmarks."""
     marks = landmarks(drive) if marked else None
     own = {} if options.against is None else {OWN: options.against}
     filters, further = compared(drive, parameters) | own, options.further(parameters)
@@ -390,7 +390,7 @@ def _evaluated(
     lengths = dict(zip(DRIFTS, (SHORT_OUTAGE_LENGTH, options.outage_length, LONG_OUTAGE_LENGTH), strict=True))
     outages = {m: Outages(ready, length=each, seed=options.outage_seed) for m, each in lengths.items()}
 
-    imu_only = run_imu_only(ready)  # first: it needs memory that the filters' targets take later
+    imu_only = run_imu_only(ready)  # runs first, before the filters' targets take memory
     tracker.keep_estimate("imu_only", imu_only)
     for of in outages.values():
         of.add_estimate("imu_only", imu_only)
@@ -435,7 +435,7 @@ def _evaluated(
 def _radius(
     drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
 ) -> RadiusRecord | None:
-    """Radius of the tuned filter's position, from times, variances and errors."""
+    """Summarize the radius of the tuned filter's position from times, s, variances, m2, and errors, m."""
     time, variance, error = stated
     lasting = lasting_variance(drive, parameters, time)
     return radius_record(variance, lasting, None if drive.truth is None else error)
@@ -443,7 +443,7 @@ def _radius(
 
 @dataclass(frozen=True, eq=False)
 class _Passed:
-    """Results of the pass over all fixes, and the methods that are not a single filter."""
+    """Results of the pass over all fixes, and ``further``: the methods other than single filters."""
 
     scores: Mapping[str, Score]
     restarts: Mapping[str, tuple[float, ...]]
@@ -459,7 +459,7 @@ def _tracked(
     further: Runs,
     noise: MotionNoise | None,
 ) -> _Passed:
-    """Run every method over all fixes; a separate function, to free the memory for the next pass."""
+    """Run every method over all fixes; a separate function, so that its memory is freed before the next pass."""
     replay = tracking_replay(ready)
     further = {**further, FIXES: partial(FixesAlone, noise=noise or fit_noise(replay))}
     recorded = {m: tracker.record(m, replay, p, recover=True) for m, p in filters.items()}
@@ -477,19 +477,19 @@ def _tracked(
         if method != FIXES:  # it is never reset
             restarts[method] = tuple(run.restarts)
     radius = _radius(ready.drive, filters["tuned"], tracker.stated)
-    tracker.stated = NOTHING_STATED  # three arrays as long as truth
+    tracker.stated = NOTHING_STATED  # frees three arrays of the length of truth
     return _Passed(scores, restarts, recorded["tuned"].innovations, further, radius)
 
 
 def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:
-    """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
+    """Score dead reckoning from the common start: errors against truth, and drift at the ends of the outages."""
     windows = outage_windows(ready.drive, estimate.initial, length=length, seed=seed)
     drift = rms_drift(ready, estimate, windows[:, 1])
     return replace(score_estimate(ready.drive, estimate), outage_drift=drift, failed=False)
 
 
 def score_fixes_alone(ready: PreparedDrive, noise: MotionNoise, length: float, seed: int) -> Score:
-    """Score the filter of the fixes alone: errors against truth, and the drift at the ends of the outages."""
+    """Score the filter of the fixes alone: errors against truth, and drift at the ends of the outages."""
     whole = estimate_of(FixesAlone(tracking_replay(ready), noise), recover=False)
     windows = outage_windows(ready.drive, whole.initial, length=length, seed=seed)
     hidden = estimate_of(FixesAlone(outage_replay(ready, length=length, seed=seed), noise), recover=False)

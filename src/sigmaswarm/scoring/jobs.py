@@ -1,7 +1,7 @@
-"""Jobs of a batch: some replays by some parameter sets each, run by an executor.
+"""Jobs of a batch: each runs some of the replays with some of the parameter sets.
 
-A kernel runs up to `most_lanes` parameter sets at once, and fewer of them take more time each. So jobs have this size,
-except those that would leave workers idle at the end.
+A kernel runs up to `most_lanes` parameter sets at once; with fewer, each of them takes more time. Therefore jobs have
+this size, except where workers would be idle at the end.
 """
 
 import os
@@ -15,14 +15,14 @@ from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
 Result = TypeVar("Result")
 
 MOST_SETS = 64
-"""Parameter sets in a job of a single worker; more would take more memory."""
+"""Largest number of parameter sets in a job of a single worker, to limit the memory."""
 SHORT = 20_000
-"""Steps: shorter replays share a job, unless workers would be idle."""
+"""Number of steps below which replays share a job, unless workers would be idle."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Some replays of the pass ``name``, with their total number of steps, by some of the parameter sets."""
+    """A range of replays of the pass ``name``, ``steps`` long in total, and a range of parameter sets."""
 
     name: str
     replays: range
@@ -36,11 +36,15 @@ class Job:
 
 
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, workers: int) -> list[Job]:
-    """Divide a batch into jobs, in the order of passes, replays and sets; ``steps``: of each replay, by pass."""
+    """Divide a batch into jobs, in the order of passes, replays and sets.
+
+    ``steps`` has the number of steps of each replay, by pass.
+    """
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(SHORT, total / workers)))
     most = MOST_SETS if workers == 1 else most_lanes(kernel)
-    # Whole rounds of all workers are wide; the shortest parts, which are left over, are split among the workers.
+    # Parts that fill whole rounds of all workers have the full width. The shortest parts, which do not fill a round,
+    # are split among the workers.
     left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]
     narrow = min(most, -(-n_sets // workers // WIDEST) * WIDEST)
     widths = [(part, narrow if part in left_over else most) for part in parts]
@@ -52,7 +56,7 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
 
 
 def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
-    """Group consecutive replays of each pass into parts with a least number of steps."""
+    """Group consecutive replays of each pass into parts of at least ``least`` steps."""
     for name, each in steps.items():
         first, total = 0, 0
         for last, more in enumerate(each):
@@ -70,9 +74,9 @@ def cores() -> int:
 def run_jobs(
     function: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], executor: Executor | None
 ) -> list[Result]:
-    """Call a function with each tuple of arguments, in an executor; without one, in this thread.
+    """Call a function with each tuple of arguments, in ``executor`` or, without one, in this thread.
 
-    After an exception or an interrupt no further job begins, and those that have begun end before it is raised.
+    After an exception or an interrupt no further job starts. It is raised after the running jobs end.
     """
     if executor is None:
         return [function(*job) for job in jobs]
@@ -80,8 +84,8 @@ def run_jobs(
     try:
         for job in jobs:
             futures.append(executor.submit(function, *job))
-        # Jobs begin in order. If one has not when its turn comes, the executor is busy otherwise (this may be one of
-        # its threads): it runs here.
+        # Jobs start in order. If a job has not started when its result is needed, the executor is busy with other work
+        # (this thread may be one of its own), so the job runs in this thread.
         return [
             function(*job) if future.cancel() else future.result()
             for job, future in zip(jobs, futures, strict=True)
@@ -90,6 +94,6 @@ def run_jobs(
         begun = [future for future in futures if not future.cancel()]
         try:
             wait(begun)
-        except BaseException:  # interrupted once more
+        except BaseException:  # a second interrupt must not leave jobs running
             wait(begun)
             raise

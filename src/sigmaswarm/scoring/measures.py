@@ -16,11 +16,11 @@ METHODS = {
     "raw_gps": "raw GPS",
     "imu_only": "IMU only",
 }
-"""The rows of every comparison: keys in files and display names."""
+"""Rows of every comparison: display names by their keys in files."""
 HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noises are fitted to {}"
-"""Definition of the filter without an IMU."""
+"""Sentence that defines the filter without an IMU."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
-"""A sentence for users who do not know the option."""
+"""Hint for users who did not compare another filter."""
 ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
@@ -28,7 +28,7 @@ ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
 
 
 def filter_called(kind: str, model: str) -> str:
-    """Return the display name of a filter: its type, and its model if that is not the paper's."""
+    """Return the display name of a filter: its type, and its model unless that is planar5."""
     name = kind.replace("-", " ").replace("ukf", "UKF").replace("ekf", "EKF")
     return name if model == "planar5" else f"{name}, {model}"
 
@@ -42,8 +42,8 @@ def method_names(
 ) -> dict[str, str]:
     """Return the display names of the methods, with the type and model of the tuned filter.
 
-    ``also``: optional rows, `OWN` (the other filter, which comes first) and those of `ALSO`.
-    ``against``: type and model of `OWN`, if they are known.
+    ``also``: optional rows from `ALSO`, and `OWN` for another filter, which becomes the first row.
+    ``against``: type and model of the other filter, if known.
     """
     first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
@@ -51,7 +51,7 @@ def method_names(
 
 
 def how_untuned(tuned: str) -> str:
-    """Return the sentence that defines the baseline of a filter of that display name."""
+    """Return the sentence that defines the baseline, by the display name of the tuned filter."""
     if tuned.endswith("robot-localization"):
         return (
             "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 "
@@ -65,7 +65,7 @@ def how_untuned(tuned: str) -> str:
 
 @dataclass(frozen=True)
 class Measure:
-    """A measure: its title, its unit, and its value in a score."""
+    """A measure: its title, its unit, and a function that takes its value from a score."""
 
     title: str
     unit: str
@@ -78,7 +78,7 @@ class Measure:
 
 
 def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
-    """Return the measures in display units; ``outage_length``, s, is that of the shorter outages."""
+    """Return the measures in display units; ``outage_length`` is the length of the medium outages, s."""
     return {
         "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
         "position_median_m": Measure("position 50%", "m", lambda s: s.position_median),
@@ -96,6 +96,6 @@ def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
 
 MEASURES = measures()
 DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
-"""Measures of forecasts, in which a filter with an IMU should be better than the fixes alone."""
+"""Measures of drift, in which a filter with an IMU should be better than the fixes alone."""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
-"""Measures in which a filter is compared with the raw fixes, and their names in sentences."""
+"""Measures for comparing a filter with the raw fixes, and their names in sentences."""

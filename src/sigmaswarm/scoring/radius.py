@@ -1,19 +1,19 @@
 """Radius within which a position error lies with a stated probability, and its coverage.
 
-A filter averages the fixes. Where their errors are correlated, they do not average out, and a log does not show them:
-the position keeps the variance of these errors, whatever the filter's covariance is. Per axis it is taken as
+A filter averages the fixes. Correlated errors do not average out, and a log does not show them. The position error
+keeps their variance, which the filter's covariance may not contain. The total variance per axis is estimated as
 
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
 
-with P the mean of the filter's variances of x and y, s the standard deviation of the fixes (`receiver_std`), and w the
-white noise that they show (`white_noise`). A filter that has states for correlated errors has their variance g s^2 in
-P; otherwise g = 0. Nothing is added for a receiver with white errors. A short training drive determines a covariance
-from few independent errors. So the error over sigma has Student's t distribution with `DOF` degrees of freedom, and for
-a probability q
+where P is the mean of the filter's variances of x and y, s is the standard deviation of the fixes (`receiver_std`), and
+w is the standard deviation of their white noise (`white_noise`). If the filter has states for correlated errors, P
+contains their variance g s^2; otherwise g = 0. For a receiver with white errors nothing is added. A short training
+drive determines a covariance from few independent errors. Therefore error / sigma is modeled by Student's t
+distribution with `DOF` degrees of freedom, and for a probability q
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 
-which is the quantile of 2 F(2, DOF). The estimates of the filter and its covariance remain as they are.
+which is the quantile of 2 F(2, DOF). The filter's estimates and covariances do not change.
 """
 
 import math
@@ -29,11 +29,11 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate
 
 DOF = 7.0
-"""Degrees of freedom: chosen on the parts of the development drives that tunings did not see, seed 0."""
+"""Degrees of freedom, chosen on the parts of the development drives that tunings with seed 0 did not use."""
 LEVELS = 0.95, 0.999
 """Probabilities of the radii that an evaluation reports."""
 TRACKING = "tracking"
-"""Key of the radii with all fixes."""
+"""Key of the radii of runs with all fixes."""
 LOW = 0.85
 """Share of errors inside the 95% radius below which an evaluation warns."""
 
@@ -41,9 +41,10 @@ LOW = 0.85
 class RadiusRecord(BaseModel):
     """Radii of a filter's position on a drive, and how many errors they contain.
 
-    ``n`` counts the errors, or without truth the estimates. ``radius_95_m`` and ``radius_999_m`` are medians.
-    ``inside_95``, ``inside_999``: shares of the errors inside. ``sigma_ratio``: RMS sigma of the filter alone over
-    the RMS error, per axis. Unknown without truth: None. ``lasting_m``: m per axis, RMS of the correlated errors.
+    ``n`` is the number of errors, or of estimates without truth. ``radius_95_m`` and ``radius_999_m`` are medians.
+    ``inside_95`` and ``inside_999`` are the shares of the errors inside the radii. ``sigma_ratio`` is the RMS of the
+    filter's sigma divided by the RMS error, per axis. These three are None without truth. ``lasting_m`` is the RMS of
+    the correlated errors, m per axis.
     """
 
     n: int
@@ -58,16 +59,16 @@ class RadiusRecord(BaseModel):
 def position_radius(
     estimate: Estimate, drive: Drive, parameters: FilterParameters, level: float = 0.95
 ) -> NDArray[np.float64]:
-    """Radius within which the true position lies with a stated probability, m, at each time of an estimate.
+    """Return the radius, m, within which the true position lies with a given probability, at each time of an estimate.
 
     Parameters
     ----------
     estimate : Estimate
-        Of `run_filter` or `smooth`.
+        Result of `run_filter` or `smooth`.
     drive : Drive
-        The drive, whose fixes show how much of their error is white.
+        Drive of the estimate; its fixes determine the white part of their errors.
     parameters : FilterParameters
-        The filter.
+        Parameters of the filter.
     level : float
         The probability, above 0 and below 1.
 
@@ -78,7 +79,7 @@ def position_radius(
     Raises
     ------
     InputError
-        If ``level`` is no probability, or the estimate has no covariance.
+        If ``level`` is not between 0 and 1, or the estimate has no covariance.
     """
     if not 0.0 < level < 1.0:
         raise InputError(f"level = {level:g}: must lie above 0 and below 1")
@@ -89,12 +90,12 @@ def position_radius(
 
 
 def factor_of(level: float) -> float:
-    """Radius of a probability over sigma per axis."""
+    """Return the radius of a probability divided by sigma per axis."""
     return math.sqrt(DOF * ((1.0 - level) ** (-2.0 / DOF) - 1.0))
 
 
 def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) -> Array:
-    """Variance per axis of the correlated error of the last fix before each time, (n,) m2, that a filter leaves out."""
+    """Return the variance per axis, m2, of correlated fix errors that the filter does not model, at each time, (n,)."""
     gps, typical = drive.gps, float(np.mean(np.square(receiver_std(drive))))
     white = white_noise(gps.x + 1j * gps.y) ** 2 / typical
     share = max(1.0 - white - (parameters.fix_error or 0.0), 0.0)
@@ -105,9 +106,9 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) ->
 
 
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
-    """Summarize radii from a filter's variances and those of correlated errors, (n,) m2, and the errors, (n,) m.
+    """Summarize radii from variances of the filter and of correlated errors, m2, and position errors, m, each (n,).
 
-    None where there are no values, or the filter failed.
+    Returns None if there are no values or the filter failed.
     """
     total = variance + lasting
     if not len(total) or not np.isfinite(total).all():

@@ -18,13 +18,13 @@ SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "again
 Measured = dict[str, float | None]
 """Scores by measure; None if unknown."""
 FEW = 4
-"""Least number of outages of one placement: with fewer, all placements hide nearly the same fixes."""
+"""Outages per placement below which all placements hide nearly the same fixes."""
 
 
 class DriftRecord(BaseModel):
     """Drifts over outages of one length on a drive, for each random placement of the outages.
 
-    ``each``: by method, m, RMS over the outages of each placement; None where a filter failed.
+    ``each`` has the RMS drift of each placement, m, by method; None where the filter failed.
     """
 
     outages: int
@@ -37,27 +37,27 @@ class DriftRecord(BaseModel):
 
 
 class ScoresRecord(BaseModel):
-    """scores.json: by drive, method and measure; means over the drives; consistency; improvement by the tuning."""
+    """scores.json: scores by drive, method and measure, means over the drives, consistency, and improvements."""
 
     drives: dict[str, dict[str, Measured]] = Field(min_length=1)
     mean: dict[str, Measured]
     consistency: dict[str, Consistency | None] = Field(default_factory=dict)
     improvement_percent: dict[str, Measured] = Field(default_factory=dict)
     restarts: dict[str, dict[str, list[float]]] = Field(default_factory=dict)
-    """By drive and method, s: resets after divergence."""
+    """Times of resets after divergence, s, by drive and method."""
     drifts: dict[str, dict[str, DriftRecord]] = Field(default_factory=dict)
-    """By drive and measure."""
+    """Drifts by drive and measure."""
     failed: dict[str, list[str]] = Field(default_factory=dict)
-    """By drive: methods that failed."""
+    """Failed methods by drive."""
     radius: dict[str, dict[str, RadiusRecord]] = Field(default_factory=dict)
-    """By drive: of the tuned filter with all fixes, ``tracking``, and by measure of drift at the ends of outages."""
+    """Radii of the tuned filter by drive for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
-    """By drive: fixes that repeat an earlier one although the vehicle may have moved; filters do not use them."""
+    """Number of stale fixes by drive; they repeat an earlier fix though the vehicle may have moved."""
 
     def drift_said(self, measure: str, method: str = "tuned") -> str:
-        """Describe the number of outages behind a drift, and the range of drifts of a single placement.
+        """Describe the number of outages behind a drift, and the range of the drifts of single placements.
 
-        Empty if unknown, or if the method failed in any placement, since the others have other outages.
+        The text is empty if the drift is unknown, or if the method failed in any placement.
         """
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]
@@ -71,11 +71,11 @@ class ScoresRecord(BaseModel):
         return f"{outages} outages in {count} placements; {single}{few}"
 
     def mean_of(self, method: str, measure: str) -> float | None:
-        """Return the mean over the drives that have it, or None."""
+        """Return the mean of a measure over the drives with a value, or None."""
         return self.mean.get(method, {}).get(measure)
 
     def known(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
-        """Return the methods and measures that have any value: without truth no errors and no raw GPS."""
+        """Return the methods and measures with any value; without truth there are no errors and no raw GPS."""
         methods, measures = [*methods], [*measures]
 
         def any_value(methods: Iterable[str], measures: Iterable[str]) -> bool:
@@ -86,7 +86,7 @@ class ScoresRecord(BaseModel):
 
 
 class AgainstRecord(BaseModel):
-    """Name of the other filter that was compared."""
+    """Type and model of the other filter in the comparison."""
 
     kind: str
     model: str
@@ -95,7 +95,7 @@ class AgainstRecord(BaseModel):
 class EvaluationRecord(BaseModel):
     """evaluation.json: the options and the drives.
 
-    ``against``: the other filter that was compared, if any; its parameters are in against.toml.
+    ``against``: another filter in the comparison, if any; its parameters are in against.toml.
     """
 
     outage_length_s: float
@@ -104,27 +104,27 @@ class EvaluationRecord(BaseModel):
     data: list[DriveRecord]
     against: AgainstRecord | None = None
     findings: dict[str, list[str]] = Field(default_factory=dict)
-    """By drive: serious findings and warnings of the doctor, as sentences; empty before 0.4.0."""
+    """Serious findings and warnings of the doctor by drive, as sentences; empty in files before 0.4.0."""
     truth_offsets: dict[str, str] = Field(default_factory=dict)
-    """By drive: a sentence on a constant offset between fixes and truth."""
+    """Sentence on a constant offset between fixes and truth, by drive."""
     fixes_alone: MotionNoise | None = None
-    """Noises of the filter of the fixes alone, as tuned; None: those of each drive."""
+    """Noises of the filter of the fixes alone, from the tuning; None if they were fitted to each drive."""
     files: dict[str, str] = Field(default_factory=dict)
-    """SHA-256 of the files that belong to the evaluation, by name; empty before 0.4.0."""
+    """SHA-256 of the files of the evaluation, by name; empty in files before 0.4.0."""
 
 
 _SEALED = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
 
 
 def seal(folder: Path) -> None:
-    """Write the files that belong to the evaluation into evaluation.json."""
+    """Add the SHA-256 of the other files to evaluation.json."""
     record = load_record(EvaluationRecord, folder / ASKED_FILE)
     found = {name: _sha256(folder / name) for name in _SEALED if (folder / name).exists()}
     write_json(folder / ASKED_FILE, record.model_copy(update={"files": found}).model_dump())
 
 
 def require_sealed(folder: Path, record: EvaluationRecord) -> None:
-    """Raise `InputError` if a file of the folder is not the one that was written with its evaluation.json."""
+    """Raise `InputError` if a file of the folder differs from the SHA-256 in evaluation.json."""
     for name, expected in record.files.items():
         if name not in _SEALED or not (folder / name).is_file() or _sha256(folder / name) != expected:
             raise InputError(

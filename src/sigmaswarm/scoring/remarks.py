@@ -14,11 +14,11 @@ from sigmaswarm.scoring.tracks import FirstLook
 from sigmaswarm.wording import counted
 
 ALL_OF_IT = 0.99
-"""Share of a drive with truth above which gaps in it are not reported."""
+"""Share of the time with truth above which gaps in the truth are not reported."""
 FAR_BELOW = 1.0
-"""Mean NIS (half of what it should be) below which predictions do not measure the error."""
+"""Mean NIS, half of its expected value, below which predictions of the fixes do not measure the error."""
 NOTABLE = 0.9
-"""Share of the tuned filter's error below which the baseline's is reported as lower."""
+"""Ratio of the baseline's error to the tuned filter's below which it is reported as lower."""
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
@@ -28,7 +28,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
-    """Return the number of drives, and the time of them that the tuning used."""
+    """Describe the number of drives, and the parts of them that the tuning used."""
     called = counted(len(data), "drive")
     each = [
         f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
@@ -42,7 +42,7 @@ def said_of_drives(data: Sequence[DriveRecord]) -> str:
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
-    """Return a sentence for each drive with truth for a part of it only."""
+    """Return a sentence for each drive on which only a part has truth."""
     return tuple(
         f"errors on {drive.name} cover {drive.truth_share:.0%} of the time from the filters' start: the rest has no "
         "truth"
@@ -91,20 +91,20 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
 
 
 def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
-    """Estimate the tuned filter's position error on each of the first drives without truth, in a sentence."""
+    """Return a sentence for each of the first three drives without truth that estimates the position error."""
     blind = [one.name for one in data if one.has_truth is False]
     found = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
     return tuple(_without_truth(name, c) for name, c in found[:3])
 
 
 def said_of_first_look(look: FirstLook) -> str:
-    """Return the position error on a training drive in a sentence; empty if unknown."""
+    """Return a sentence on the position error on a training drive; empty if unknown."""
     name, rmse = look.picture.whole.name, look.position_rmse
     if np.isfinite(rmse["tuned"]):
         others = ", ".join(
             f"{METHODS[m]} {rmse[m]:.2g} m" for m in (UNTUNED, "raw_gps") if np.isfinite(rmse[m])
         )
-        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: expect more on others"
+        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: expect larger errors on others"
     if look.consistency is None or not look.consistency.own_sigma:
         return ""
     return _without_truth(name, look.consistency)
@@ -115,11 +115,11 @@ def _without_truth(drive: str, found: Consistency) -> str:
 
 
 def said_of_position(found: Consistency) -> str:
-    """Estimate the position error of a filter on a drive without truth, in a sentence.
+    """Return a sentence that estimates a filter's position error on a drive without truth.
 
-    It is the RMS of its sigmas, checked against its predictions of the fixes. Where these deviate far less than
-    expected, the receiver smooths its fixes or their errors are correlated: then the error of the filter may
-    be as large as that of the fixes.
+    The estimate is the RMS of the filter's position sigmas, checked by its innovations. If the innovations are far
+    smaller than expected, the receiver smooths its fixes or their errors are correlated. Then the position error may
+    be as large as the error of the fixes.
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
     (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} (2 is consistent)"

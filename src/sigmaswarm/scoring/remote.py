@@ -1,4 +1,4 @@
-"""Scores on the drives of a cluster's workers: parameter sets are sent there, and numbers come back."""
+"""Scores on the drives of a cluster's workers, which receive parameter sets and return numbers."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -20,11 +20,11 @@ from sigmaswarm.scoring.batch import Passes, Replayer, Scores
 
 T = TypeVar("T")
 Check = Callable[[Replayer], None]
-"""Raises an `InputError` if prepared drives can't be used; importable by name, or a partial of such."""
+"""Function that raises `InputError` if prepared drives can't be used; it must be picklable."""
 
 
 def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "Replays":
-    """Prepare the drives of a dataset for the given passes, where they are; ``check`` refuses unusable ones."""
+    """Prepare the drives of a local or remote dataset for the given passes; ``check`` rejects unusable drives."""
     if isinstance(dataset, RemoteDataset):
         remote = RemoteReplayer(dataset, passes, check)
         _ = remote.steps  # prepares the drives
@@ -43,7 +43,7 @@ def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> 
 
 @dataclass(frozen=True)
 class RemoteReplayer:
-    """A `Replayer` of a remote dataset; the workers share the work, so it needs no executor."""
+    """A `Replayer` of a remote dataset; it ignores executors, since the cluster's workers do the work."""
 
     dataset: RemoteDataset
     passes: Passes
@@ -51,12 +51,12 @@ class RemoteReplayer:
 
     @cached_property
     def steps(self) -> NDArray[np.int64]:
-        """Filter steps of one parameter set on each drive, over all passes, shape (n_drives,)."""
+        """Number of filter steps of one parameter set on each drive, over all passes, shape (n_drives,)."""
         steps = partial(_steps, passes=self.passes, check=self.check)
         return np.array(in_order(self.dataset.call(apply_to_each, steps)), np.int64)
 
     def subset(self, drives: Sequence[int]) -> "RemoteReplayer":
-        """Return the replayer of some of the drives, by index."""
+        """Return a replayer of some of the drives, by index."""
         part = RemoteReplayer(self.dataset.subset(drives), self.passes, self.check)
         part.__dict__["steps"] = self.steps[list(drives)]
         return part
@@ -71,11 +71,11 @@ class RemoteReplayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Apply a function to the scores, shape (..., n_sets, n_drives), on the workers."""
+        """Score the sets on the workers and apply a function there; it returns shape (..., n_sets, n_drives)."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]
-        whole = np.empty(shape).T  # memory order of `Replayer`: bits of sums depend on it
+        whole = np.empty(shape).T  # the memory order of `Replayer`, since bits of sums depend on it
         for places, part in answers:
             whole[..., places] = part
         return whole
@@ -86,7 +86,7 @@ class RemoteReplayer:
 
 
 Replays = Replayer | RemoteReplayer
-"""Prepared drives, which any number of parameter sets run over."""
+"""Prepared drives that can be replayed with any number of parameter sets."""
 
 
 def map_prepared(

@@ -1,8 +1,8 @@
-"""Errors against truth of one estimate: the definitions in NumPy.
+"""Errors of one estimate against truth: the reference definitions in NumPy.
 
-error = estimate - truth, at truth times from the start common to all methods (`InitialState.time`) to the last
-IMU sample, the estimate linearly interpolated to the truth time. Where truth states standard deviations, moments
-are weighted: see `truth.py`. `targets.py` gives the same definitions to the compiled batch; tests compare them.
+error = estimate - truth, at truth times from the common start of all methods (`InitialState.time`) to the last IMU
+sample. The estimate is linearly interpolated to the truth times. If truth has standard deviations, errors are weighted:
+see `truth.py`. The compiled batch uses the same definitions through `targets.py`; tests compare the two.
 """
 
 import math
@@ -18,29 +18,29 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.truth import heading_weights, is_known, root_mean, weights_at
 
 HEADING_COUNTS_ABOVE = 2.0
-"""m/s: below this true speed the heading error is not scored."""
+"""True speed, m/s, below which the heading error is not scored."""
 PIECE = 100_000
-"""Estimates that are scored at once, to limit the memory."""
+"""Number of estimates that are scored at once, to limit the memory."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of a method on one drive; NaN where one is not defined.
+    """Errors of a method on one drive; NaN for undefined ones.
 
     Attributes
     ----------
     position_rmse : m, sqrt(mean(ex^2 + ey^2)) at truth times
     position_median, position_95 : m, the 50% and 95% quantiles of sqrt(ex^2 + ey^2) at truth times
     heading_rmse : rad, RMS of the wrapped error where the true speed is over 2 m/s
-    outage_drift : m, RMS over windows without fixes of the position error at the window's end
-    short_outage_drift, long_outage_drift : m, the same over windows of 1 s and of 30 s
+    outage_drift : m, RMS of the position errors at the ends of outages
+    short_outage_drift, long_outage_drift : m, the same for outages of 1 s and of 30 s
     fix_rmse : m, RMS residual of the fixes after their update (the paper's equation 4)
     forecast_rmse : m, RMS innovation of fixes hidden in windows of 3 to 5 s
     innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each update
-    innovation_t : nats, the same under Student's t: see `negative_log_t`, with v = 4
+    innovation_t : nats, the same under Student's t with v = 4: see `negative_log_t`
     forecast_t : nats, the same over the hidden fixes of ``forecast_rmse``, with v = 8
-    mean_nis : mean of nu^T S^-1 nu over the fixes; 2 where the covariance is right
-    mean_nees : mean of e^T P^-1 e of the position; 2 where the covariance is right. P with truth's own variances
+    mean_nis : mean of nu^T S^-1 nu over the fixes; 2 if the covariance is right
+    mean_nees : mean of e^T P^-1 e of the position; 2 if the covariance is right. P includes the variances of truth
     failed : bool
     """
 
@@ -62,12 +62,24 @@ class Score:
 
 
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
-    """Negative log-likelihood of innovations with outliers: ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c).
+    """Return the negative log-likelihood, nats, of innovations under a distribution that tolerates outliers.
 
-    The negative logarithm of Student's t in two dimensions with v degrees of freedom, up to a constant, if c = v. The
-    value of c is chosen so that for Gaussian innovations the minimum is at a mean NIS of 2: see
-    `sigmaswarm.filters.student`. ``innovation`` (f, 2) is nu, ``covariance`` (f, 2, 2) is S, ``dof`` and ``scale`` are
-    v and c; the result is (f,).
+    It is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c). With c = v this is the negative logarithm of Student's t
+    in two dimensions with v degrees of freedom, up to a constant. The value of c is chosen so that the minimum for
+    Gaussian innovations is at a mean NIS of 2: see `sigmaswarm.filters.student`.
+
+    Parameters
+    ----------
+    innovation : ndarray, shape (f, 2)
+        nu, m.
+    covariance : ndarray, shape (f, 2, 2)
+        S, m2.
+    dof, scale : float
+        v and c.
+
+    Returns
+    -------
+    ndarray, shape (f,)
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
     half_log_det = 0.5 * np.log(np.linalg.det(covariance))
@@ -75,7 +87,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that come in pieces, as of `score_estimate`; ``initial`` is the start of the method."""
+    """Errors of estimates that arrive in pieces, as in `score_estimate`; ``initial`` is the start of the method."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth
@@ -86,7 +98,7 @@ class PieceErrors:
         self._turned: list[Array] = []
 
     def add(self, time: Array, mean: Array, variance: Array | None = None) -> None:
-        """The next estimates: times (r,) in s, means (r, n) of a model's states, and variances for `errors`, (r,)."""
+        """Add estimates: times, s, (r,), state means (r, n), and optional position variances, m2, (r,)."""
         truth, first = self._truth, self._next
         self._next = int(np.searchsorted(truth.time, time[-1], side="right"))
         at, nodes = slice(first, self._next), np.concatenate([[self._time], time])
@@ -101,7 +113,7 @@ class PieceErrors:
 
     @property
     def errors(self) -> tuple[Array, Array, Array]:
-        """Times of truth so far, s, with the variances that were given, m2, and the position errors, m."""
+        """Truth times so far, s, with the added variances, m2, and the position errors, m."""
         none = np.empty(0)
         variance, off = (np.concatenate([none, *of]) for of in (self._variance, self._off))
         return self._truth.time[self._first : self._next], variance, off
@@ -120,7 +132,7 @@ class PieceErrors:
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
-    """True x and y (m), linearly interpolated; NaN where truth is not known."""
+    """Return the true x and y, m, linearly interpolated; NaN where truth is unknown."""
     known = is_known(truth, time)
     x = np.where(known, np.interp(time, truth.time, truth.x), np.nan)
     y = np.where(known, np.interp(time, truth.time, truth.y), np.nan)
@@ -128,13 +140,13 @@ def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
 
 
 def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
-    """Distance of positions from the truth, m; NaN where truth is not known."""
+    """Return the distances of positions from the truth, m; NaN where truth is unknown."""
     true_x, true_y = truth_at(truth, time)
     return np.hypot(x - true_x, y - true_y)
 
 
 def score_estimate(drive: Drive, estimate: Estimate) -> Score:
-    """Position and heading error of an estimate; NaN without truth or after a failure."""
+    """Score position and heading of an estimate; NaN without truth or after a failure."""
     failed = estimate.failure is not None
     if drive.truth is None:
         return Score(failed=failed)
@@ -146,7 +158,7 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
 
 
 def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
-    """Position error of the fixes themselves, at fix times from the common start on."""
+    """Score the positions of the raw fixes, at their times after the common start."""
     if drive.truth is None:
         return Score()
     gps = drive.gps.select((drive.gps.time >= initial.time) & (drive.gps.time <= drive.imu.time[-1]))
@@ -156,6 +168,6 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
 
 
 def _position_score(errors: Array, weights: Array | None) -> Score:
-    """RMSE, 50% and 95% quantiles, linear between ranks, of errors (m,); NaN where there are none."""
+    """Return RMSE, 50% and 95% quantiles (linear between ranks) of errors, m, shape (m,); NaN without errors."""
     median, most = np.quantile(errors, [0.5, 0.95]).tolist() if errors.size else (math.nan, math.nan)
     return Score(root_mean(errors**2, weights), position_median=median, position_95=most)

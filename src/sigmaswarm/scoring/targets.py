@@ -1,4 +1,4 @@
-"""Targets of the compiled batch: truth along the drive, or at the end of outages."""
+"""Targets of the compiled batch: truth along the drive, or at the ends of outages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,32 +13,32 @@ from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
 from sigmaswarm.scoring.truth import heading_weights, is_known, weights_at
 
 OUTAGE_LENGTH = 5.0
-"""s without fixes, after which the drift is measured."""
+"""Default length, s, of the medium outages."""
 LONG_OUTAGE_LENGTH = 30.0
-"""s: long enough to show the biases of a filter."""
+"""Length, s, of the long outages, which show errors of the estimated biases."""
 SHORT_OUTAGE_LENGTH = 1.0
-"""s: about the time to the next fix."""
+"""Length, s, of the short outages: about the time to the next fix."""
 FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
-"""s: outages over which the drift of a tuned filter is compared with that of a filter of the fixes alone."""
+"""Lengths, s, of outages over which the drift of a tuned filter is compared with that of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""Number of outages per drive; they determine the drift to about 10%."""
+"""Wanted number of outages per drive; they determine the drift to about 10%."""
 MOST_PLACEMENTS = 8
-"""Largest number of placements of outages on a drive: more would hide the same seconds again."""
+"""Largest number of placements of outages on a drive; more would hide the same fixes again."""
 OUTAGE_FIRST_AFTER = 10.0
-"""s from the start to the first outage, at least."""
+"""Shortest time, s, from the start to the first outage."""
 OUTAGE_APART = 5.0
-"""s between outages, at least."""
+"""Shortest time, s, between outages."""
 
 
 def tracking_replay(ready: PreparedDrive) -> Replay:
-    """All fixes, compared with truth wherever truth is known."""
+    """Create a replay with all fixes, compared with truth wherever truth is known."""
     timeline = ready.timeline()
     return Replay(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
 
 def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> Replay:
-    """Fixes hidden in seeded windows; compared with truth (without truth: with the fixes) at their ends."""
+    """Create a replay with fixes hidden in random outages; the ends are compared with truth or else with the fixes."""
     windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
     ends, reference = windows[:, 1], drift_reference(ready)
@@ -51,34 +51,34 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
-    """Reference of the drift over outages: truth, or else the fixes without stale ones."""
+    """Return the reference for the drift over outages: truth, or else the fixes without stale ones."""
     drive = ready.drive
     return drive.gps.select(~ready.frozen) if drive.truth is None else drive.truth
 
 
 def drift_weights(ready: PreparedDrive, ends: Array) -> Array | None:
-    """Weights of the errors at the ends of outages, (k,); None: 1."""
+    """Return the weights of the errors at the ends of outages, shape (k,); None if all are 1."""
     truth = ready.drive.truth
     return None if truth is None else weights_at(truth, ends)
 
 
 def forecast_replay(ready: PreparedDrive, *, seed: int = 0) -> Replay:
-    """Fixes hidden in seeded windows of 3 to 5 s, all over the drive; each is compared with its prediction."""
+    """Create a replay with fixes hidden in random windows of 3 to 5 s; each is compared with its prediction."""
     windows = forecast_windows(ready.drive, ready.initial, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))
     return Replay(timeline, ready.initial, Targets.none(timeline))
 
 
 def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array:
-    """Windows of 3 to 5 s, shape (k, 2), all over the drive; k may be 0."""
+    """Return windows of 3 to 5 s over the whole drive, s, shape (k, 2); k may be 0."""
     return balanced_windows(initial.time, float(drive.imu.time[-1]), np.random.default_rng(seed))
 
 
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
-    """Seeds of repeated random placements of outages of ``length`` s, since one placement's drift is random.
+    """Return seeds for several random placements of outages of ``length`` s, since the drift depends on the placement.
 
-    There are enough for `OUTAGES_WANTED`, at most `MOST_PLACEMENTS` and at least two; none where no outage fits. The
-    first is ``seed`` itself.
+    There are at least two and at most `MOST_PLACEMENTS`, if possible enough for `OUTAGES_WANTED` outages. The list is
+    empty if no outage fits. The first seed is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
     wanted = min(max(-(-OUTAGES_WANTED // fitting), 2), MOST_PLACEMENTS) if fitting else 0
@@ -86,9 +86,9 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
-    """Windows of exactly ``length`` s, shape (k, 2), each ending at an IMU sample; k may be 0.
+    """Return windows of exactly ``length`` s that end at IMU samples, s, shape (k, 2); k may be 0.
 
-    Where truth states deviations, windows that end in its gaps are left out.
+    If truth has standard deviations, windows that end in a gap of truth are left out.
     """
     reference = (drive.gps if drive.truth is None else drive.truth).time
     earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
@@ -125,6 +125,6 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
-    """Number of the moments before the end of each step; it changes at IMU samples."""
+    """Return the number of target times before the end of each step; it changes at IMU samples."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
     return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

@@ -1,4 +1,4 @@
-"""Thinning of series that come in pieces, to a size that does not grow with the drive."""
+"""Thinning of series that arrive in pieces, to a size that does not depend on the length of the drive."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -11,10 +11,11 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
 class Thinned:
-    """A limited number of rows of a series, with all peaks of the error or of the NIS.
+    """A limited number of rows of a series that includes the peaks of the position error or of the NIS.
 
-    The first row and the last are kept, and from each of equal parts in between the rows with the smallest and the
-    largest error (without an error the first and the last row). The choice does not depend on the pieces.
+    The first and the last row are kept. The rows in between are divided into equal parts, and from each part the rows
+    with the smallest and the largest value are kept (without such values the first and the last row). The choice does
+    not depend on the pieces.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -23,7 +24,7 @@ class Thinned:
             parts, inner = most // 2 - 1, n - 2
             sizes = inner // parts + (np.arange(parts) < inner % parts)
             self._ends = np.concatenate([[1], 1 + np.cumsum(sizes), [n]])
-        self._first = 0  # row of the series at which the waiting rows begin
+        self._first = 0  # index in the series of the first waiting row
         self._waiting: dict[str, NDArray[np.floating[Any]]] = {}
         self._kept: list[Columns] = []
 
@@ -45,14 +46,14 @@ class Thinned:
 
     @property
     def columns(self) -> Columns:
-        """Return the kept rows, after the last piece."""
+        """Kept rows; complete after the last piece."""
         if not self._kept:
             return {"time": np.empty(0)}
         return {name: np.concatenate([part[name] for part in self._kept]) for name in self._kept[0]}
 
 
 def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the rows of the smallest and the largest value before each end, each once."""
+    """Return the rows of the smallest and the largest value of each part, without duplicates."""
     order = np.arange(len(columns["time"]), dtype=np.float64)
     key = np.nan_to_num(columns.get("position_error", columns.get("nis", order)), nan=0.0)
     parts = [(first, key[first:end]) for first, end in pairwise([0, *ends.tolist()])]
@@ -61,9 +62,9 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 class CloseUp:
-    """All rows of a series near a position (2,), m, with a gap where it leaves.
+    """All rows of a series near a position, m, shape (2,), with a gap where the series leaves the region.
 
-    Twice the ``side``, m, is kept, since axes of equal scale may show more.
+    The region is twice as wide as ``side``, m, since axes of equal scale may show more.
     """
 
     def __init__(self, place: NDArray[np.float64], side: float) -> None:
@@ -84,6 +85,6 @@ class CloseUp:
 
     @property
     def columns(self) -> Columns:
-        """Return x and y, after the last piece."""
+        """Kept x and y, m; complete after the last piece."""
         points = np.concatenate(self._kept) if self._kept else np.empty((0, 2))
         return {"x": points[:, 0], "y": points[:, 1]}

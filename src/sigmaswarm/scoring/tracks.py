@@ -1,7 +1,7 @@
-"""Tracks and errors over time of every method on a drive, thinned while the methods run, and their file.
+"""Tracks and errors over time of every method on a drive, thinned while the methods run, and the file tracks.npz.
 
-`tracks.npz` contains, for drive number ``i`` in ``names`` and each of its series, one array per column, called
-``i/series/column``. The same result gives the same bytes; the file has no date.
+tracks.npz has one array ``i/series/column`` for each column of each series of the drive with index ``i`` in ``names``.
+The same result gives the same bytes; the file has no date.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,16 +32,16 @@ from sigmaswarm.scoring.truth import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
-"""Ending of the name of the series of a filter's NIS."""
+"""Suffix of the series of a filter's NIS."""
 SHARES, MOVED = ".shares", ".moved"
-"""Endings of the series of the weights of a filter bank, and of its distance from its tuning."""
+"""Suffixes of two series of a filter bank: its weights, and its distance from the tuned parameters."""
 MOST_POINTS = 1500
-"""Points of a series in a file; more than a screen has columns."""
+"""Number of points of a series in a file; more than the pixel columns of most charts."""
 MOST_DRAWN = 20_000
-"""Points of a series in a printed picture."""
+"""Number of points of a series in a printed picture."""
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
 CLOSE_UP = 50.0
-"""m: side of the close-up of a track."""
+"""Side of the close-up of a track, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,10 @@ class Tracks:
     name : str
         Name of the drive.
     series : mapping of str to mapping of str to ndarray, shape (n,)
-        ``truth``, ``raw_gps``, ``imu_only`` and the filters have time (s), x, y (m); methods also position_error (m),
-        filters and ``imu_only`` heading_error (deg), filters position_3sigma (m) and heading_3sigma (deg). ``F.nis``
-        has the time and NIS of the fixes that the filter ``F`` used. Errors are NaN without truth.
+        ``truth``, ``raw_gps``, ``imu_only`` and the filters have the columns time (s), x and y (m). All but ``truth``
+        also have position_error (m). Filters and ``imu_only`` have heading_error (deg), and filters have
+        position_3sigma (m) and heading_3sigma (deg). ``F.nis`` has the time and NIS of the fixes that filter ``F``
+        used. Without truth there are no errors; in gaps of truth they are NaN.
     """
 
     name: str
@@ -66,9 +67,9 @@ class Tracks:
 class Picture:
     """Data of a printed picture of a drive.
 
-    ``whole`` has more points than a file; ``close`` every x and y of each series around the sharpest turn, NaN outside.
-    ``start`` and ``turn`` (2,) are where the filters start and where the car turns most, m east and north; ``frame``
-    (2, 2) the least and greatest x and y of the fixes.
+    ``whole`` has more points than tracks.npz. ``close`` has all x and y of each series around the sharpest turn, and
+    NaN outside. ``start`` and ``turn``, shape (2,), are the positions of the filters' start and of the sharpest turn, m
+    east and north. ``frame``, shape (2, 2), has the smallest and the largest x and y of the fixes.
     """
 
     whole: Tracks
@@ -79,17 +80,17 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """Return the baseline and the tuned filter; the tuned one last, to be drawn on top."""
+    """Return the baseline and the tuned filter; the tuned filter is last, so that it is drawn on top."""
     return {UNTUNED: baseline(drive, like=tuned), "tuned": tuned}
 
 
 class Tracker:
-    """Keeps thinned tracks of methods while they run over a drive; complete estimates are not stored.
+    """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
-    ``scores`` are those of position and heading of each method that ran, ``own_sigma`` the RMS of the position's
-    standard deviation according to each filter, m. ``stated`` has times, the tuned filter's position variances per
-    axis, m2, and with truth its errors, m, at the times of truth. Series have ``most_points``; with ``picture`` the
-    data of a printed picture is kept, too.
+    ``scores`` has the position and heading scores of each method, ``own_sigma`` the RMS of each filter's position
+    standard deviation, m. ``stated`` has the tuned filter's times, s, position variances per axis, m2, and position
+    errors, m: with truth at the truth times, else at all estimates and without errors. A series has at most
+    ``most_points`` points. With ``picture`` the data of a printed picture is recorded, too.
     """
 
     def __init__(
@@ -111,7 +112,7 @@ class Tracker:
     def record(
         self, series: str, replay: Replay, parameters: FilterParameters, *, recover: bool = False
     ) -> Recording:
-        """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
+        """Run a filter over a replay, and record its track as a series."""
         recording = Recording(replay, parameters, recover=recover)
         self._follow(series, recording, replay.initial)
         if recording.failure is None:
@@ -120,7 +121,7 @@ class Tracker:
         return recording
 
     def follow(self, series: str, run: Run) -> None:
-        """Run another method, such as a filter bank, and keep its track."""
+        """Run another method, such as a filter bank, and record its track."""
         self._follow(series, run, run.initial)
         self.scores[series] = replace(self.scores[series], failed=run.failure is not None)
         if isinstance(run, BankRun):
@@ -130,7 +131,7 @@ class Tracker:
             self._keep(series + MOVED, [{"time": log.time, **moved}], len(log.time))
 
     def _follow(self, series: str, run: Iterable[Piece], initial: InitialState) -> None:
-        """Keep a track that comes in pieces, and its score."""
+        """Record a track that arrives in pieces, and score it."""
         truth, imu_time = self._ready.drive.truth, self._ready.drive.imu.time
         errors = None if truth is None else PieceErrors(truth, initial)
         variance, count = 0.0, 0
@@ -158,11 +159,11 @@ class Tracker:
             self.stated = errors.errors if errors else (*np.hstack(blind), None)
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
-        """Keep the track of an estimate."""
+        """Record the track of an estimate."""
         self._keep(series, [self._columns(estimate)], len(estimate.time))
 
     def _columns(self, found: Estimate | Piece) -> Columns:
-        """Position, errors against truth, and 3 sigma of estimates."""
+        """Compute the columns of a series: position, errors against truth, and 3 sigma."""
         time, mean, truth = found.time, found.mean, self._ready.drive.truth
         columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
         if truth is not None:
@@ -188,7 +189,7 @@ class Tracker:
             self._fine[series], self._close[series] = fine.columns, close.columns
 
     def tracks(self, name: str) -> Tracks:
-        """Return the kept tracks and the fixes."""
+        """Return the recorded tracks and the fixes."""
         self._keep_fixes()
         return Tracks(name, self._thin)
 
@@ -203,7 +204,7 @@ class Tracker:
     def _keep_fixes(self) -> None:
         if "raw_gps" in self._thin:
             return
-        for kept in (self._thin, self._fine, self._close):  # after the filters, whenever it was kept
+        for kept in (self._thin, self._fine, self._close):  # IMU only is drawn after the filters
             if "imu_only" in kept:
                 kept["imu_only"] = kept.pop("imu_only")
         gps, truth = self._ready.drive.gps, self._ready.drive.truth
@@ -214,7 +215,7 @@ class Tracker:
 
 
 def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
-    """Run filters over a drive; return the data of a printed picture."""
+    """Run filters over a drive and return the data of a printed picture."""
     ready = prepared(drive)
     tracker = Tracker(ready, picture=True)
     for series, parameters in filters.items():
@@ -226,8 +227,8 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
 class FirstLook:
     """Result of a tuned filter on a training drive.
 
-    ``position_rmse`` is that of the tuned filter, the baseline and the raw fixes, m; NaN without truth. ``consistency``
-    is None where the tuned filter failed or had too few fixes.
+    ``position_rmse``, m, has the tuned filter, the baseline and the raw fixes; NaN without truth. ``consistency`` is
+    None if the tuned filter failed or had too few fixes.
     """
 
     picture: Picture
@@ -236,7 +237,7 @@ class FirstLook:
 
 
 def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstLook:
-    """Run a tuned filter and its baseline over a drive."""
+    """Run a tuned filter and its baseline over a training drive."""
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker = Tracker(ready, picture=True)
     filters = compared(drive, parameters)
@@ -250,7 +251,7 @@ def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool)
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Where the car turns most within 4 s while a filter runs, m east and north: the median of the fixes around it."""
+    """Return the position, m east and north, around which the car turns most within 4 s, as a median of five fixes."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]
@@ -277,7 +278,7 @@ def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
 
 
 def load_tracks(path: Path) -> list[Tracks]:
-    """Read a file of `save_tracks`."""
+    """Read a file written by `save_tracks`."""
     try:
         arrays = read_arrays(path)
         names = [str(name) for name in arrays.pop("names")]
@@ -287,7 +288,7 @@ def load_tracks(path: Path) -> list[Tracks]:
             series[int(number)].setdefault(of, {})[column] = np.asarray(values, np.float64)
         tracks = [Tracks(name, s) for name, s in zip(names, series, strict=True)]
         for of, columns in (item for one in tracks for item in one.series.items()):
-            # NAME.nis, NAME.shares and NAME.moved are no tracks
+            # NAME.nis, NAME.shares and NAME.moved have no positions
             needed = {"time", *(() if "." in of else ("x", "y")), *(["nis"] if of.endswith(NIS) else [])}
             shapes = {values.shape for values in columns.values()}
             if len(shapes) != 1 or len(shapes.pop()) != 1 or not needed <= columns.keys():

@@ -1,6 +1,6 @@
-"""The truth of a drive: the weight of each moment, the times at which it is known, and an offset of the fixes from it.
+"""The truth of a drive: weights of its rows, times at which it is known, and a constant offset from the fixes.
 
-An offset comes from an antenna away from the IMU, or from another origin or datum.
+Causes of an offset are the lever arm of the antenna, and another origin or datum of the truth.
 """
 
 import math
@@ -13,25 +13,25 @@ from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.drives.gaps import MANY, SHORTEST
 
 POSITION_FLOOR = 0.3
-"""m per axis: the accuracy of the best filters of cheap receivers, beyond which better truth gets no more weight.
+"""Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-Without this limit only stretches under open sky would have weight. There the reference is most accurate, and every
-filter is good.
+It is the accuracy of the best filters with cheap receivers. Without it, stretches under open sky would have nearly all
+the weight, where the reference is most accurate and every filter is good.
 """
 HEADING_FLOOR = math.radians(0.3)
-"""rad, likewise."""
+"""The same for the heading, rad."""
 BLOCKS = 8
-"""Number of stretches of a drive, whose means show the spread of correlated errors."""
+"""Number of parts of a drive; the spread of their means shows the effect of correlated errors."""
 CLEAR = 5.0
-"""Standard deviations of the mean from which an offset is reported."""
+"""Ratio of an offset to the standard deviation of its mean above which it is reported."""
 LEAST = 0.3, 0.3
-"""m, and share of the fixes' scatter: smaller offsets do not matter."""
+"""Smallest reported offset: in m, and as a share of the fixes' scatter."""
 
 
 def weights_at(truth: Truth, time: Array) -> Array | None:
-    """Weights of squared position errors at times, s: floor^2 / (sigma^2 + floor^2); None: 1.
+    """Return the weights of squared position errors at times, s: floor^2 / (sigma^2 + floor^2); None if all are 1.
 
-    sigma^2 is the mean of both axes' variances, from linearly interpolated deviations.
+    sigma^2 is the mean variance of both axes, from linearly interpolated standard deviations of truth.
     """
     if truth.std_x is None or truth.std_y is None:
         return None
@@ -40,21 +40,21 @@ def weights_at(truth: Truth, time: Array) -> Array | None:
 
 
 def heading_weights(truth: Truth) -> Array | None:
-    """Weights of the squared heading errors, (m,); None where truth states no deviation of the heading."""
+    """Return the weights of squared heading errors, shape (m,); None if truth has no standard deviation of heading."""
     return None if truth.std_theta is None else HEADING_FLOOR**2 / (truth.std_theta**2 + HEADING_FLOOR**2)
 
 
 def root_mean(squares: Array, weights: Array | None = None) -> float:
-    """Weighted RMS of squared errors (m,); NaN where there are none."""
+    """Return the weighted RMS from squared errors, shape (m,); NaN without errors."""
     if not squares.size:
         return float("nan")
     return float(np.sqrt(np.mean(squares) if weights is None else np.average(squares, weights=weights)))
 
 
 def is_known(truth: Truth, time: Array) -> NDArray[np.bool_]:
-    """Times (n,), s, at which truth is known, (n,): those outside of its gaps.
+    """Return True for each of the times, s, shape (n,), at which truth is known: outside of its gaps.
 
-    Truth without deviations is known from its first row to its last one.
+    Truth without standard deviations is known from its first row to its last.
     """
     inside = (time >= truth.time[0]) & (time <= truth.time[-1])
     if truth.std_x is None or len(truth) < 2:
@@ -64,7 +64,7 @@ def is_known(truth: Truth, time: Array) -> NDArray[np.bool_]:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Share of the time from ``start`` to ``end``, s, in which truth has rows, without gaps."""
+    """Return the share of the time from ``start`` to ``end``, s, that is not in a gap of truth."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)
@@ -72,7 +72,7 @@ def share_known(truth: Truth | None, start: float, end: float) -> float:
 
 
 def _gaps(truth: Truth) -> NDArray[np.bool_]:
-    """Intervals between rows, (m - 1,), that are gaps, as gaps in the IMU: much longer than usual."""
+    """Return True for each interval between rows, shape (m - 1,), that is a gap: much longer than the median."""
     intervals = np.diff(truth.time)
     return intervals > max(MANY * float(np.median(intervals)), SHORTEST)
 
@@ -80,8 +80,8 @@ def _gaps(truth: Truth) -> NDArray[np.bool_]:
 def truth_offset(drive: Drive) -> str:
     """Return a sentence on a constant offset of the fixes from truth, with its remedy; empty where there is none.
 
-    The fixes' errors are averaged along east and north, and along forward and left of the vehicle. The offset is
-    constant in the frame in which the averages of `BLOCKS` stretches agree better.
+    The fixes' errors are averaged in the map frame (east, north) and in the vehicle frame (forward, left). The offset
+    belongs to the frame in which the averages over `BLOCKS` parts of the drive agree better.
     """
     gps, truth = drive.gps, drive.truth
     if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):
@@ -118,7 +118,7 @@ def truth_offset(drive: Drive) -> str:
 
 
 def _constant(error: Complex) -> tuple[complex, float]:
-    """Return the mean of the means of stretches, m, and its ratio to its standard deviation."""
+    """Return the mean over the parts' medians, m, and the ratio of its size to its standard deviation."""
     if len(error) < 2 * BLOCKS:
         return 0j, 0.0
     means = np.array(

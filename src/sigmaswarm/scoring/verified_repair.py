@@ -1,4 +1,4 @@
-"""Verified repairs of a log: those that make forecasts worse are withheld."""
+"""Verified repairs of a log: repairs that make forecasts worse are not applied."""
 
 import warnings
 from collections.abc import Collection
@@ -18,17 +18,17 @@ from sigmaswarm.scoring.batch import Replayer
 
 CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
-"""Repairs that change the motion of a filter: axes, signs, units and clocks."""
+"""Repairs that change a filter's motion and are verified: axes, signs, units and clocks."""
 WORSE = 1.05
-"""A forecast error that is larger by more contradicts a repair."""
+"""Ratio of forecast errors after and before a repair above which it is withheld."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
-"""Noise of planar8's states, unit/sqrt(s): such a filter follows the fixes within seconds, and the IMU in between."""
+"""Noise densities of planar8's states, unit/sqrt(s), with which it follows the fixes over seconds and else the IMU."""
 LEAST_STD = 0.5
-"""m: lower bound on the standard deviation assumed for the fixes."""
+"""Smallest standard deviation, m, that is assumed for the fixes."""
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
-    """Return the filter whose forecasts verify every repair: planar8 with the lateral constraint, without tuning."""
+    """Return the filter whose forecasts verify repairs: planar8 with the lateral constraint and fixed noises."""
     dt = drive.nominal_interval
     std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
     return FilterParameters(
@@ -46,36 +46,37 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
-    """Return the baseline of the mended drive's default filter, which verifies repairs of clocks too."""
+    """Return the baseline of the repaired drive's default filter, which also verifies repairs of clocks."""
     model = "tilted12" if has_attitude(mended) else "planar8"
     return baseline_of(drive, model, ("lateral", "standstill", "robust"))
 
 
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
-    """Return a copy of the drive with all faults repaired that can be.
+    """Return a copy of the drive with all repairable faults repaired, except repairs that make forecasts worse.
 
-    A filter without tuning runs over the log before and after; for a repair of clocks, so does the default filter's
-    baseline. Where the forecasts of either, of the next fix or of fixes hidden for 3 to 5 s, get worse by more than 5%,
-    the responsible repair of axes or clocks is withheld.
+    A filter with fixed noises runs over the log before and after; for repairs of clocks the baseline of the default
+    filter does, too. They forecast the next fix, and fixes hidden for 3 to 5 s. If any forecast error increases by more
+    than 5%, the responsible repair of axes or clocks is withheld.
 
     Parameters
     ----------
     drive : Drive
-        The one that was diagnosed.
+        The diagnosed drive.
     diagnosis : Diagnosis
+        Its findings.
     only : collection of str, optional
         Codes of the findings to repair; by default all.
 
     Returns
     -------
     Drive
-        Under the same name; ``repaired`` in its metadata lists the findings that were repaired, ``withheld`` those
-        whose repair was not applied.
+        Drive of the same name. In its metadata, ``repaired`` lists the codes of repaired findings, and ``withheld``
+        those whose repair was not applied.
 
     Warns
     -----
     SigmaswarmWarning
-        A repair was withheld.
+        If a repair was withheld.
     """
     if only is not None:
         findings = tuple(f if f.code in only else replace(f, repair=None) for f in diagnosis.findings)
@@ -91,7 +92,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
         after = _forecasts(repairs.repair(drive, kept), judges)
         if np.all((after <= WORSE * before) | np.isnan(before)):
             break
-        # Leave out the one without which the forecasts are best.
+        # The responsible repair is the one without which the forecasts are best.
         errors: dict[str, float] = {}
         for code in sorted(doubtful):
             found = _forecasts(repairs.repair(drive, _without(kept, code)), judges)
@@ -109,15 +110,15 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
 
 
 def _without(diagnosis: Diagnosis, code: str) -> Diagnosis:
-    """Return the diagnosis without the repair of a finding."""
+    """Return a copy of the diagnosis without the repair of one finding."""
     findings = tuple(replace(f, repair=None) if f.code == code else f for f in diagnosis.findings)
     return replace(diagnosis, findings=findings)
 
 
 def _forecasts(drive: Drive, judges: list[FilterParameters]) -> Array:
-    """RMS errors (2 n,), m, of each filter's forecasts: of the next fix, and of fixes hidden for 3 to 5 s.
+    """Return the RMS forecast errors of n filters, m, shape (2 n,): of the next fix, and of fixes hidden for 3 to 5 s.
 
-    NaN where a filter can't run, or no fix can be hidden.
+    An error is NaN if the filter can't run or no fix can be hidden.
     """
     errors = np.full((len(judges), 2), np.nan)
     for row, parameters in zip(errors, judges, strict=True):

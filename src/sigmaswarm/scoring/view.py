@@ -22,10 +22,10 @@ from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
 _Row = tuple[str, str, Mapping[str, float | None]]
-"""Drive, method, and scores by measure."""
+"""Row of a table: drive, method, and scores by measure."""
 
 LATE = 5.0
-"""s after the start of a drive: a later start of the scores is reported."""
+"""Time, s, after the start of a drive; if the scores start later, this is reported."""
 NO_TRUTH = (
     "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
     "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
@@ -35,9 +35,9 @@ NO_TRUTH = (
 
 @dataclass(frozen=True, eq=False)
 class EvaluationView:
-    """An evaluation as tables and sentences, from memory or from its files.
+    """Tables and sentences of an evaluation, from memory or from its files.
 
-    ``names`` are the display names of the methods, in the order of the rows.
+    ``names`` has the display names of the methods, in the order of the rows.
     """
 
     scores: ScoresRecord
@@ -46,7 +46,7 @@ class EvaluationView:
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """The measures, named after the length of the outages."""
+        """The measures, with the outage length in their names."""
         return measures(self.setup.outage_length_s)
 
     @property
@@ -55,19 +55,19 @@ class EvaluationView:
         return all(drive.has_truth is False for drive in self.setup.data)
 
     def best_untuned(self, measure: str) -> str | None:
-        """The method without tuning that has the lowest mean of a measure, if any has one."""
+        """Return the method without tuning that has the lowest mean of a measure; None without values."""
         known = {m: v for m in ("raw_gps", FIXES, UNTUNED) if (v := self.scores.mean_of(m, measure))}
         return min(known, key=known.__getitem__, default=None)
 
     # ---- tables ----
 
     def mean_table(self) -> Table:
-        """Means over the drives."""
+        """Return the table of means over the drives."""
         means = {m: ("mean", self.names[m], of) for m, of in self.scores.mean.items()}
         return self._table("Mean over drives", lambda methods: [means[m] for m in methods if m in means])
 
     def drive_table(self) -> Table:
-        """The scores of each drive."""
+        """Return the table of scores on each drive."""
 
         def label(drive: str, method: str) -> str:
             failed = method in self.scores.failed.get(drive, ())
@@ -84,7 +84,7 @@ class EvaluationView:
         return self._table("Each drive", rows)
 
     def _table(self, caption: str, rows_of: Callable[[Sequence[str]], list[_Row]]) -> Table:
-        """The known scores of the known methods, with the tuned filter emphasized."""
+        """Return a table of all known scores, with the rows of the tuned filter emphasized."""
         methods, known = self.scores.known(self.names, self.measures)
         rows, tuned = rows_of(methods), self.names["tuned"]
         columns = Column("drive"), Column("method"), *(_column(self.measures[m]) for m in known)
@@ -93,7 +93,7 @@ class EvaluationView:
         return Table(caption, columns, cells, frozenset(strong))
 
     def drift_table(self) -> Table:
-        """The drifts with the number of outages, and the lowest and highest drift of a single placement of them."""
+        """Return the table of drifts, with the number of outages and the range of drifts of single placements."""
         drifts = self.scores.drifts
         known = [m for m in self.measures if any(m in of for of in drifts.values())]
         columns = [Column("drive"), Column("method")]
@@ -111,7 +111,7 @@ class EvaluationView:
         return Table("Drifts by the placement of the outages", tuple(columns), tuple(rows), strong)
 
     def consistency_table(self) -> Table:
-        """NIS, NEES and whiteness of the tuned filter on each drive."""
+        """Return the table of NIS, NEES and whiteness of the tuned filter on each drive."""
         columns: list[tuple[Column, Callable[[Consistency], Cell]]] = [
             (Column("fixes"), lambda c: c.n_fixes),
             (Column("mean NIS"), lambda c: c.mean_nis),
@@ -127,9 +127,13 @@ class EvaluationView:
         return Table("", (Column("drive"), *(column for column, _ in columns)), rows)
 
     def radius_table(self) -> Table:
-        """The stated radius of the tuned filter's position, and the share of the errors inside."""
+        """Return the table of stated radii of the tuned filter's position, and the shares of the errors inside."""
         percent = "{:.1f}".format
-        columns = [Column("95% radius", "m"), Column("99.9% radius", "m"), Column("lasting fix error", "m")]
+        columns = [
+            Column("95% radius", "m"),
+            Column("99.9% radius", "m"),
+            Column("correlated fix error", "m"),
+        ]
         if not self.blind:
             columns += [
                 Column("errors", number="{:.0f}".format),
@@ -156,7 +160,7 @@ class EvaluationView:
     # ---- sentences ----
 
     def result(self) -> str:
-        """The result in a sentence: position error where truth is known, else the drift over outages."""
+        """Return a sentence on the result: the position error with truth, else the drift over outages."""
         drives, mean_of = said_of_drives(self.setup.data), self.scores.mean_of
         for measure, what in (
             ("position_rmse_m", "has a position RMSE of {} m"),
@@ -165,7 +169,7 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            rivals = (OWN, self.best_untuned(measure))  # a gain over a worse one would flatter
+            rivals = (OWN, self.best_untuned(measure))  # a gain over a worse method would be misleading
             each = [
                 _compared(tuned, value, self.names[m]) for m in rivals if m and (value := mean_of(m, measure))
             ]
@@ -175,7 +179,7 @@ class EvaluationView:
         return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
 
     def _not_beaten(self) -> str:
-        """The forecasts in which the tuned filter does not beat the fixes alone, in a sentence."""
+        """Return a sentence on the drifts in which the tuned filter is not better than the fixes alone, or nothing."""
         mean_of = self.scores.mean_of
         pairs = {m: (mean_of("tuned", m), mean_of(FIXES, m)) for m in DRIFTS}
         lost = [
@@ -186,11 +190,11 @@ class EvaluationView:
         return f" It does NOT beat the fixes alone in the {', '.join(lost)}." if lost else ""
 
     def coverage(self) -> tuple[str, ...]:
-        """Sentences about the coverage of the scores: their start, truth, and stale fixes."""
+        """Return sentences about the data behind the scores: their start, truth, and stale fixes."""
         data = self.setup.data
         late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
         blind = [drive.name for drive in data if drive.has_truth is False]
-        said = [f"Filters start, and scores with them, {', '.join(late)}: at {START_RULE}."] if late else []
+        said = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
         said += map(_sentence, partly_scored(data))
         said += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
         said += map(_sentence, how_far(self.scores, data))
@@ -202,7 +206,7 @@ class EvaluationView:
         return tuple(said)
 
     def explanations(self) -> tuple[str, ...]:
-        """Sentences that define the rows."""
+        """Return sentences that define the rows of the tables."""
         methods = self.scores.mean
         fitted = "the training drives" if self.setup.fixes_alone else "each drive"
         return (
@@ -212,13 +216,13 @@ class EvaluationView:
         )
 
     def radii(self) -> tuple[str, ...]:
-        """Sentences on the stated radius of the position on each drive."""
+        """Return sentences on the stated radius of the position on each drive."""
         said: list[str] = []
         for drive, records in self.scores.radius.items():
             if (found := records.get(TRACKING)) is None:
                 continue
             inside, ratio = found.inside_95, found.sigma_ratio
-            held = "" if inside is None else f", and {100 * inside:.0f}% do"
+            held = "" if inside is None else f", and {100 * inside:.0f}% are"
             sigma = "" if ratio is None else f"; the filter's own sigma is {size_of(ratio)}"
             lasts = f", including {found.lasting_m:.2g} m per axis of correlated fix errors"
             lasts = lasts if found.lasting_m else ""
@@ -229,16 +233,18 @@ class EvaluationView:
         return tuple(said)
 
     def verdicts(self) -> dict[str, str]:
-        """Sentences about the consistency of the tuned filter, by kind."""
+        """Return sentences about the consistency of the tuned filter, by kind of verdict."""
         found = verdicts([*self.scores.consistency.values()])
         return {kind: _sentence(said) for kind, said in found.items()}
 
     def warnings(self) -> tuple[str, ...]:
-        """Sentences to read before the result is used, worst first."""
+        """Return the warnings as sentences, the most serious first."""
         data = self.setup.data
         said: list[str] = []
         if any(drive.seen_s for drive in data):
-            said.append("the filter was tuned on some of these drives: its scores there are too good")
+            said.append(
+                "the filter was tuned on some of these drives, where its errors are smaller than on others"
+            )
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             said.append(f"the tuned filter failed on {', '.join(failed)}")
         said += worse_than_raw(self.scores)
@@ -251,21 +257,21 @@ class EvaluationView:
         ]
         said += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
-            said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
+            said.append(f"the scores come from one drive of {data[0].duration_s:.0f} s: others may differ")
         return tuple(map(_sentence, said))
 
     def findings(self) -> tuple[str, ...]:
-        """Sentences of the doctor about the drives."""
+        """Return the findings of the doctor on the drives, as sentences."""
         return tuple(_sentence(said) for found in self.setup.findings.values() for said in found)
 
     def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
-        """All sentences for the terminal, the most important first; ``more`` follow the warnings."""
+        """Return all sentences for the terminal, the most important first; ``more`` is placed after the warnings."""
         positions = map(_sentence, how_far(self.scores, self.setup.data))
         said = (self.result(), *positions, *self.warnings(), *more, *self.verdicts().values(), *self.radii())
         return tuple(dict.fromkeys((*said, *self.coverage(), *self.drifts(), *self.explanations())))
 
     def drifts(self) -> tuple[str, ...]:
-        """Sentences about the number of outages behind each drift."""
+        """Return sentences about the number of outages behind each drift."""
         return tuple(
             f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}."
             for m, measure in self.measures.items()
@@ -288,7 +294,7 @@ class EvaluationView:
         return "\n".join([self.result(), *lines, *self.warnings()[:3]])
 
     def to_html(self) -> str:
-        """Return HTML for a notebook: means over the drives, each drive below, and the warnings."""
+        """Return HTML for a notebook: means over the drives, the warnings, and the scores on each drive."""
         each, remarks = self.drive_table().to_html(), notebook.listed("To know:", self.warnings())
         if len(self.scores.drives) == 1:
             return each + remarks
@@ -296,15 +302,15 @@ class EvaluationView:
 
 
 def explained_consistency(nees: bool) -> str:
-    """Explain the table of consistency."""
+    """Return a text that explains the table of consistency."""
     what = "NIS (of predictions of the fixes) and NEES (of errors) average" if nees else "NIS averages"
     return (
         f"Do the tuned filter's {'predictions and errors' if nees else 'predictions'} agree with its covariances? "
         f"{what} 2 where they do; above 2 the filter is overconfident, below 2 too cautious."
         f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
-        "the next fix. p is the probability that white ones look as correlated as these (Ljung and Box's test over "
-        "ten fixes). Below 0.01, each error is partly that of the fix before, as with most real receivers, and "
-        "averages out less than the filter assumes."
+        "the next fix. p is the probability that white innovations look as correlated as these (Ljung and Box's test "
+        "over ten fixes). Below 0.01, consecutive fixes share a part of their errors, as with most real receivers, "
+        "and the errors average out less than the filter assumes."
     )
 
 
@@ -315,14 +321,14 @@ def explained_radius() -> str:
         "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
         "Its variance per axis is the filter's plus that of correlated fix errors, which the log does not show: the "
         "square of what the receiver states, else of 2.1 m, minus the white noise of the fixes. The radii are "
-        f"{factors[0]:.2f} and {factors[1]:.2f} sigma, as of Student's t with {DOF:g} degrees of freedom, since a "
-        "training drive determines a covariance from few independent errors. The estimates and the filter's own "
-        "covariance, also in exports, do not contain this addition."
+        f"{factors[0]:.2f} and {factors[1]:.2f} sigma, from Student's t with {DOF:g} degrees of freedom, since a "
+        "training drive determines a covariance from few independent errors. The filter's own covariances, in "
+        "estimates and in exports, do not contain this addition."
     )
 
 
 def explained_scores(view: EvaluationView) -> str:
-    """Explain the tables of scores."""
+    """Return a text that explains the tables of scores."""
     with_truth = view.scores.known(view.names, view.measures)[1][0] == "position_rmse_m"
     drifts = rmse = ""
     if view.scores.drifts:
@@ -331,7 +337,7 @@ def explained_scores(view: EvaluationView) -> str:
             "is the RMS over the ends of all of them."
         )
         if not with_truth:
-            drifts += " Without truth it is against the hidden fixes and includes their own errors."
+            drifts += " Without truth the drift is relative to the hidden fixes and includes their errors."
     if with_truth:
         rmse = (
             " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 "
@@ -340,14 +346,14 @@ def explained_scores(view: EvaluationView) -> str:
     return (
         f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
         f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
-        "IMU only uses no fix after the drive's start, so its drift accumulates from there."
+        "The method IMU only uses no fix after the drive's start, so its drift accumulates from the start."
     )
 
 
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
-    """Mark a drive as a training drive if it is one and its file does not list the training data.
+    """Mark a drive as a training drive if it has the same hash as one and is not marked yet.
 
-    Another drive may still contain a part of one, so it is not called held out.
+    Other drives stay unmarked, since they may contain a part of a training drive.
     """
     same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
     if drive.seen_s is not None or not same:

@@ -28,13 +28,13 @@ from sigmaswarm.wording import shown
 class BatchResult:
     """Costs and scores of a batch.
 
-    Only the passes that the objective needs are run: drifts and forecasts may be NaN in the scores. Medians and longer
-    outages are always NaN; `evaluate` has them.
+    Only the passes that the objective needs are run, so drifts and forecasts may be NaN in the scores. Medians and the
+    drifts over longer outages are always NaN; `evaluate` computes them.
 
     Attributes
     ----------
     costs : ndarray, shape (n_sets,)
-        Of the objective; ``inf`` for a set that failed on any drive.
+        Values of the objective; ``inf`` for a set that failed on any drive.
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
@@ -58,7 +58,7 @@ def run_batch(
 ) -> BatchResult:
     """Run every parameter set over every drive and score it.
 
-    A set that fails is marked and costs ``inf``; the others are not affected.
+    The cost of a failed set is ``inf``; the other sets are not affected.
 
     Parameters
     ----------
@@ -67,19 +67,18 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        Share of the drives in the cost: the worst ones of each set.
+        Share of the drives that the cost averages: the worst ones of each set; 1 means all drives.
     outage_seed : int
-        Seed of the outages, where the objective has them.
+        Seed of the outages, for objectives that hide fixes.
     as_recorded : bool
-        Run without preprocessing: use stale fixes, and take gaps in the IMU as ordinary steps.
+        Run without preprocessing: use stale fixes, and treat IMU gaps as ordinary steps.
     executor : concurrent.futures.Executor, optional
-        Runs the work; threads on all cores by default. The bits of the result do not depend on it.
+        Runs the filters; by default threads on all cores. The result's bits do not depend on it.
 
     Raises
     ------
     InputError
-        If the objective is unknown, or needs truth that a drive does not have; if something is not a drive, not
-        parameters or not an executor.
+        If the objective is unknown or needs truth that a drive does not have, or an argument has the wrong type.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
@@ -116,13 +115,13 @@ def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> Non
 
 
 def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> Replays:
-    """Prepare the drives, where they are, for the passes that an objective needs."""
+    """Prepare the drives, local or remote, for the passes that an objective needs."""
     passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
     return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 
 def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
-    """Refuse drives on which an objective can't be computed."""
+    """Raise `InputError` if an objective can't be computed on a prepared drive."""
     needs_truth = objective_named(objective).needs_truth
     for drive, initial, moments in zip(
         replayer.drives, replayer.initial, replayer.truth_moments, strict=True

@@ -18,14 +18,14 @@ NOISES = (
     *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
     *NOISE_OF.values(),
 )
-"""Fields of `FilterParameters` that are noise variances; all of them times one factor scale the covariance."""
+"""Fields of `FilterParameters` that are noise variances; one factor on all of them scales the covariance."""
 
 
 @dataclass(frozen=True)
 class TouchedBound:
     """A parameter that ended at a bound: the optimum may lie beyond it.
 
-    Files contain its text: ``q_x at its lower bound (1e-05)``.
+    Its text is stored in files, as ``q_x at its lower bound (1e-05)``.
     """
 
     parameter: str
@@ -34,7 +34,7 @@ class TouchedBound:
 
     @property
     def place(self) -> str:
-        """The bound, as text."""
+        """Text of the bound and its value."""
         return f"at its {self.end} bound ({self.value:g})"
 
     def __str__(self) -> str:
@@ -56,9 +56,9 @@ class TouchedBound:
 class Dimension:
     """One tuned parameter: its field of FilterParameters, and its range.
 
-    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 if the field is a plain
-    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
-    of its factor; ``least``: the lower limit that it applies.
+    ``entries``: number of consecutive entries that it sets in a tuple; 0 if the field is a number. ``spread``: True if
+    the range spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises the parameter per decade of
+    its factor. ``least``: lower limit that `tuning.inflation` applies.
     """
 
     name: str
@@ -85,12 +85,12 @@ class Box:
 
     @cached_property
     def lowest(self) -> Array:
-        """Lower bounds of the parameters themselves."""
+        """Lower bounds in the units of the parameters."""
         return np.array([d.lowest for d in self.dimensions], dtype=np.float64)
 
     @cached_property
     def highest(self) -> Array:
-        """Upper bounds of the parameters themselves."""
+        """Upper bounds in the units of the parameters."""
         return np.array([d.highest for d in self.dimensions], dtype=np.float64)
 
     @cached_property
@@ -126,7 +126,7 @@ class Box:
     def values(self, points: Array) -> Array:
         """Convert points in search coordinates to parameters, shape (..., d)."""
         values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)
-        # 10**-5.0 differs from 1e-5 in the last bit: clip, so that no point leaves the bounds
+        # 10**-5.0 differs from 1e-5 in the last bit, so values are clipped to the bounds
         inside = (points >= self.low) & (points <= self.high)
         return np.where(inside, np.minimum(np.maximum(values, self.lowest), self.highest), values)
 

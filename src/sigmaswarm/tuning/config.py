@@ -1,6 +1,6 @@
-"""The options of a tuning: name, type, default, range and help text, each stated once.
+"""The options of a tuning: name, type, default, range and help text.
 
-The command line, `tune`, tuning.toml and the reference read these models.
+The command line, `tune`, tuning.toml and the reference manual all read these models.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -15,11 +15,11 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA, OptimizerName, Opti
 from sigmaswarm.wording import first_mistake
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
-"""Options of the optimizer pso alone."""
+"""Options that only the optimizer pso has."""
 DECIDED_LATER = ("model", "kind", "use")
 """Options whose default depends on the drives or on the model."""
 RENAMED = {"margin": "inflation"}
-"""Options of 0.3.0 that have another name now."""
+"""Current names of options of version 0.3.0."""
 SYNONYMS = {
     **dict.fromkeys(("n_trials", "restarts", "n_restarts", "repeats"), "trials"),
     **dict.fromkeys(("random_state", "random_seed", "rng"), "seed"),
@@ -33,7 +33,7 @@ SYNONYMS = {
     **dict.fromkeys(("filter", "filter_type"), "kind"),
     **dict.fromkeys(("output", "output_dir", "folder"), "out"),
 }
-"""Names of our options in other libraries."""
+"""Names that other libraries use for these options."""
 C = TypeVar("C", bound="SearchConfig")
 
 
@@ -42,7 +42,7 @@ def _qualified_name(optimizer: Any) -> str:
 
 
 OwnOptimizer = Annotated[Callable[..., Any], PlainSerializer(_qualified_name, return_type=str)]
-"""A class of the user's own; files contain its module and name."""
+"""A custom optimizer class; files contain its module and name."""
 OwnOptimizerName = Annotated[str, Field(pattern=r"^[\w.]+:[\w.<>]+$")]
 
 
@@ -66,9 +66,9 @@ class SearchConfig(BaseModel):
     """Seed of all random numbers; the same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
     """The cost is the mean over this share of the drives, the worst ones; 1 means all drives."""
-    # at least as good as de, and better than the paper's pso, at the same budget (docs/optimizers.md)
+    # at the same budget at least as good as de and better than the paper's pso (docs/optimizers.md)
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
-    """Search algorithm; bo needs scikit-learn. In Python also a class of your own. See docs/optimizers.md."""
+    """Search algorithm; bo needs scikit-learn. In Python also a custom class. See docs/optimizers.md."""
     polish: int = Field(default=0, ge=0)
     """Evaluations of the budget reserved for a final Nelder-Mead search from the best point."""
     racing: bool = False
@@ -105,14 +105,14 @@ class SearchConfig(BaseModel):
 
 
 class TuneConfig(SearchConfig):
-    """Options of a tuning of a built-in model, after `defaults.with_filter` has chosen model and use."""
+    """Options for tuning a built-in model, after `defaults.with_filter` has chosen model and use."""
 
     model: ModelName = "planar5"
-    """Process model: planar5 (the paper's), planar8 (IMU biases), tilted12 (roll and pitch too); chosen by the logs."""
+    """Process model: planar5 (paper), planar8 (IMU biases), tilted12 (roll, pitch). Default: by the sensors."""
     kind: FilterKind = "ukf"
-    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy; the first that the model has."""
+    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy. Default: the model's first."""
     use: tuple[Option, ...] = ()
-    """Measurements and constraints in addition to position fixes; chosen by the logs by default. See docs/method.md."""
+    """Measurements and constraints in addition to position fixes. Default: by the sensors. See docs/method.md."""
     outage_seed: int = Field(default=0, ge=0)
     """Seed of the outage windows, for objectives that hide fixes."""
     as_recorded: bool = False
@@ -134,7 +134,7 @@ class TuneConfig(SearchConfig):
     @classmethod
     def _default_kind(cls, options: Any) -> Any:
         """Fill in the first filter type that the model supports."""
-        from sigmaswarm.filters.models import MODELS  # heavy, and not needed for the command line's help
+        from sigmaswarm.filters.models import MODELS  # slow, and not needed for the command line's help
 
         if not isinstance(options, Mapping):
             return options
@@ -151,10 +151,10 @@ class TuneConfig(SearchConfig):
 
 
 class ModelTuneConfig(SearchConfig):
-    """Options of a tuning of the user's own model."""
+    """Options for tuning a custom model."""
 
     model: dict[str, Any]
-    """`Model.identity`."""
+    """Result of `Model.identity`."""
 
 
 PAPER: dict[str, Any] = {
@@ -173,11 +173,11 @@ PAPER: dict[str, Any] = {
     "prior": 0.0,
     "inflation": 0.0,
 }
-"""The paper's setting of one tuning. The paper repeats it 20 times and leaves inertia, seed and bounds open."""
+"""The paper's settings of one tuning. The paper repeats it 20 times and does not state inertia, seed and bounds."""
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Combine the paper's setting with the options that it leaves open; refuse options that contradict it."""
+    """Combine the paper's settings with options that the paper does not state; reject options that contradict it."""
     for name, value in options.items():
         if name in PAPER and (tuple(value) if name == "use" else value) != PAPER[name]:
             papers = "nothing" if PAPER[name] in ((), None) else PAPER[name]
@@ -191,9 +191,9 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
 def current_options(
     config: type[SearchConfig], options: Mapping[str, Any], arguments: Iterable[str] = ()
 ) -> dict[str, Any]:
-    """Return options under their current names; refuse unknown ones, with a suggestion.
+    """Return options under their current names; reject unknown ones and suggest a similar name.
 
-    ``config`` is the model that has the options; ``arguments`` are those of the function, which are suggested too.
+    ``config`` defines the options. ``arguments`` are further names that may be suggested.
     """
     known, current = config.model_fields, dict[str, Any]()
     for name, value in options.items():
@@ -218,7 +218,13 @@ def suggested(name: str, known: Iterable[str]) -> str | None:
 
 
 def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
-    """Check the options of a tuning; an `InputError` names the option and its value."""
+    """Check the options of a tuning.
+
+    Raises
+    ------
+    InputError
+        Names the invalid option and its value.
+    """
     try:
         config = kind(**options)
     except ValidationError as error:

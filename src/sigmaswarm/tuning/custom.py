@@ -29,7 +29,7 @@ MODEL_OBJECTIVES = {
 
 @dataclass(frozen=True, eq=False)
 class ModelProblem(Problem[dict[str, float]]):
-    """A model of the user's own, on logs: `model_problem` makes it."""
+    """Tuning of a custom model on logs, made by `model_problem`."""
 
     model: Model
     logs: Sequence[Log]
@@ -38,21 +38,21 @@ class ModelProblem(Problem[dict[str, float]]):
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each log, shape (m,)."""
+        """Number of filter steps of one run over each log, shape (m,)."""
         return np.array([len(steps.dt) for steps in self.runner.steps], dtype=np.int64)
 
     def parameters(self, point: Array) -> dict[str, float]:
-        """Parameters by name at a point, shape (d,)."""
+        """Return the parameters by name at a point, shape (d,)."""
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def why_none(self, point: Array) -> str | None:
-        """Return the failure of the filter at a point, shape (d,), on the first log on which it fails."""
+        """Return why the filter at a point, shape (d,), fails on the first log where it does; None if it never does."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {failure}" for failure in failures if failure), None)
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """Costs of points, shape (n, d), on some of the logs, shape (n, len(drives))."""
+        """Return the costs, shape (n, len(drives)), of points, shape (n, d), on some of the logs."""
         if isinstance(executor, ProcessPoolExecutor):
             raise InputError("your own functions can't be sent to other processes; use a ThreadPoolExecutor")
         sets = [self.parameters(point) for point in points]
@@ -61,12 +61,12 @@ class ModelProblem(Problem[dict[str, float]]):
         return each.reshape(len(points), len(drives))
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """Relative increase of costs: 0.01 is 1%."""
+        """Return the relative increase of costs; 0.01 means 1%."""
         elements = self.logs[0].measurements.shape[1]
         return objective_named(self.config.objective).rise(costs, best, elements)
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":
-        """The same filters and objective on other logs."""
+        """Return the problem with the same model and objective on other logs."""
         return model_problem(data, self.model, self.config)
 
     def _cost(self, parameters: dict[str, float], i: int) -> float:
@@ -77,7 +77,7 @@ class ModelProblem(Problem[dict[str, float]]):
 
 
 def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> ModelProblem:
-    """Make the problem of tuning a model of the user's own on logs."""
+    """Create the problem of tuning a custom model on logs."""
     if not logs:
         raise InputError("no logs were given; give at least one")
     if config.objective not in MODEL_OBJECTIVES:
@@ -92,10 +92,11 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
 
 
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
-    """Return a function of means (k, n), at the log's times, to the RMSE of the model's ``scored`` states.
+    """Return a function that computes the RMSE of the model's ``scored`` states.
 
-    It is sqrt(mean(e^T e)) over moments of truth; e = estimate - truth, the estimate linear in between. By default all
-    states are scored whose truth the log has.
+    The function takes the state means at the log's times, shape (k, n). It returns sqrt(mean(e^T e)) over the truth
+    times, where e = estimate - truth and the estimate is linearly interpolated. By default every state with truth in
+    the log is scored.
     """
     names = model.scored or tuple(log.truth)
     missing = [name for name in names if name not in log.truth]
@@ -128,7 +129,7 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
 
 
 def _described(log: Log) -> dict[str, Any]:
-    """Identification of a log, as `described` is of a drive."""
+    """Return the name, size and hash of a log, as `described` does for a drive."""
     columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
     return {
         "name": log.name,

@@ -17,30 +17,31 @@ from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.wording import counted
 
 PLAIN = "planar5"
-"""The paper's model, which by default uses position fixes alone."""
+"""The paper's model; by default it uses position fixes only."""
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
-"""With truth and without: docs/objectives.md, "Outliers"."""
+"""Objectives with and without truth; see docs/objectives.md, "Outliers"."""
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
-"""Without truth, for a model with roll and pitch and receivers with white errors: forecasts over seconds then separate
-good filters from bad ones. Where errors are correlated, the forecasts follow them: with a u-blox M8 the filter ended at
-11 m instead of 4. A planar filter gains on its own roads too, but trusts them more: on another car's roads its error
-was 3.6 times that of the fixes."""
+"""Objective without truth, for a model with roll and pitch and receivers with white errors.
+
+Forecasts over seconds then separate good filters from bad ones. Where errors are correlated, the forecasts follow these
+errors: with a u-blox M8 the tuned filter's error was 11 m instead of 4 m. A planar filter also improves on its training
+roads, but overfits them: on another car's roads its error was 3.6 times that of the fixes.
+"""
 WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
-"""With truth and states for correlated fix errors: the likelihood separates these errors from white noise."""
+"""Objective with truth and fix-error: the likelihood separates correlated fix errors from white noise."""
 MIN_DRIVEN = 30.0
-"""Seconds of driving that a drive needs before fixes can be hidden in it."""
+"""Shortest driving time, s, of a drive in which fixes can be hidden."""
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
-"""With and without truth, for models of the user's own, which have only these two."""
+"""Objectives with and without truth for custom models, which support only these two."""
 
 
 def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
-    """Fill in the model and the measurements; explain the choice in one line, empty where the user gave both.
+    """Add the missing ``model`` and ``use``, and return one line that explains them; empty if the user gave both.
 
-    Options that the user gave stay. Without ``model`` and ``use`` both are those of `suggest_filter`. With ``use``
-    alone the model is that of `suggest_filter`. With ``model`` alone the measurements are; planar5, the paper's model,
-    uses none. Measurements that conflict with the given ``kind`` or objective are left out. A tuning without truth adds
-    ``fix-error`` to the suggested model where all logs have `has_lasting_errors`. On roads that need tilted12, planar8
-    with it drifts twice as far over 30 s.
+    `suggest_filter` supplies what is missing. With only ``model`` given as planar5, the paper's model, no measurements
+    are added. Measurements that conflict with the given ``kind`` or objective are left out. Without truth,
+    ``fix-error`` is added if the suggested model is used and all logs have `has_lasting_errors`. The model does not
+    change for it: on roads that need tilted12, planar8 with ``fix-error`` drifts twice as far over 30 s.
     """
     if "model" in options and "use" in options:
         return options, ""
@@ -65,10 +66,10 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> bool:
-    """Check that the logs show correlated fix errors, that no truth determines R, and that the filter can model them.
+    """Check that the logs show correlated fix errors, that the filter can model them, and that no truth determines R.
 
-    On kingston-1, tuned on parts and tested on others, the states reduce the position RMSE by a quarter, on comma2k19
-    by 13%. Simulated receivers with errors over minutes gain an honest covariance alone.
+    The states for these errors reduce the position RMSE by 25% on kingston-1 (tuned on some parts, tested on others)
+    and by 13% on comma2k19. With simulated receivers whose errors last minutes, only the covariance improves.
     """
     have, objective = [sensors_of(one) for one in drives], options.get("objective") or "auto"
     auto = objective == "auto"
@@ -83,9 +84,9 @@ def _described(model: str, use: Sequence[str]) -> str:
 
 
 def _fits(name: str, options: dict[str, Any]) -> bool:
-    """Check that a measurement agrees with the filter type and the objective."""
+    """Check that a measurement is compatible with the filter type and the objective."""
     if name == "robust" and "innovation-nll" in str(options.get("objective")):
-        return False  # innovation-nll counts outliers in full
+        return False  # innovation-nll does not reduce the weight of outliers
     kind = options.get("kind")
     return kind is None or clash(kind, [name]) is None
 
@@ -93,7 +94,7 @@ def _fits(name: str, options: dict[str, Any]) -> bool:
 def objective_for(
     data: Sequence[Drive | Sensors | Log], objective: str, model: str = PLAIN, use: Sequence[str] = ()
 ) -> str:
-    """Return the objective; for ``auto`` the one that suits the data and the filter's model and options."""
+    """Return the objective; replace ``auto`` by the default for the data, the model and its measurements."""
     if objective != "auto":
         return objective
     logs = any(isinstance(one, Log) for one in data)
@@ -120,7 +121,7 @@ def _allows_forecasts(cars: Sequence[Sensors]) -> bool:
 
 
 def settled(config: C, data: Sequence[Sensors | Log]) -> C:
-    """Replace the defaults of a configuration that depend on the data."""
+    """Fill in the objective, the prior on R and the process-noise inflation, if the user did not set them."""
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PLAIN, ())
     objective = objective_for(data, config.objective, model, use)
@@ -141,7 +142,7 @@ def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[st
 
 
 def with_guards(config: C) -> C:
-    """Set the prior on R and the inflation of process noise; both are on where truth does not enter the objective."""
+    """Set the prior on R and the process-noise inflation; by default both apply to likelihoods without truth."""
     if not isinstance(config, TuneConfig):
         return config
     objective, model = objective_named(config.objective), MODELS[config.model]

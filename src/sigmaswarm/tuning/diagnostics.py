@@ -1,15 +1,15 @@
 """Faults of a tuned filter that its objective hardly shows.
 
-Divergence and drift: during a tuning a diverged filter is not reset, so its cost is that of a wrong track, but a
-likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix hardly show the next minute: a
-search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts a kilometer.
+Divergence and drift: during a tuning a diverged filter is not reset, so its cost is that of a wrong track. A likelihood
+that tolerates outliers can still give it a low cost. Errors of one-step forecasts hardly show the next minute: if
+the search ends too early, its filter may forecast nearly as well as the best one, but drift by a kilometer.
 
-Scale of the covariance: all noises and the initial covariance times one factor leave a Kalman filter's gains, and so
-its estimates, unchanged; its covariances are multiplied, and its NIS divided. So mean NIS / 2 is the factor that makes
-the filter consistent. This is valid for planar8 and tilted12 where their gains do not depend on the scale. They do with
-a gate or Student's t, and at the start and the gaps of a drive. Within planar5's bounds the heading may be uncertain by
-degrees; then the spread of the sigma points, and with it the mean, follows the scale. The effect of the factor on the
-position is therefore measured.
+Scale of the covariance: if all noises and the initial covariance are multiplied by one factor, the gains and estimates
+of a Kalman filter do not change. Its covariances are multiplied and its NIS is divided by the factor. Therefore the
+factor mean NIS / 2 makes the filter consistent, if its gains do not depend on the scale. This holds for planar8 and
+tilted12, except with a gate or Student's t and at the start and the gaps of a drive. With planar5 the heading
+uncertainty may reach degrees; then the scale changes the spread of the sigma points, and so the mean. The effect of the
+factor on the position is therefore measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -36,31 +36,34 @@ from sigmaswarm.wording import to_do
 NAMED = 3
 """Drives named in one message, and checked for drift."""
 WATCHED = 3600.0
-"""Seconds of a drive that are checked for divergence; more would need more memory than everything else."""
+"""Seconds of a drive that are checked for divergence; a longer check would determine the peak memory."""
 FAR = 1.5
 """Drift relative to the baseline above which a warning is given."""
 FEW = 2
-"""Outage placements checked first."""
+"""Number of outage placements checked first."""
 NEAR = 1.2
-"""Ratio over those few placements below which the rest are skipped; the ratio then errs by 10%."""
+"""Drift ratio over these placements below which the others are skipped; it is accurate to 10%."""
 LOOK = 600.0
 """Seconds in the middle of a drive that are checked for drift."""
 REMEDY = "DO NOT USE IT; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 CORRELATED = 0.3
-"""Lag-1 autocorrelation of innovations above which a warning is given. Medians of three seeds of filters tuned without
-truth: -0.05 and 0.12 on drives with white errors, 0.15 with a simulated u-blox M8, 0.33 to 0.91 with real receivers."""
+"""Lag-1 autocorrelation of innovations above which a warning is given.
+
+Filters tuned without truth have these medians of three seeds: -0.05 and 0.12 on drives with white errors, 0.15 with a
+simulated u-blox M8, and 0.33 to 0.91 with real receivers.
+"""
 SCALE_FREE = ("truth-rmse", "truth-pose")
-"""Objectives that do not depend on the covariance."""
+"""Objectives that do not depend on the scale of the covariance."""
 SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
 SCALE_MOVED = 0.02
-"""Largest change of the position RMSE, as a share, with which the factor is offered."""
+"""Largest relative change of the position RMSE for which the factor is suggested."""
 SCALE_NEAR = 0.2
-"""Largest error of mean NIS after scaling, as a share, with which the factor is offered."""
+"""Largest relative error of mean NIS after scaling for which the factor is suggested."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """RMS drift of the tuned filter and of two without tuning over outages of one length on training drives.
+    """RMS drift over outages of one length on training drives: tuned filter, baseline and fixes alone.
 
     Attributes
     ----------
@@ -80,7 +83,7 @@ class Forecast:
 
 
 def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
-    """Return the drifts as one sentence, or none."""
+    """Return a list with one sentence on the drifts; empty without drifts."""
     return [f"drift without fixes: {', '.join(map(str, forecasts))}"] if forecasts else []
 
 
@@ -95,7 +98,7 @@ def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Repl
 
 
 def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bool) -> list[str]:
-    """Warn of a filter that diverges on its training drives; else, with ``outages``, of one that drifts too far."""
+    """Warn if a filter diverges on its training drives or, with ``outages``, drifts too far."""
     found = divergence_warnings(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
     if found or not outages:
         return found
@@ -106,7 +109,7 @@ def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bo
 
 
 def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
-    """Warn of a filter that diverged on its own training drives; ``found``: `restarts_of` each."""
+    """Warn if a filter diverged on its training drives; ``found`` has the result of `restarts_of` for each drive."""
     diverged = [said_of_restarts(name, times) for name, times in found if times]
     if not diverged:
         return []
@@ -116,13 +119,13 @@ def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
 
 
 def may_drift_far(found: Iterable[tuple[float, ...]]) -> bool:
-    """Decide from a few outages if the drift deserves a full measurement; ``found``: `drifts_of` each drive."""
+    """Decide from a few outages if the drift must be measured with all; ``found``: `drifts_of` for each drive."""
     tuned, other = _together(found)[:2]
     return tuned > NEAR * other
 
 
 def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
-    """Warn of a filter that drifts much further than the baseline; ``found``: `drifts_of` each drive."""
+    """Warn if a filter drifts much further than the baseline; ``found``: `drifts_of` for each drive."""
     tuned, other = _together(found)[:2]
     if tuned <= FAR * other:
         return []
@@ -145,7 +148,7 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
     start = float(ready.drive.imu.time[0])
     replay = replay_of(_part(ready, start, start + WATCHED))
     found = Recording(replay, parameters).finished().innovations
-    with np.errstate(all="ignore"):  # of a filter that failed
+    with np.errstate(all="ignore"):  # a failed filter gives NaN and infinity
         nu = found.innovation / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
         return float(np.mean(np.mean(nu[1:] * nu[:-1], axis=0) / np.mean(nu**2, axis=0)))
 
@@ -153,9 +156,9 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
 def correlation_warnings(
     parameters: FilterParameters, found: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn where the innovations of most drives are correlated, and states for correlated errors would explain it.
+    """Warn if the innovations of most drives are correlated and the filter could model correlated fix errors.
 
-    ``use``: the measurements of the filter, to which the remedy adds.
+    ``found``: `correlation_of` for each drive. ``use``: the filter's current measurements, which the remedy repeats.
     """
     known = [value for value in found if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
@@ -170,7 +173,7 @@ def correlation_warnings(
 
 
 def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
-    """Cut out a part of a drive, s on its clock; a shorter drive is returned whole."""
+    """Return the part of a drive from ``start`` to ``end``, s on its clock, or the whole drive if it is shorter."""
     time = ready.drive.imu.time
     if start <= time[0] and time[-1] <= end:
         return ready
@@ -185,15 +188,15 @@ def drifts_of(
     length: float = LONG_OUTAGE_LENGTH,
     noise: MotionNoise | None = None,
 ) -> tuple[float, ...]:
-    """Measure the drift of a filter and of the baseline over outages, m; NaN where none fits.
+    """Return the RMS drifts of a filter and of the baseline over outages, m; NaN if no outage fits.
 
-    With ``noise`` the drift of the fixes alone follows. ``most`` limits the outage placements.
+    With ``noise`` a third value is the drift of the fixes alone. ``most`` limits the number of outage placements.
     """
     middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
     part = _part(ready, middle - LOOK / 2, middle + LOOK / 2)
     try:
         outages = Outages(part, length=length, seed=0, most=most)
-    except InputError:  # the car stands there
+    except InputError:  # the car does not move in this part
         return np.nan, np.nan
     filters = {"tuned": parameters, UNTUNED: baseline(ready.drive, like=parameters)}
     also = {} if noise is None else {FIXES: partial(FixesAlone, noise=noise)}
@@ -202,16 +205,16 @@ def drifts_of(
 
 
 def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
-    """Combine the drifts of all drives by their RMS; 0 where nothing is known."""
+    """Return the RMS over the drives of each drift; zeros if no drive has any."""
     known = np.array([drifts for drifts in found if np.isfinite(drifts).all()])
     return np.sqrt(np.mean(known**2, axis=0)).tolist() if len(known) else [0.0, 0.0]
 
 
 def scale_warnings(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:
-    """Warn where the objective leaves the covariance's scale free; state the factor that makes NIS right.
+    """Warn if the objective does not determine the scale of the covariance.
 
-    The factor is offered for planar8 and tilted12 where it leaves the positions unchanged; see
-    `FilterParameters.scaled`.
+    For planar8 and tilted12 the warning states the factor for `FilterParameters.scaled` that makes mean NIS 2, if it
+    hardly changes the positions.
     """
     if objective not in SCALE_FREE:
         return []

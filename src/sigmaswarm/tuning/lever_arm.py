@@ -1,8 +1,9 @@
 """The antenna's lever arm as the maximum-likelihood estimate from the innovations of a filter.
 
-An innovation nu depends almost linearly on the lever arm and on other unknowns, such as scale factors of the IMU. So
-weighted least squares on L^-1 nu, with L L^T = S, is a Gauss-Newton step on the likelihood of the fixes (N. K. Gupta,
-R. K. Mehra, IEEE Trans. Automatic Control 19, 1974). The derivatives are differences of runs of the compiled filter.
+An innovation nu with covariance S = L L^T depends almost linearly on the lever arm and on other unknowns, such as scale
+factors of the IMU. Weighted least squares on L^-1 nu is therefore a Gauss-Newton step on the likelihood of the fixes
+(N. K. Gupta, R. K. Mehra, IEEE Trans. Automatic Control 19, 1974). The derivatives are finite differences between runs
+of the compiled filter.
 """
 
 import math
@@ -31,12 +32,12 @@ from sigmaswarm.tuning.search import Search
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""m: standard deviation of the prior where drive.toml states no lever arm, and where it states one without its own."""
+"""Prior standard deviations, m: without a lever arm in drive.toml, and with one that has no ``gps_lever_arm_std_m``."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
-"""Prior standard deviation of the accelerometers' scales in a planar filter: the body rolls and pitches with them."""
+"""Prior standard deviation of the accelerometer scales in a planar filter; they absorb the body's roll and pitch."""
 PRIOR_STD = dict.fromkeys(SCALES, 0.03) | {"latency": 0.02, "rear_axle": 1.0, "tire_slip": 0.01}
-"""Standard deviations of the priors of the other unknowns: 1, s, m, s2/m; the last three are parameters of filters."""
+"""Prior standard deviations of the other unknowns: scales (no unit), then s, m and s2/m."""
 STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(
     SCALES, 0.005
 )
@@ -44,17 +45,19 @@ STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_sl
 DOF = 8.0
 """Degrees of freedom of Student's t, which downweights outliers."""
 BLOCK = 20.0
-"""s: the scores of different blocks count as independent. The errors of fixes may last within a block."""
+"""Length of a block, s: fix errors may be correlated within a block, but blocks are treated as independent."""
 FITTED = 1.2
-"""Factor of the standard deviations, since noises are fitted to the same fixes and tire slip is not quite linear. On 65
-simulated drives of five minutes 93% of the errors were within 1.96 standard deviations without it."""
+"""Factor on the standard deviations, since noises are fitted to the same fixes and tire slip is not exactly linear.
+
+Without it, 93% of the errors on 65 simulated five-minute drives were within 1.96 standard deviations.
+"""
 ROUNDS, CONVERGED = 8, 0.005
-"""Gauss-Newton steps at most, and the step, m, after which they end."""
+"""Largest number of Gauss-Newton steps, and the step size, m, below which they end."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
-"""Tuning of the noises by likelihood: with noises by hand the standard deviation is two to six times as large."""
+"""Options for tuning the noises; with hand-set noises the standard deviation is two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
-"""Arrays of a drive: times (f,), L^-1 nu (f, 2), minus its derivatives (f, 2, k), and robust weights (f,)."""
+"""Arrays of a drive: times (f,) in s, L^-1 nu (f, 2), its negative derivatives (f, 2, k), and robust weights (f,)."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +67,13 @@ class LeverArmEstimate:
     Attributes
     ----------
     forward, left : float
-        m from the IMU to the antenna.
+        Position of the antenna relative to the IMU, m.
     std : (float, float)
-        m, standard deviations of both.
+        Standard deviations of forward and left, m.
     stated : (float, float)
-        m, the lever arm of drive.toml; zeros where it states none.
+        Lever arm in drive.toml, m; zeros if it states none.
     within : float
-        m: an axis is observable if 95% of estimates with its standard deviation are this accurate.
+        Required accuracy, m: an axis is observable if 1.96 of its standard deviations are at most this.
     """
 
     forward: float
@@ -81,12 +84,12 @@ class LeverArmEstimate:
 
     @property
     def observable(self) -> tuple[bool, bool]:
-        """True for each axis, forward and left, that the turns of the drives determine."""
+        """Observability of forward and left: True if the turns of the drives determine the axis."""
         forward, left = (1.96 * std <= self.within for std in self.std)
         return forward, left
 
     def __str__(self) -> str:
-        """One line for people."""
+        """Describe the estimate in one line."""
         found, stated = _placed(self.forward, self.left), _placed(*self.stated)
         axes = [f"{axis} (+-{std:.2f} m)" for axis, std in zip(found, self.std, strict=True)]
         known = [axis for axis, observable in zip(axes, self.observable, strict=True) if observable]
@@ -103,12 +106,12 @@ class LeverArmEstimate:
         return "; ".join(said)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the attributes as JSON types."""
         pairs = {name: list(getattr(self, name)) for name in ("std", "stated", "observable")}
         return vars(self) | pairs
 
     def applied(self, drive: Drive) -> Drive:
-        """Return a drive with the observable axes as ``gps_lever_arm_m``; the other ones keep the stated value."""
+        """Return a copy of a drive with the observable axes in ``gps_lever_arm_m``; others keep the stated value."""
         if not any(self.observable):
             return drive
         repaired = [*drive.metadata.get("repaired", []), "lever-arm"]
@@ -128,17 +131,18 @@ def estimate_lever_arm(
 ) -> LeverArmEstimate:
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
-    ``gps_lever_arm_m`` of drive.toml is the prior, with ``gps_lever_arm_std_m`` as its standard deviation (1 m where it
-    is not stated). The delay of the fixes, which shifts them along the road as ``forward`` does, is unknown by 0.02 s.
+    The prior mean is ``gps_lever_arm_m`` of drive.toml, and its standard deviation is ``gps_lever_arm_std_m`` (1 m if
+    not stated; 2 m without a lever arm). The delay of the fixes shifts them along the road, as ``forward`` does. Its
+    prior standard deviation is 0.02 s.
 
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Their truth is not used.
+        Drives of one vehicle; their truth is not used.
     parameters : FilterParameters, optional
-        The filter whose innovations count. By default the one that suits the logs, with noises by likelihood.
+        The filter whose innovations are used. By default the filter that suits the logs, tuned by likelihood.
     within : float
-        m, for 95%: the accuracy from which on an axis of the lever arm counts as observable.
+        Required accuracy, m: an axis counts as observable if its 95% error is at most this.
 
     Returns
     -------
@@ -147,9 +151,9 @@ def estimate_lever_arm(
     Raises
     ------
     AlignmentError
-        A drive never moves far enough to start a filter.
+        If a drive never moves far enough to start a filter.
     InputError
-        There are no drives, they state different lever arms, or ``within`` is not positive.
+        If there are no drives, they state different lever arms, or ``within`` is not positive and finite.
     """
     read = [replace(drive, truth=None) for drive in listed(drives)]
     if not read:
@@ -182,20 +186,20 @@ def _placed(forward: float, left: float) -> tuple[str, str]:
 
 
 def _stated_std(drive: Drive) -> tuple[float, float]:
-    """Prior standard deviation of the lever arm, m forward and left."""
+    """Return the prior standard deviations of the lever arm, forward and left, m."""
     known = STATED_STD if "gps_lever_arm_m" in drive.metadata and drive.lever_arm.any() else UNKNOWN_STD
     stated = drive.metadata.get("gps_lever_arm_std_m", (known, known))
     return float(stated[0]), float(stated[1])
 
 
 def _with_arm(drive: Drive, arm: Sequence[float], **more: Any) -> Drive:
-    """Return a drive with another lever arm; the antenna's height stays."""
+    """Return a copy of a drive with another lever arm, m, and the same antenna height."""
     changed = {"gps_lever_arm_m": [*map(float, arm), drive.antenna_height], **more}
     return replace(drive, metadata={**drive.metadata, **changed})
 
 
 def _tuned(drives: Sequence[Drive], options: Mapping[str, Any]) -> FilterParameters:
-    """Return the filter of the highest likelihood on drives with about the right lever arm."""
+    """Tune a filter by likelihood on drives whose lever arm is approximately right."""
     use = (*options["use"], "slip") if "lateral" in options["use"] else options["use"]
     chosen = {**options, **SEARCH, "use": use, "kind": "ekf", "objective": "innovation-t"}
     config = settled(validated_config(TuneConfig, chosen), [sensors_of(drive) for drive in drives])
@@ -210,9 +214,9 @@ def _maximum(
     arm: Mapping[str, tuple[float, float]],
     start: Mapping[str, float] | None = None,
 ) -> tuple[Values, tuple[float, float]]:
-    """Find the unknowns of the highest posterior density; return them and the standard deviations of the arm, m.
+    """Return the unknowns with the highest posterior density, and the standard deviations of the lever arm, m.
 
-    ``arm`` has mean and standard deviation of its prior.
+    ``arm`` has the prior mean and standard deviation of each axis, m. The search begins at ``start``.
     """
     prior = {**arm, **_others(parameters)}
     values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
@@ -236,7 +240,7 @@ def _step(
     values: Values,
     prior: Mapping[str, tuple[float, float]],
 ) -> tuple[Array, list[Whitened], Array, Array]:
-    """Take a Gauss-Newton step; return it, the regressions, and the information with them and of the prior alone."""
+    """Return a Gauss-Newton step, the whitened arrays by drive, and the posterior and prior information matrices."""
     whitened = [_whitened(PreparedDrive(_at(drive, values)), parameters, values) for drive in drives]
     before = np.diag([1 / std**2 for _, std in prior.values()])
     pull = before @ [mean - values[name] for name, (mean, _) in prior.items()]
@@ -250,7 +254,10 @@ def _step(
 def _deviations(
     step: Array, whitened: Sequence[Whitened], information: Array, before: Array
 ) -> tuple[float, float]:
-    """Standard deviations of the arm: of the model, and at least as blocks of the drives disagree (White, 1980)."""
+    """Return the standard deviations of the lever arm, forward and left, m.
+
+    Each is the larger one of the model's and of the sandwich estimate from blocks of the drives (White, 1980).
+    """
     spread, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:
         scores = np.einsum("f,fik,fi->fk", weight, columns, nu - columns @ step)
@@ -264,7 +271,7 @@ def _deviations(
 
 
 def _others(p: FilterParameters) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of the prior of the other unknowns."""
+    """Return the prior mean and standard deviation of each unknown other than the lever arm."""
     model = MODELS[p.model]
     rolling = {} if model.tilts else {"scale_ax": ROLLING, "scale_ay": ROLLING}
     names = SCALES if model.measures_imu else (*SCALES, "latency")
@@ -278,7 +285,7 @@ def _at(drive: Drive, values: Mapping[str, float]) -> Drive:
 
 
 def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:
-    """Run the filter at the unknowns and next to them."""
+    """Run the filter at the given unknowns and with each of them changed by its step; return the whitened arrays."""
     run = partial(_run, ready, parameters, values)
     found = run(values)
     if not np.isfinite(found.nis).all():
@@ -293,7 +300,7 @@ def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values
 
 
 def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) -> Innovations:
-    """Innovations of a filter with other unknowns than those ``at`` which a drive was prepared."""
+    """Return the innovations of a filter with unknowns ``values``; the drive was prepared with unknowns ``at``."""
     start, line = ready.initial, ready.timeline()
     c, s = math.cos(start.mean[THETA]), math.sin(start.mean[THETA])
     x, y = (values[name] - at[name] for name in ARM)

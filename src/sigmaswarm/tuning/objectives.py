@@ -1,4 +1,4 @@
-"""The objectives of a tuning. A new one is an entry in `OBJECTIVES`; weighted sums of them are objectives too.
+"""The objectives of a tuning: the entries of `OBJECTIVES`, and weighted sums of them.
 
 An objective turns the scores of all parameter sets on all drives into a cost per set and drive. The cost of a set is
 the mean over its drives, or over the worst of them, and ``inf`` if the filter failed on any.
@@ -16,9 +16,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.batch import Scores
 
 HEADING_WEIGHT = 0.1
-"""m per degree of heading error, in truth-pose."""
+"""Weight of the heading error in truth-pose, m/deg."""
 OUTAGE_WEIGHT = 0.1
-"""m per meter of outage drift, in truth-pose."""
+"""Weight of the outage drift in truth-pose, m/m."""
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,15 @@ class Objective:
     ----------
     name : str
     summary : str
-        One sentence for people.
+        Description for users.
     per_drive : callable
-        Scores to costs of shape (n_sets, n_drives); lower wins.
+        Function from scores to costs, shape (n_sets, n_drives); lower is better.
     needs_truth, needs_outages, needs_forecasts : bool
     likelihood : bool
-        In a sum with such a term the others count as nats too.
+        True for a negative log-likelihood. In a sum with such a term, all terms are treated as nats.
     nats : float
-        Weight of the terms that are logarithms: errors larger by 1% cost 0.01 nats per element of a measurement. 0: the
-        cost is positive, and a relative increase is one of the cost.
+        Total weight of the logarithmic terms: errors that are 1% larger cost 0.01 nats per element of a measurement.
+        If 0, the cost is a positive error, and its own relative increase is used.
     warning : str or None
         Shown to the user before the search.
     """
@@ -53,19 +53,19 @@ class Objective:
     warning: str | None = None
 
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
-        """Cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
+        """Return the cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
 
-        The mean is over the share ``worst`` of the drives, the worst ones of each set; 1 means all drives.
+        It is the mean over the worst drives of each set, a share ``worst`` of all; 1 means all drives.
         """
         return mean_cost(self.each(scores), worst)
 
     def each(self, scores: Scores) -> Array:
-        """Cost of each set on each drive, shape (n_sets, n_drives); ``inf`` where it failed or can't be scored."""
+        """Return the costs, shape (n_sets, n_drives); ``inf`` where a set failed or can't be scored."""
         costs = self.per_drive(scores)
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
-        """Return the relative increase of costs over another; 0.01 means errors that are 1% larger.
+        """Return the relative increase of costs over ``best``; 0.01 means errors that are 1% larger.
 
         ``elements`` is the number of elements of a measurement.
         """
@@ -76,16 +76,17 @@ class Objective:
 
 
 def mean_cost(each: Array, worst: float = 1.0) -> Array:
-    """Cost of each set, shape (n,), of its costs on each drive, shape (n, m); ``inf`` if it failed on any."""
+    """Return the cost of each set, shape (n,), from its costs on the drives, shape (n, m); ``inf`` if any failed."""
     cost = worst_mean(each, worst)
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
 def worst_mean(costs: Array, share: float) -> Array:
-    """The mean over the worst ``share`` of each row, shape (n, m) to (n,), with a part of a value if the share cuts it.
+    """Return the mean over the worst ``share`` of each row of costs, shape (n, m), as an array of shape (n,).
 
-    The conditional value at risk of R. T. Rockafellar and S. Uryasev, Optimization of conditional value-at-risk,
-    J. Risk 2, 2000, of the row's values, each as likely as the others.
+    If the share is not a whole number of values, the last one has a smaller weight. This is the conditional value at
+    risk of equally likely values: R. T. Rockafellar and S. Uryasev, Optimization of conditional value-at-risk, J. Risk
+    2, 2000.
     """
     if not 0 < share <= 1:
         raise InputError(f"worst = {share:g}: give a share of the drives above 0 and at most 1")
@@ -94,19 +95,19 @@ def worst_mean(costs: Array, share: float) -> Array:
     count = costs.shape[1]
     weight = np.clip(share * count - np.arange(count), 0.0, 1.0)
     used = weight > 0
-    with np.errstate(invalid="ignore"):  # of a failed set
+    with np.errstate(invalid="ignore"):  # a failed set has infinite costs
         return np.sort(costs, axis=1)[:, ::-1][:, used] @ weight[used] / weight.sum()
 
 
 def _pose(scores: Scores) -> Array:
-    # a drive too short for an outage, or too slow for a heading, lacks the term for all sets alike
+    # a drive that is too short for an outage or too slow for a heading lacks this term for every set
     heading = np.nan_to_num(np.degrees(scores.heading_rmse), posinf=np.inf)
     drift = np.nan_to_num(scores.outage_drift, posinf=np.inf)
     return scores.position_rmse + HEADING_WEIGHT * heading + OUTAGE_WEIGHT * drift
 
 
 def _off(mean: Array) -> Array:
-    """Return how far a mean NIS or NEES is from the 2 of a consistent filter; 0.1 is 10%."""
+    """Return the logarithmic deviation of a mean NIS or NEES from its expected value, 2; 0.1 is about 10%."""
     return np.abs(np.log(mean / 2))
 
 
@@ -156,13 +157,13 @@ OBJECTIVES = {
         ),
         Objective(
             "nis",
-            "|ln(mean NIS / 2)|: how far the innovations are from their covariances",
+            "|ln(mean NIS / 2)|: deviation of the innovations from their covariances",
             lambda scores: _off(scores.mean_nis),
             nats=1.0,
         ),
         Objective(
             "nees",
-            "|ln(mean NEES / 2)|: how far the position error is from its covariance",
+            "|ln(mean NEES / 2)|: deviation of the position error from its covariance",
             lambda scores: _off(scores.mean_nees),
             needs_truth=True,
             nats=1.0,
@@ -185,12 +186,12 @@ _TERM = re.compile(r"\s*(?:(?P<weight>[0-9.]+(?:e[+-]?[0-9]+)?)\s*\*?\s*)?(?P<na
 
 @cache
 def objective_named(name: str) -> Objective:
-    """Look an objective up, or a weighted sum of them, as ``truth-pose + 0.2 nees``.
+    """Return the objective of a name, or a weighted sum of objectives such as ``truth-pose + 0.2 nees``.
 
     Raises
     ------
     InputError
-        If there is none of that name.
+        If a name is unknown or a weight is not positive.
     """
     terms = [_term(part, name) for part in name.split("+")]
     if len(terms) == 1 and terms[0][0] == 1.0:

@@ -1,7 +1,7 @@
-"""Names that a tuning's options take, and their types for type checkers.
+"""Types of the options of a tuning, for type checkers.
 
-`tuning.config` states every option once: default, range and help. PEP 692 takes the types of ``**options`` from a
-TypedDict only, so names and types are repeated here; a test compares the two.
+`tuning.config` states the default, range and help of every option. PEP 692 requires a TypedDict for the types of
+``**options``, so names and types are repeated here; a test compares the two.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,11 +31,11 @@ Option = Literal[
 ]
 
 INERTIA = 0.7298
-"""w: the paper states none; this is the constriction coefficient of Clerc and Kennedy (2002)."""
+"""Inertia weight w: the constriction coefficient of Clerc and Kennedy (2002), since the paper states no value."""
 ACCELERATION = 1.5
-"""c1 = c2, from the paper."""
+"""Acceleration coefficients c1 = c2, from the paper."""
 SEEDS = 20
-"""Runs of each optimizer in a comparison."""
+"""Number of runs of each optimizer in a comparison."""
 
 
 class SharedOptions(TypedDict, total=False):

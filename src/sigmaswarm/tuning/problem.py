@@ -1,4 +1,4 @@
-"""The problem that a tuning solves: a filter's cost on data, within bounds."""
+"""The optimization problem of a tuning: the cost of a filter on data, within bounds."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -50,10 +50,10 @@ P = TypeVar("P", covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Problem(ABC, Generic[P]):
-    """A filter, its data and its objective, as `tune` uses them. Points are in search coordinates.
+    """Filter, data and objective of a tuning. Points are in search coordinates.
 
-    The bounds, ``space``, may come from other drives; Q then refers to their IMU interval. ``data`` has name, length
-    and fingerprint of each drive or log.
+    The bounds ``space`` may come from other drives; Q then refers to the IMU interval of those drives. ``data`` has the
+    name, length and fingerprint of each drive or log.
     """
 
     config: SearchConfig
@@ -62,48 +62,48 @@ class Problem(ABC, Generic[P]):
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """Landmarks by which each drive is recognized; empty for logs of a user's model."""
+        """Landmarks by which each drive is recognized; empty for logs of a custom model."""
         return ()
 
     @property
     @abstractmethod
     def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, shape (m,)."""
+        """Number of filter steps of one evaluation on each drive, shape (m,)."""
 
     @abstractmethod
     def parameters(self, point: Array) -> P:
-        """The filter at a point, shape (d,)."""
+        """Return the filter at a point, shape (d,)."""
 
     @abstractmethod
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """Costs of points, shape (n, d), on some of the drives, shape (n, len(drives)); ``inf`` for a failure."""
+        """Return the costs, shape (n, len(drives)), of points, shape (n, d), on some drives; ``inf`` for failures."""
 
     @abstractmethod
     def rise(self, costs: Array | float, best: float) -> Array:
-        """Relative increase of costs: 0.01 is 1%."""
+        """Return the relative increase of costs over ``best``; 0.01 means 1%."""
 
     @abstractmethod
     def on(self, data: Any) -> "Problem[P]":
-        """The same filters and objective on other data."""
+        """Return the problem with the same filter and objective on other data."""
 
     def mean(self, each: Array) -> Array:
-        """Costs, shape (n,), from the costs on each drive that was tried, shape (n, k)."""
+        """Return the costs, shape (n,), from the costs on k drives, shape (n, k)."""
         return mean_cost(each, self.config.worst)
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
-        """Costs, shape (n,), of points, shape (n, d); ``inf`` where a filter failed."""
+        """Return the costs, shape (n,), of points, shape (n, d); ``inf`` where a filter failed."""
         return self.mean(self.each(points, range(len(self.steps)), executor))
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective at a point, without a prior."""
+        """Return the objective at a point, shape (d,), without the prior."""
         return float(self.costs(point[np.newaxis], executor)[0])
 
     def warnings(self, point: Array) -> list[str]:
-        """List faults of the filter at a point that the objective does not see, as sentences."""
+        """List the faults of the filter at a point that the objective does not show, as sentences."""
         return []
 
     def fixes_alone(self) -> MotionNoise | None:
-        """Fit the noises of a filter of the fixes alone to the data; None for a model of a user's own."""
+        """Fit the noises of a constant-velocity filter of the fixes alone to the data; None for a custom model."""
         return None
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
@@ -111,13 +111,13 @@ class Problem(ABC, Generic[P]):
         return []
 
     def why_none(self, point: Array) -> str | None:
-        """Return the failure of the filter at a point, if it is known."""
+        """Return why the filter at a point failed, or None if that is unknown."""
         return None
 
 
 @dataclass(frozen=True, eq=False)
 class CarProblem(Problem[FilterParameters]):
-    """A filter for cars, on drives that are prepared for the objective: `car_problem` makes it."""
+    """Tuning of a built-in model on drives that are prepared for the objective, made by `car_problem`."""
 
     config: TuneConfig
     space: SearchSpace
@@ -130,12 +130,12 @@ class CarProblem(Problem[FilterParameters]):
 
     @cached_property
     def _receiver_std(self) -> Array:
-        """Standard deviation of each drive's receiver, shape (m, 2), m."""
+        """Standard deviations of each drive's receiver, m, shape (m, 2)."""
         return np.array([one.receiver_std for one in self.sensors])
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """Landmarks of each drive; of a remote dataset they are fetched when used, to save memory."""
+        """Landmarks of each drive; for a remote dataset they are fetched on access, to save memory."""
         dataset = self.replays.dataset
         return self._landmarks if isinstance(dataset, LocalDataset) else LandmarksOf(dataset)
 
@@ -145,11 +145,11 @@ class CarProblem(Problem[FilterParameters]):
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, shape (m,)."""
+        """Number of filter steps of one evaluation on each drive, shape (m,)."""
         return self.replays.steps
 
     def parameters(self, point: Array) -> FilterParameters:
-        """The filter at a point, shape (d,)."""
+        """Return the filter at a point, shape (d,)."""
         return self.space.decode(point[np.newaxis])[0]
 
     @cached_property
@@ -158,7 +158,7 @@ class CarProblem(Problem[FilterParameters]):
         return self.replays.dataset.map(sensors_of)
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """Costs of points, shape (n, d), on some of the drives, shape (n, len(drives))."""
+        """Return the costs, shape (n, len(drives)), of points, shape (n, d), on some of the drives."""
         replays = self.replays.subset(drives)
         parameter_sets = self.space.decode(points)
         costs = replays.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
@@ -167,20 +167,20 @@ class CarProblem(Problem[FilterParameters]):
         return costs
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective at a point, without the prior."""
+        """Return the objective at a point, shape (d,), without the prior on R."""
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
         return float(plain.costs(point[np.newaxis], executor)[0])
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """Relative increase of costs: 0.01 is 1%."""
+        """Return the relative increase of costs over ``best``; 0.01 means 1%."""
         return self.objective.rise(costs, best)
 
     def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
-        """The same filters and objective on other drives."""
+        """Return the problem with the same filter and objective on other drives."""
         return car_problem(data, self.config, self.space)
 
     def fixes_alone(self) -> MotionNoise:
-        """Fit the noises of a filter of the fixes alone to the drives."""
+        """Fit the noises of a constant-velocity filter of the fixes alone to the drives."""
         return MotionNoise.typical(self.replays.of_each_prepared(noise_of))
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
@@ -188,13 +188,13 @@ class CarProblem(Problem[FilterParameters]):
         return [*forecasts_of(self.parameters(point), noise, self.replays)]
 
     def warnings(self, point: Array) -> list[str]:
-        """List divergence, unused measurements, a free covariance scale and, without truth, an implausible R."""
+        """Warn of divergence, ineffective accuracies, a free covariance scale and, without truth, an implausible R."""
         parameters, replays, objective = self.parameters(point), self.replays, self.objective
         found = loss_warnings(parameters, replays, outages=not objective.needs_outages)
         if parameters.accuracy_scale is not None:
             found += accuracy_warnings(parameters, replays.dataset.map(stated), self.config.use)
         found += scale_warnings(objective.name, parameters, replays)
-        # a look at the fixes' noise takes as long as reading a drive
+        # skipped with truth, since estimating the fixes' noise takes as long as reading a drive
         if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
             noise = replays.dataset.map(fix_noise)
             prior = self.config.prior or 0.0
@@ -211,7 +211,7 @@ class CarProblem(Problem[FilterParameters]):
 
 @dataclass(frozen=True, eq=False)
 class LandmarksOf(Sequence[Landmarks]):
-    """The landmarks of a remote dataset, computed when they are needed."""
+    """Landmarks of a remote dataset, computed on access."""
 
     dataset: Dataset
 
@@ -219,7 +219,7 @@ class LandmarksOf(Sequence[Landmarks]):
         return len(self.dataset)
 
     def __getitem__(self, k: Any) -> Any:
-        """Landmarks of a drive, or of several."""
+        """Return the landmarks of one drive or of several."""
         places = range(len(self))[k]
         found = self.dataset.subset([places] if isinstance(places, int) else places).map(landmarks)
         return found[0] if isinstance(places, int) else found
@@ -229,16 +229,16 @@ class LandmarksOf(Sequence[Landmarks]):
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
-    """Costs of an objective, given by its name, on each drive, shape (n_sets, n_drives)."""
+    """Return the costs of a named objective on each drive, shape (n_sets, n_drives)."""
     return objective_named(objective).each(scores)
 
 
 def car_problem(
     drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
-    """Make the problem of tuning a filter for cars on drives, local or remote.
+    """Create the problem of tuning a built-in model on drives, local or remote.
 
-    A given ``space`` comes from other drives; its Q refers to their IMU interval.
+    ``space`` may come from other drives; its Q refers to the IMU interval of those drives.
     """
     objective = objective_named(config.objective)
     if config.prior and not objective.nats:
@@ -252,13 +252,13 @@ def car_problem(
     _check_columns(have, config)
     replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
     data = dataset.map(described)
-    # Written out here, before threads start that would all wait for it.
+    # Compiled before the threads start, since all of them would wait for the kernel.
     run_kernel(kernel_name(config.model, config.kind, "fix-error" in config.use))
     return CarProblem(config, space or car_space(config, have), data, replays)
 
 
 def car_space(config: TuneConfig, drives: Sequence[Drive | Sensors]) -> SearchSpace:
-    """The search space of a configuration; Q refers to the drives' usual time between two IMU samples."""
+    """Return the search space of a configuration; Q refers to the median IMU interval of the drives."""
     have = [sensors_of(drive) for drive in drives]
     return search_space(
         config.model,

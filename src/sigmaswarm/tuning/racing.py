@@ -1,22 +1,23 @@
-"""Racing: a candidate with a high cost on the first drives is not tried on the others.
+"""Racing: candidates with high costs on the first drives are dropped before the others.
 
 Successive halving (K. Jamieson and A. Talwalkar, Non-stochastic best arm identification and hyperparameter
-optimization, AISTATS 2016) with drives as the resource: a batch of candidates is tried on one drive, the better half of
-it on two, the better half of those on four, and so on, until all drives are reached. Racing candidates over instances
-is the idea of M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp (A racing algorithm for configuring
-metaheuristics, GECCO 2002): their F-race drops candidates by a test; here a fixed share is dropped, so that the number
-of steps is known in advance.
+optimization, AISTATS 2016) with drives as the resource: all candidates of a batch are evaluated on one drive, the
+better half on two, the better half of those on four, and so on up to all drives. Racing over problem instances was
+proposed by M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp (A racing algorithm for configuring metaheuristics,
+GECCO 2002). Their F-race drops candidates by a statistical test. Here a fixed share is dropped, so the number of steps
+is known in advance.
 
-With many drives (`MANY`), halving alone saves little: filters run in parallel, and a single remaining one takes as long
-as eight on all drives. Then a batch also races against the best so far, whose cost on each drive is known. It begins
-with a twelfth of the drives. Of the better half only those continue that are better than the best on the same drives by
-more than a standard error of the mean difference. Without any, the race ends. The costs of the best on these drives and
-on all measure their difficulty, so that a dropped candidate's cost is extrapolated to all drives (a control variate).
-Beginning with a 32nd of the drives is faster, but the costs of the dropped candidates then mislead the search.
+With many drives (`MANY`), halving alone saves little time: filters run in parallel, and one filter on all drives takes
+as long as eight. Therefore a batch also races against the best candidate so far, the leader, whose cost on each drive
+is known. The race begins with 1/12 of the drives. From the better half, only candidates continue that beat the leader
+on the same drives by more than a standard error of the mean difference. If there are none, the race ends. The cost of a
+dropped candidate is extrapolated to all drives: the leader's cost on all drives minus its cost on these is added (a
+control variate). Starting with 1/32 of the drives is faster, but then the extrapolated costs mislead the search.
 
-The drives are taken in another order for each batch, so that no drive decides alone. A candidate that reaches all
-drives has its full cost. A dropped one gets the cost on its drives so far, and all that were dropped together are
-raised above the last that continued: they keep their order, and none of them can become the best.
+Each batch takes the drives in a different random order, so that no drive always comes first. Candidates that reach all
+drives have their full cost. Dropped candidates have the cost on the drives they reached. Each group that was dropped
+together is shifted above the worst candidate that continued. The order within the group stays, and none of them can
+become the best.
 """
 
 from collections.abc import Sequence
@@ -31,15 +32,15 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Problem
 
 FIRST = 12
-"""A race against the best point so far begins with this part of the drives."""
+"""A race against the leader begins with the total number of drives divided by this."""
 MANY = 96
-"""Least number of drives of such a race; with fewer, a part is too small for a test."""
+"""Smallest number of drives for a race against the leader; with fewer, 1/12 of them is too few for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Leader:
-    """The best candidate so far: its cost, and its cost on each drive, (m,)."""
+    """The best candidate so far: its total cost, and its cost on each drive, shape (m,)."""
 
     cost: float
     each: Array
@@ -47,10 +48,10 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Raced:
-    """Costs (n,) of a batch of candidates, and the work they took.
+    """Costs of a batch of candidates, shape (n,), and the work for them.
 
-    Costs of those that reached all drives are full. ``steps`` were spent, ``failures`` failed on a drive that they were
-    tried on. ``leader`` is the best so far, after this batch; None as long as all failed.
+    Only candidates that reached all drives have full costs. ``steps`` is the number of filter steps, ``failures`` the
+    number of failed candidates. ``leader`` is the best candidate after this batch; None if all have failed so far.
     """
 
     costs: Array
@@ -59,13 +60,13 @@ class Raced:
     leader: Leader | None = None
 
     def __add__(self, other: "Raced") -> "Raced":
-        """Join two consecutive batches."""
+        """Combine two consecutive batches."""
         costs = np.concatenate([self.costs, other.costs])
         return Raced(costs, self.steps + other.steps, self.failures + other.failures, other.leader)
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return the rungs (candidates, drives): half as many on twice as many, up to all drives."""
+    """Return the rungs as (number of candidates, number of drives): each halves the former and doubles the latter."""
     found = [(n_candidates, n_drives // FIRST if n_drives >= MANY else min(1, n_drives))]
     while (drives := found[-1][1]) < n_drives:
         found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))
@@ -73,7 +74,7 @@ def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
 
 
 def leader_at(problem: Problem[Any], point: Array, executor: Executor | None) -> Leader:
-    """Run the best point so far, shape (d,), again: a resumed search does not know its costs on each drive."""
+    """Evaluate the best point, shape (d,), again, since checkpoints do not contain its cost on each drive."""
     each = problem.each(point[np.newaxis], range(len(problem.steps)), executor)
     return Leader(float(problem.mean(each)[0]), each[0])
 
@@ -85,9 +86,10 @@ def race(
     executor: Executor | None,
     leader: Leader | None = None,
 ) -> Raced:
-    """Try points, shape (n, d), on the drives in that order, and drop the worse half at each rung.
+    """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With many drives they race against ``leader``; without one, or with a single point, all are tried on all drives.
+    With many drives the points race against ``leader``. Without a leader or with a single point, all points are then
+    evaluated on all drives.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MANY, len(points), len(order)
@@ -109,7 +111,7 @@ def race(
         each = np.hstack([each, column])
         steps += len(alive) * int(problem.steps[fresh].sum())
         costs[alive] = problem.mean(_in_order(each[alive], order[:drives]))
-        if rival and drives < m:  # how much harder or easier these drives are than all
+        if rival and drives < m:  # corrects for drives that are harder or easier than average
             costs[alive] += rival.cost - problem.mean(rival.each[np.newaxis, np.sort(order[:drives])])[0]
     failures = int(np.isinf(costs).sum())
     costs = _behind(costs, alive, dropped, rival.cost if rival else np.inf)
@@ -123,24 +125,24 @@ def race(
 
 
 def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Select those better than the best one on the same drives by more than a standard error of the mean difference."""
-    with np.errstate(invalid="ignore"):  # a failed candidate's
+    """Select candidates that beat the leader on the same drives by more than a standard error of the difference."""
+    with np.errstate(invalid="ignore"):  # a failed candidate has infinite costs
         spread = (each - rival.each[seen]).std(axis=1, ddof=1)
     return costs + spread / np.sqrt(len(seen)) < rival.cost
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Sort the columns into the drives' own order, since a sum's last bits depend on it and on the layout."""
+    """Return the columns in the order of the drives and as C-order, since the last bits of sums depend on both."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Raise the costs of dropped candidates, the last group first, above the worst of those that continued.
+    """Raise the costs of dropped candidates, the last group first, above the worst candidate that continued.
 
-    Without a finished candidate they are raised above ``otherwise``: the best so far, or infinity if all failed, since
-    no candidate may win on fewer drives.
+    If no candidate finished, they are raised above ``otherwise``, the leader's cost (or infinity if there is none),
+    since no candidate may win on fewer drives.
     """
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
@@ -152,6 +154,6 @@ def _behind(
 
 
 def _highest(costs: Array, otherwise: float) -> float:
-    """Return the highest finite cost."""
+    """Return the highest finite cost, or ``otherwise`` if there is none."""
     finite = costs[np.isfinite(costs)]
     return float(finite.max()) if len(finite) else otherwise

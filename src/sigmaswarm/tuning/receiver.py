@@ -1,10 +1,11 @@
-"""R and the accuracy of the receiver: a prior for logs without truth, and warnings of an implausible R.
+"""Measurement noise R and the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
-A filter that forecasts fixes well may only copy them. Many receivers smooth their fixes: from one to the next they err
-by centimeters, over minutes by meters. The likelihood of the next fix depends on the centimeters alone, so its optimum
-has an R of centimeters and copies the fixes. A prior adds the receiver's data sheet: a log-normal distribution of R
-about the stated variance, as a lower limit (receivers in cities state too little, and a larger R costs nothing).
-Correlated errors are common to all fixes, so more fixes do not outweigh the prior: it counts once for each of them.
+A filter that forecasts fixes well may only copy them. Many receivers smooth their fixes: consecutive errors differ by
+centimeters, but over minutes the error changes by meters. The likelihood of the next fix depends on the centimeters
+only, so its maximum has an R of centimeters, and the filter copies the fixes. The prior therefore adds the receiver's
+stated accuracy: a log-normal distribution of R about the stated variance. It penalizes only a smaller R, since
+receivers in cities state deviations that are too small. Consecutive fixes share their correlated errors, so more fixes
+must not outweigh the prior: its penalty is added once per fix.
 """
 
 from collections.abc import Sequence
@@ -23,30 +24,30 @@ from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.wording import to_do
 
 DECADES = 0.5
-"""Standard deviation of log10 R below that of the receiver."""
+"""Prior standard deviation of log10 R below the receiver's variance."""
 DECADES_ABOVE = 0.25
-"""The same above it, with states for correlated fix errors, which a large R would replace."""
+"""The same above the variance; applies only to filters with fix-error, whose states a large R would make useless."""
 FAR_BELOW = 3.0
-"""Factor between the receiver's deviation and R's above which a warning is given."""
+"""Ratio of the receiver's standard deviation to that of R above which a warning is given."""
 NO_PART = 0.05
 """Share of R below which the stated accuracy of a fix has no effect."""
 LOOK = 600.0
-"""Seconds of a drive whose fixes are checked for scatter; minutes suffice, and hours take long."""
+"""Seconds of a drive whose fixes are checked for scatter; more would only take more time."""
 PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a warning reports that it determined R."""
 SMOOTH = 0.5
-"""Scatter in m below which the receiver either filters its fixes or uses RTK."""
-UNKNOWN = "no log without truth shows their common error"
+"""Scatter of the fixes, m, below which the receiver either smooths them or uses RTK."""
+UNKNOWN = "without truth a log does not show the error that they share"
 STATE = "write the receiver's deviation, m per axis, as gps_std_m into drive.toml"
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Penalty of the prior per fix, (n, m), added to the negative log-likelihood, nats.
+    """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
 
-    ``std`` (m, 2) is `receiver_std` of each drive, m. The penalty is 0.5 (log10(R / std^2) / 0.5)^2 where R is smaller
-    than std^2, else 0; the mean over both axes. R of a filter that uses each fix's stated accuracy is that of the
-    median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors, and 0.25 replaces
-    0.5 where it is larger.
+    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0, averaged over both axes.
+    ``std``, shape (m, 2), is `receiver_std` of each drive, m. If the filter uses the stated accuracies, R is that of
+    the median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors; where this R is
+    larger than std^2, the penalty is 0.5 (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
@@ -55,7 +56,7 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
 
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Variance of the median fix, m2 east and north, shape (n, m, 2); ``std`` as in `prior_costs`."""
+    """Return the variances of the median fix east and north, m2, shape (n, m, 2); ``std`` as in `prior_costs`."""
     table = ParameterTable.of(parameter_sets)
     scale = table.column("accuracy_scale") + table.column("fix_error")
     return table.column("measurement_noise")[:, None, :] + scale[:, None, None] * std**2
@@ -65,8 +66,8 @@ def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> 
 class FixNoise:
     """Estimates of the errors of a drive's fixes, m per axis; NaN if unknown.
 
-    ``stated``: median deviation that the receiver states. ``scatter``: about a path of ten seconds that the IMU can
-    follow.
+    ``stated``: median standard deviation that the receiver states. ``scatter``: standard deviation about paths of ten
+    seconds that the IMU can follow.
     """
 
     stated: float
@@ -84,16 +85,16 @@ def fix_noise(drive: Drive) -> FixNoise:
 
 
 def stated(drive: Drive) -> float:
-    """Return the median deviation that a drive's receiver states, m per axis; NaN without one."""
+    """Return the median standard deviation that a drive's receiver states, m per axis; NaN if it states none."""
     return float(np.mean(stated_std(drive) or np.nan))
 
 
 def noise_warnings(
     parameters: FilterParameters, drives: Sequence[FixNoise], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn of an R that contradicts the fixes of the training drives; for tunings without truth.
+    """Warn if R contradicts the fixes of the training drives, for tunings without truth.
 
-    ``use``: the measurements of the filter, to which the remedy adds.
+    ``use``: the filter's current measurements, which the remedy repeats.
     """
     if parameters.accuracy_scale is not None or not drives:
         return []
@@ -114,7 +115,7 @@ def noise_warnings(
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
         why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
-        return [to_do(remedy, f"{why}; correlated errors would scatter as little, and {UNKNOWN}")]
+        return [to_do(remedy, f"{why}; fixes with correlated errors can scatter as little, and {UNKNOWN}")]
     else:
         return []
     said = f"the filter copies the fixes: its R corresponds to {r:.2g} m per axis, and {why}"
@@ -128,9 +129,9 @@ def prior_warnings(
     receiver: Array,
     noise: Sequence[FixNoise],
 ) -> list[str]:
-    """Explain why the prior kept R near the receiver's variance, for the first drive on which it did.
+    """Report the first drive on which the prior kept R near the receiver's variance, and the reason.
 
-    ``receiver``: `receiver_std` of each drive, shape (m, 2), m.
+    ``receiver``: `receiver_std` of each drive, m, shape (m, 2).
     """
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
@@ -146,7 +147,7 @@ def prior_warnings(
                 f"{name} states no accuracy of its fixes, so R was kept near that of a usual receiver, {std:.2g} m per "
                 "axis, and NIS will be low where its fixes are smoothed"
             )
-            return [to_do("write gps_std_m into drive.toml if yours is another receiver", why)]
+            return [to_do("if the receiver is more or less accurate, write gps_std_m into drive.toml", why)]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]
     return []
 
@@ -154,9 +155,9 @@ def prior_warnings(
 def accuracy_warnings(
     parameters: FilterParameters, each: Sequence[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if the stated accuracy of the fixes, `stated` of each drive, has no effect on the filter.
+    """Warn if the stated accuracy of the fixes has no effect on the filter.
 
-    ``use``: the measurements of the filter; the remedy names all but the accuracy.
+    ``each``: `stated` of each drive, m. ``use``: the filter's current measurements; the remedy leaves out the accuracy.
     """
     std = _median(each)
     if parameters.accuracy_scale is None or not np.isfinite(std):

@@ -1,4 +1,4 @@
-"""The files of a tuning: tuning.toml as it is read, and convergence.csv."""
+"""The files tuning.toml and convergence.csv of a tuning."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ from sigmaswarm.tuning.diagnostics import Forecast
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
-"""An end of the range in which the cost rises by less than 1%; ``-`` if it is at the bound."""
+"""Lower or upper end of the range in which the cost rises by less than 1%; ``-`` if the range reaches the bound."""
 NOT_VALIDATED = (
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
 )
-"""The remark that an evaluation makes unnecessary; files contain it, so its text must not change."""
+"""Remark that is omitted after an evaluation; it is recognized by its text in files, which must not change."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 
@@ -50,7 +50,7 @@ class ResultRecord(BaseModel):
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list, validation_alias=AliasChoices("warnings", "doubts"))
-    """The remarks that come from the data."""
+    """Remarks that depend on the training data."""
     best_trial: int = 0
     trial_costs: list[float] = Field(default_factory=list)
     evaluations: int = 0
@@ -58,7 +58,7 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Parameters of which one alone lowers the cost if it moves, and the relative change."""
+    """Parameters that lower the cost if only they change, and the relative change of the cost."""
 
 
 class TuningConfigRecord(BaseModel):
@@ -68,7 +68,7 @@ class TuningConfigRecord(BaseModel):
 
 
 class TuningRecord(TuningConfigRecord):
-    """tuning.toml; a file of filter parameters has only the first two tables."""
+    """tuning.toml; a file of `FilterParameters` has only the tables ``filter`` and ``units``."""
 
     filter: dict[str, float | str | list[float]]
     units: dict[str, str | list[str]] = Field(default_factory=dict)
@@ -82,15 +82,15 @@ class TuningRecord(TuningConfigRecord):
 
 
 def tuning_file(path: Path) -> Path:
-    """Return the tuning.toml at a path: the file itself, or the one in this folder."""
+    """Return the path of tuning.toml: the path itself, or the file in this folder."""
     return path / FILE if path.is_dir() else path
 
 
 def seen_by(file: Path) -> list[Landmarks]:
-    """Return the identification of the training drives named in a filter's file.
+    """Return the landmarks of the training drives listed in a tuning.toml.
 
-    Without seen.npz next to it, or written by an earlier version, only whole drives are recognized
-    (`drives.overlap.known_overlap`).
+    They are in seen.npz next to the file. If that is missing or from an earlier version, only whole drives are
+    recognized (`drives.overlap.known_overlap`).
     """
     data = load_record(TuningRecord, file).data
     kept = load_landmarks(file.parent / SEEN_FILE)
@@ -101,7 +101,7 @@ def seen_by(file: Path) -> list[Landmarks]:
 
 @dataclass(frozen=True, eq=False)
 class TrialHistory:
-    """Costs of one trial after each generation, shape (g,): the lowest so far, and the median of the generation."""
+    """Costs of one trial after each generation: lowest so far and median of the generation, shape (g,)."""
 
     trial: int
     generation: Array
@@ -111,18 +111,18 @@ class TrialHistory:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Costs over the generations of all trials."""
+    """Costs of all trials after each generation."""
 
     trials: tuple[TrialHistory, ...]
 
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> "History":
-        """Take the history from the trials of a tuning."""
+        """Collect the history of the trials of a tuning."""
         each = enumerate(trials)
         return cls(tuple(TrialHistory(i, np.arange(1.0, len(t.best) + 1), t.best, t.median) for i, t in each))
 
     def save(self, path: Path) -> Path:
-        """Write convergence.csv, with every bit of the costs."""
+        """Write convergence.csv, with all digits of the costs."""
         lines = ["trial,generation,best_cost,median_cost"]
         for one in self.trials:
             rows = zip(one.best.tolist(), one.median.tolist(), strict=True)
@@ -132,7 +132,7 @@ class History:
 
     @classmethod
     def load(cls, path: Path) -> "History":
-        """Read a file of `save`."""
+        """Read a file written by `save`."""
         whole, real = pl.Int64(), pl.Float64()
         numbers = {"trial": whole, "generation": whole, "best_cost": real, "median_cost": real}
         try:

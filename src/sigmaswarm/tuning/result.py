@@ -31,7 +31,7 @@ from sigmaswarm.wording import counted, in_order, to_do
 
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5
-"""Remarks in the text form of a tuning."""
+"""Number of remarks in the printed text of a tuning."""
 INFLATED = (
     "{} times those of the lowest cost (process-noise inflation): the costs of the two filters hardly differ, and on "
     "roads and IMUs that the tuning has not seen, the one with more process noise is more accurate. On the same roads "
@@ -41,16 +41,16 @@ OF_THESE_SENSORS = (
     "a filter tuned with truth suits the receiver and the IMU of these drives: with others it may be far less accurate "
     "than the fixes. For others tune without truth (--objective innovation-t)"
 )
-MORE_DRIVES = "tune on more drives, or on drives that are more like those of the validation"
+MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 LARGE_GAP = 0.2
-"""Relative increase of the validation cost above which a remark is made."""
+"""Relative increase of the errors on the validation drives above which a remark is made."""
 
 
 @dataclass(frozen=True)
 class Validation:
     """Cost on drives that the search did not use.
 
-    ``gap``: relative increase of the errors over the training drives; 0.1 is 10%.
+    ``gap``: relative increase of the errors compared with the training drives; 0.1 means 10%.
     """
 
     cost: float
@@ -64,41 +64,41 @@ class Tuning(Generic[P]):
 
     Attributes
     ----------
-    parameters : FilterParameters, or dict of str to float for a model of your own
-        Of the best trial.
+    parameters : FilterParameters, or dict of str to float for a custom model
+        Parameters of the best trial.
     cost : float
-        The objective on the training drives.
+        Value of the objective on the training drives.
     touched_bounds : list of TouchedBound
         Parameters at a bound: the optimum may lie beyond it.
     trial_costs : tuple of float
         Lowest cost of each trial.
     best_trial : int
-    config : TuneConfig, or ModelTuneConfig for a model of your own
+    config : TuneConfig, or ModelTuneConfig for a custom model
     trials : tuple of Trial
         Empty if loaded from a tuning.toml without the folders of its trials.
     evaluations, failures : int
-        Parameter sets tried, and how many of them failed.
+        Numbers of parameter sets tried and failed.
     steps : int
-        Filter steps that the search took.
+        Number of filter steps of the search.
     full_steps : int
-        Filter steps of as many evaluations without racing.
+        Number of filter steps that the same evaluations would take without racing.
     data : list of dict
         Name, length and fingerprint of each drive.
     seen : sequence of Landmarks
-        Landmarks by which `evaluate` recognizes the training drives or parts of them.
+        Landmarks by which `evaluate` recognizes training drives or parts of them.
     warnings : tuple of str
-        Faults of the filter on the training drives that the objective does not see.
+        Faults of the filter on the training drives that the objective does not show.
     sensitivities : tuple of Sensitivity
-        How far each parameter can move before the cost rises by 1%.
+        Range of each parameter in which the cost rises by less than 1%.
     validation : Validation or None
     inflation_factor : float
-        Factor of the process-noise inflation, see `tuning.inflation`; 1 without it.
+        Factor of the process-noise inflation; 1 without it. See `tuning.inflation`.
     start_cost : float or None
-        The objective of the filter that the search started from, with the same inputs; None without a start.
+        Cost of the start filter on the training drives; None without a start.
     fixes_alone : MotionNoise or None
-        Noises of a constant-velocity filter of the fixes alone, of the largest likelihood on the training drives.
+        Noises of a constant-velocity filter of the fixes alone, fitted to the training drives by likelihood.
     forecasts : tuple of Forecast
-        Drift over outages of 1, 5 and 30 s on the training drives, compared with that filter and the baseline.
+        Drift over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
     """
 
     parameters: P
@@ -141,11 +141,11 @@ class Tuning(Generic[P]):
 
     @property
     def remarks(self) -> list[str]:
-        """Remarks on the result; those that ask for action (`TO_DO`) come first."""
+        """Remarks on the result; those with a remedy (`TO_DO`) come first."""
         return in_order(_remarks(self))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types, as in tuning.toml."""
+        """Return the content of tuning.toml as plain types."""
         result: dict[str, Any] = {
             "cost": self.cost,
             "objective": self.config.objective,
@@ -227,7 +227,7 @@ class Tuning(Generic[P]):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """Show each parameter, how far it can move, and the remarks in a notebook."""
+        """Return HTML for a notebook: the range of each parameter, and the remarks."""
         heads = ("parameter", "value", "within 1% of the cost: from", "to")
         rows = [
             (
@@ -305,7 +305,7 @@ class Tuning(Generic[P]):
 
 
 def _remarks(t: Tuning[Any]) -> Iterator[str]:
-    """Remarks as sentences, without their order of importance."""
+    """Yield the remarks as sentences, not yet sorted."""
     p, objective, factor = t.parameters, t.config.objective, t.inflation_factor
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings

@@ -1,4 +1,4 @@
-"""The trials of a tuning: get points from the optimizer, compute their costs, save every generation."""
+"""Trials of a tuning: the loop over generations, and its checkpoints."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -35,7 +35,8 @@ HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": n
 class Progress:
     """Progress of a tuning, passed to the callback after every generation.
 
-    ``parameters`` are the best ones of this trial so far; None while no parameter set gave a finite cost.
+    ``done`` and ``total`` count the generations of all trials. ``parameters`` are the best of this trial so far; None
+    while no parameter set has had a finite cost.
     """
 
     trial: int
@@ -53,17 +54,17 @@ class Trial:
     Attributes
     ----------
     cost : float
-        Of the best point.
+        Cost of the best point.
     point : ndarray, shape (d,)
         The best point, in search coordinates.
     best : ndarray, shape (generations,)
-        Lowest cost so far after each generation: after as many evaluations as there are particles.
+        Lowest cost so far after each generation.
     median : ndarray, shape (generations,)
         Median cost of each generation.
     steps : ndarray of int, shape (generations,)
-        Filter steps spent after each generation.
+        Total number of filter steps after each generation.
     evaluations, failures : int
-        Parameter sets tried, and how many of them failed or could not be scored.
+        Number of parameter sets tried, and of those that failed or could not be scored.
     """
 
     cost: float
@@ -90,9 +91,9 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 class Search:
     """Settings that the trials of one tuning share.
 
-    Without an executor all work is done in this thread. Every generation is saved in ``folder``. ``progress`` is called
-    after every generation; it stops the search by returning False. Each trial's first generation includes ``start``
-    (d,).
+    Without ``executor`` all work is done in this thread. Every generation is saved in ``folder``. ``progress`` is
+    called after every generation; if it returns False, the search stops. The first generation of each trial includes
+    ``start``, shape (d,).
     """
 
     config: SearchConfig
@@ -103,7 +104,7 @@ class Search:
     start: Array | None = None
 
     def trial(self, number: int) -> Trial:
-        """Run, resume or look up one trial."""
+        """Return a trial: read it from the folder, resume it, or run it."""
         if self.folder and (done := self.folder.finished(number)):
             return self._checked(_trial(*done), self.folder.path / f"trial-{number:03d}")
         c, space = self.config, self.problem.space
@@ -146,7 +147,7 @@ class Search:
         return _trial(result, history)
 
     def _checked(self, trial: Trial, folder: Path) -> Trial:
-        """Refuse a saved trial of another search."""
+        """Raise `InputError` if a saved trial has a point of another search space."""
         low, high = self.problem.space.low, self.problem.space.high
         if trial.point.shape == low.shape and np.all((low <= trial.point) & (trial.point <= high)):
             return trial
@@ -155,7 +156,7 @@ class Search:
         )
 
     def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> Raced:
-        """Run one generation in one or several batches; empty when the trial is over."""
+        """Run one generation in one or more batches; return no costs when the trial is over."""
         found = Raced(np.empty(0), 0, 0, leader)
         patience = self.config.patience
         stalled = patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]
@@ -168,7 +169,7 @@ class Search:
         return found
 
     def _batch(self, number: int, spent: int, points: Array, leader: Leader | None) -> Raced:
-        """Compute the costs of a batch on all drives, or by a race over them."""
+        """Evaluate a batch of points on all drives, or with racing on a part of them."""
         steps = self.problem.steps
         if not self.config.racing:
             costs = self.problem.costs(points, self.executor)
@@ -178,7 +179,7 @@ class Search:
         return race(self.problem, points, order, self.executor, leader)
 
     def _resumed(self, number: int, optimizer: Budgeted) -> tuple[dict[str, Array], int, Leader | None]:
-        """Restore the optimizer from its checkpoint; return the history, the failures and the leader of a race."""
+        """Restore the optimizer from its checkpoint; return the history, the number of failures and the leader."""
         history: dict[str, Array] = {name: np.empty(0, kind) for name, kind in HISTORY.items()}
         checkpoint = self.folder.checkpoint(number) if self.folder else None
         saved = load_checkpoint(checkpoint) if checkpoint else None
@@ -187,7 +188,7 @@ class Search:
         arrays, notes = saved
         try:
             optimizer.restore(arrays | {"rng": notes["rng"]})
-            if isinstance(optimizer.first, AskTell):  # a copy shows if it can continue
+            if isinstance(optimizer.first, AskTell):  # a trial run on a copy detects an inconsistent state
                 again = deepcopy(optimizer)
                 again.tell(np.zeros(len(again.ask())))
             history = {name: arrays[name] for name in HISTORY}

@@ -1,7 +1,7 @@
-"""Sensitivity of the cost: how far each parameter can move before the cost rises by 1%.
+"""Sensitivity of the cost: the range of each parameter in which the cost rises by less than 1%.
 
-One parameter moves at a time, so a parameter that looks well determined may still be traded for another. One such trade
-is known and tried as well: all noise variances times one factor, which changes the covariance but hardly the estimates.
+Only one parameter changes at a time, so trade-offs between parameters remain hidden. One known trade-off is tried in
+addition: a common factor on all noise variances, which changes the covariance but hardly the estimates.
 """
 
 from concurrent.futures import Executor
@@ -14,23 +14,23 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Problem
 
 RISE = 0.01
-"""Relative increase of the cost."""
+"""Relative increase of the cost that ends the range of a parameter."""
 NOISE_SCALE = "all noise variances times"
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """The range in which one parameter can move.
+    """Range of one parameter in which the cost rises by less than 1%.
 
     Attributes
     ----------
     name : str
     value : float
-        In the tuned filter; 1 for the factor of all noise variances.
+        Value in the tuned filter; 1 for the factor on all noise variances.
     lowest, highest : float or None
-        Where the cost has risen by 1%; None if it has not at the bound.
+        Values at which the cost has risen by 1%; None if the range reaches the bound.
     lowest_rise : float
-        Lowest relative change of the cost on the way; below 0 the search had not converged.
+        Lowest relative change of the cost in the range. If it is below 0, the search had not converged.
     """
 
     name: str
@@ -41,19 +41,19 @@ class Sensitivity:
 
     @property
     def identified(self) -> bool:
-        """False if any value within the bounds is as good."""
+        """False if the range reaches both bounds."""
         return self.lowest is not None or self.highest is not None
 
 
 def sensitivities(
     problem: Problem[Any], point: Array, cost: float, executor: Executor | None
 ) -> tuple[Sensitivity, ...]:
-    """Move each parameter away from the optimum, (d,), both ways, until the cost has risen by 1%."""
+    """Move each parameter both ways from the best point, shape (d,), until the cost has risen by 1%."""
     space, names, axes = problem.space, [*problem.space.names], np.eye(len(point))
     down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
     noises = space.logarithmic & space.noises
     if noises.any():
-        # two decades each way, even beyond the bounds: else a variance at its bound would hide the trade-off
+        # two decades each way, also beyond the bounds: otherwise a variance at its bound would hide the trade-off
         together = np.where(noises, 2.0, 0.0)
         down, up = np.vstack([down, -together]), np.vstack([up, together])
         names.append(NOISE_SCALE)
@@ -79,7 +79,7 @@ def sensitivities(
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """Return the share of the distance at which the cost has risen by 1%, linear between the steps, or None."""
+    """Interpolate the share of the distance at which the cost has risen by 1%; None if it never does."""
     above = np.flatnonzero(~(rise < RISE))
     if not len(above):
         return None

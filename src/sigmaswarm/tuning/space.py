@@ -21,7 +21,7 @@ from sigmaswarm.tuning.box import Box, Dimension
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
-"""Optional measurements and features of a filter; the parameters of a chosen one are tuned, too."""
+"""Optional measurements and features of a filter; the search also tunes their parameters."""
 
 
 SCALING = (
@@ -58,34 +58,33 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     ),
 }
 TIME = "fix_error_time"
-"""Parameters that are searched only with truth: the likelihood is flat in them, or largest at the bound."""
+"""Parameter that is searched only with truth: the likelihood hardly depends on it, or is largest at the bound."""
 LEAST_WHITE = 0.04
-"""Least R of a fix over the receiver's variance, with states for correlated errors and without truth.
+"""Lower bound of R relative to the receiver's variance, for fix-error without truth.
 
-With less, Student's t takes correlated errors for outliers.
+With a smaller R, Student's t treats correlated errors as outliers.
 """
 ACCURACY_FLOOR = (1e-4, 1e3)
-"""m2: R in addition to the stated variance of each fix."""
+"""Bounds, m2, of the variance that is added to the stated variance of each fix."""
 LEAST = {
     "tilt": 2e-7,
     "gyro_bias_xy": 1e-10,
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
-"""Lower limits of a filter with roll and pitch.
+"""Lower limits of parameters of a filter with roll and pitch, which `tuning.inflation` applies.
 
-Variances per second, rad2 and (rad/s)2, and standard deviations of the biases at the start, m/s2 and rad/s. See
-`tuning.inflation`.
+Units: variances per second in rad2 and (rad/s)2, initial bias standard deviations in m/s2 and rad/s.
 """
 USUAL_INTERVAL = 0.01
-"""s: IMU interval if no drive is known yet."""
+"""IMU interval, s, if no drive is known yet."""
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
 ONE_NOISE = ("lateral", "odometer")
-"""Options of which robot-localization has only the noise: its twists are those of the IMU, in m/s, without delay."""
+"""Options for which robot-localization has only a noise parameter: twists are in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -104,20 +103,20 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace(Box):
-    """Bounds of filter parameters for cars; ``fixed``: fields of `FilterParameters` that are not searched."""
+    """Bounds of the parameters of built-in models; ``fixed``: fields of `FilterParameters` that are not searched."""
 
     fixed: dict[str, Any]
 
     def decode(self, points: Array) -> ParameterTable:
-        """Parameters of points, shape (n, d), in search coordinates."""
+        """Return the filter parameters of points in search coordinates, shape (n, d)."""
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
 
     def point_of(self, parameters: FilterParameters) -> Array:
-        """Return the point of a filter in search coordinates, (d,), within the bounds.
+        """Return the point of a filter in search coordinates, shape (d,), clipped to the bounds.
 
-        Values that the filter does not have are in the middle of their bounds.
+        Parameters that the filter does not have are set to the middle of their bounds.
         """
         own, here = parameters.nominal_interval, self.fixed["nominal_interval"]
         if own and here:
@@ -128,7 +127,7 @@ class SearchSpace(Box):
         return np.where(np.isfinite(values), np.clip(point, self.low, self.high), (self.low + self.high) / 2)
 
     def values_of(self, parameters: FilterParameters) -> dict[str, float]:
-        """Return the value of every dimension in a filter."""
+        """Return the value of every searched parameter in a filter."""
         found = dict[str, float]()
         for i, dimension in enumerate(self.dimensions):
             value, places = getattr(parameters, dimension.field), self._places[dimension.field]
@@ -137,7 +136,7 @@ class SearchSpace(Box):
 
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:
-        """Index of the dimension of each field, or those of its entries."""
+        """Index of each field's dimension, or the indices for the entries of a tuple."""
         found: dict[str, int | list[int]] = {}
         for i, dimension in enumerate(self.dimensions):
             before = found.get(dimension.field, [])
@@ -147,7 +146,7 @@ class SearchSpace(Box):
 
     @cached_property
     def _any(self) -> FilterParameters:
-        """A filter within the bounds."""
+        """Filter at the lower bounds, for its fixed fields."""
         values = {name: self.lowest[places].tolist() for name, places in self._places.items()}
         return FilterParameters(**self.fixed, **values)
 
@@ -162,11 +161,12 @@ def search_space(
     fix_std: float = UNSTATED_GPS_STD,
     has_truth: bool = False,
 ) -> SearchSpace:
-    """Make the search space of a filter, with the paper's bounds for planar5; ``scale`` is that of the variances.
+    """Create the search space of a filter; planar5 has the paper's bounds.
 
-    All but planar5 without the lateral constraint share the noise of east and north: q_xy, q_vxy, r_xy. Bounds per
-    second are converted to ``nominal_interval``, or to 10 ms. With fix-error, ``fix_std`` (m) is the receiver's
-    standard deviation per axis, and ``has_truth`` is True where the objective compares with truth.
+    ``scale`` applies to the variances. East and north share their noises (q_xy, q_vxy, r_xy), except in planar5 without
+    the lateral constraint. Bounds per second are converted to ``nominal_interval``, s, by default 10 ms. ``fix_std``,
+    the receiver's standard deviation per axis, m, and ``has_truth``, True if the objective uses truth, are needed for
+    fix-error.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")
@@ -197,7 +197,7 @@ def search_space(
 
 
 def _without_truth(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
-    """Dimensions with fix-error and without truth; ``weighs``: R grows with the stated variance of a fix."""
+    """Yield the dimensions for fix-error without truth; ``weighs``: R grows with the stated variance of a fix."""
     field, least = (
         ("accuracy_scale", LEAST_WHITE) if weighs else ("measurement_noise", LEAST_WHITE * fix_std**2)
     )
@@ -209,11 +209,11 @@ def _without_truth(dimensions: Sequence[Dimension], fix_std: float, weighs: bool
 def _dimensions(
     model: ModelName, kind: FilterKind, use: Sequence[Option], interval: float
 ) -> Iterator[Dimension]:
-    """Dimensions in order; except in the paper's own filter, east and north share their noise.
+    """Yield the dimensions in order; east and north share their noise, except in the paper's own filter.
 
-    Otherwise a filter tuned on roads to the east had 1000 times more noise of the velocity to the north. On a road to
-    the north the lateral constraint then corrects a lateral error by a change along the road, up to sqrt(1000) / 2
-    times as large: docs/results/planar5.md, "One noise for both map axes".
+    With separate noises, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
+    to the north, the lateral constraint then corrects a lateral error by a change along the road that is up to
+    sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING

@@ -1,12 +1,12 @@
-"""The folder of a tuning: written atomically, the same bytes for the same result, resumable.
+"""The folder of a tuning. Files are written atomically, and the same result gives the same bytes.
 
-A folder of results contains
+The folder contains
 
-    config.json          the configuration and the data; a resumed run must have the same
-    checkpoint-000.npz   the optimizer's whole state after the last generation, while a trial runs
+    config.json          configuration and data, which must be the same for a resumed run
+    checkpoint-000.npz   complete state of a running trial after its last generation
     trial-000/           result.json and history.npz of a finished trial
-    tuning.toml          the best trial's filter, once all trials are done
-    seen.npz             landmarks of its drives, whole or in parts (`drives.overlap`)
+    tuning.toml          filter of the best trial, after all trials
+    seen.npz             landmarks by which the training drives are recognized (`drives.overlap`)
 """
 
 import json
@@ -29,13 +29,13 @@ LONGEST = 120
 
 
 class ConfigRecord(BaseModel, extra="allow"):
-    """config.json of a tuning: its configuration, which a resumed run must repeat, and the versions of its software."""
+    """config.json of a tuning: its configuration and the versions of its software."""
 
     versions: dict[str, str] = Field(default_factory=dict)
 
 
 class CountsRecord(BaseModel, extra="forbid"):
-    """``counts`` of result.json: parameter sets tried, and how many of them failed."""
+    """Entry ``counts`` of result.json: numbers of parameter sets tried and failed."""
 
     evaluations: int
     failures: int
@@ -49,7 +49,7 @@ class TrialRecord(BaseModel, extra="forbid"):
 
 
 class TrialHistoryRecord(BaseModel):
-    """history.npz of a trial: the best point (d,), and after each generation the costs and steps (g,)."""
+    """history.npz of a trial: best point, shape (d,), and costs and steps after each generation, shape (g,)."""
 
     model_config = ARRAYS
     point: Vector
@@ -67,13 +67,13 @@ class TrialHistoryRecord(BaseModel):
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
-    """Save arrays, and notes that JSON can hold, as one file."""
+    """Save arrays and JSON-compatible notes in one file."""
     with whole_file(path) as file:
         np.savez(file, **arrays, notes=json.dumps(notes))
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Arrays and notes, or None where nothing was saved."""
+    """Return the arrays and notes of a checkpoint, or None if there is no file."""
     if not path.exists():
         return None
     try:
@@ -84,7 +84,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
 
 
 def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return the options of the tuning in a folder, as `tune` takes them, and its data: to resume it."""
+    """Return the options and the data of the tuning in a folder, for resuming it with `tune`."""
     record = load_record(ConfigRecord, path / "config.json", "not written by a tuning", infinite=True)
     config = _with_current_names(record.model_extra)
     if "start" in config:
@@ -95,7 +95,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def saved_history(path: Path) -> dict[int, list[float]]:
-    """Return the lowest costs after each generation, by trial, also of an unfinished tuning."""
+    """Return the lowest cost so far after each generation, by trial; the tuning may be unfinished."""
     history: dict[int, list[float]] = {}
     for place in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
         number = int(place.stem[-3:])
@@ -116,7 +116,7 @@ def finished_trial(
     result_type: type[BaseModel] = TrialRecord,
     history_type: type[BaseModel] = TrialHistoryRecord,
 ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Read the result and the history of a finished trial from a tuning's folder; None where there is none."""
+    """Read the result and the history of a trial from a tuning's folder; None if the trial is not finished."""
     folder = path / f"trial-{trial:03d}"
     if not folder.exists():
         return None
@@ -127,7 +127,7 @@ def finished_trial(
 
 
 def _with_current_names(config: Any) -> Any:
-    """Rename the options of 0.3.0 in a saved configuration."""
+    """Replace the option names of version 0.3.0 in a saved configuration."""
     if not isinstance(config, dict):
         return config
     items = cast(dict[str, Any], config).items()
@@ -135,7 +135,7 @@ def _with_current_names(config: Any) -> Any:
 
 
 def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
-    """Describe the innermost values that differ."""
+    """Describe the first difference of two configurations: the saved value and the wanted one."""
     if isinstance(saved, dict) and isinstance(wanted, dict) and key not in ("data", "model"):
         old, new = cast(dict[str, Any], saved), cast(dict[str, Any], wanted)
         inner = next(k for k in sorted(old.keys() | new.keys()) if old.get(k) != new.get(k))
@@ -153,10 +153,14 @@ def _short(key: str, value: Any) -> str:
 
 
 class ResultFolder:
-    """The folder of a tuning, made if missing, with its effective configuration (JSON types only).
+    """The folder of a tuning, created if missing, with its effective configuration as JSON types.
 
-    ``resume`` continues the run in it if that has the same configuration. Another tuning, or results without
-    ``resume``, are refused.
+    With ``resume`` the folder may contain an unfinished run with the same configuration.
+
+    Raises
+    ------
+    InputError
+        If the folder contains another tuning, or any tuning without ``resume``.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
@@ -184,13 +188,13 @@ class ResultFolder:
             )
 
     def checkpoint(self, trial: int) -> Path:
-        """Return the file of a running trial's state."""
+        """Return the path of a trial's checkpoint."""
         return self.path / f"checkpoint-{trial:03d}.npz"
 
     def finished(self, trial: int, *records: type[BaseModel]) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Return the result and the history of a finished trial, else None; ``records`` as in `finished_trial`."""
+        """Return the result and the history of a trial, or None if unfinished; ``records``: see `finished_trial`."""
         done = finished_trial(self.path, trial, *records)
-        if done:  # a run killed between saving the result and deleting the checkpoint left both
+        if done:  # both exist if the run was killed between the two steps of `finish`
             self.checkpoint(trial).unlink(missing_ok=True)
         return done
 

@@ -1,4 +1,4 @@
-"""`tune`: search the filter parameters with the lowest cost on a set of drives."""
+"""`tune`: search for the filter parameters with the lowest cost on a set of drives."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -49,12 +49,12 @@ if TYPE_CHECKING:
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
-NOT_ROBUST = "innovation-nll counts outliers in full, with robust, too; for robust use innovation-t"
+NOT_ROBUST = "innovation-nll does not downweight outliers, even with robust; for robust use innovation-t"
 P = TypeVar("P")
 
 
 class RunOptions(TypedDict, total=False):
-    """Arguments of `tune` other than the data and the configuration."""
+    """Arguments of `tune` that are neither data nor configuration."""
 
     out: str | Path | None
     resume: bool
@@ -72,7 +72,7 @@ class CarOptions(RunOptions, TuneOptions):
 
 
 class ModelOptions(RunOptions, SearchOptions):
-    """Options of `tune` with a model of the user's own, on logs."""
+    """Options of `tune` with a custom model on logs."""
 
     model: Required[Model]
     validation: NotRequired[Sequence[Log] | Log]
@@ -99,37 +99,36 @@ def tune(
     Parameters
     ----------
     drives : Drive or sequence of Drive; Log or sequence of Log
-        The training drives, or the logs of a model of your own; with a ``cluster`` also paths and URLs of drives.
+        Training drives, or logs for a custom model. With ``cluster`` also paths and URLs of drives.
     validation : Drive or sequence of Drive
-        Drives that the search does not see. The result holds their cost; nothing is chosen by it.
+        Drives that the search does not use. The result reports the cost on them; it does not affect the choice.
     out : path, optional
-        A folder for results. Every generation is saved in it, so that a killed run can be resumed.
+        Folder for results. Every generation is saved in it, so that a killed run can be resumed.
     executor : concurrent.futures.Executor, optional
-        Runs the work; by default threads on all cores. The result's bits do not depend on it.
+        Runs the filters; by default threads on all cores. The result's bits do not depend on it.
     cluster : distributed.Client, optional
-        A Dask cluster whose workers read the drives and do the work. The result's bits do not depend on it.
+        Dask cluster whose workers read the drives and run the filters. The result's bits do not depend on it.
     progress : callable, optional
-        Called with a `Progress` after every generation, which has the best parameters so far. The tuning stops where it
-        returns False.
+        Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options
-        ``resume=True`` continues the run in ``out``, with the same bits as without interruption. ``paper=True`` takes
-        the paper's setting, `PAPER`, and refuses options that contradict it. ``start`` is a filter, or a file of one,
-        from which the search starts: also an ekf.yaml of robot_localization. The others are fields of `TuneConfig`:
-        objective, particles, generations, trials, seed, ... Without ``model`` and ``use`` the filter is chosen by the
-        drives' sensors; the result's ``config`` states the choice. ``model`` may be a `Model` of your own, and
-        ``optimizer`` a class of your own, see `tuning.optimizers`.
+        ``resume=True`` continues the run in ``out``; the result has the same bits as without interruption.
+        ``paper=True`` uses the paper's settings, `PAPER`, and rejects options that contradict them. ``start`` is a
+        filter from which the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other
+        options are fields of `TuneConfig`: objective, particles, generations, trials, seed, ... Without ``model`` and
+        ``use`` the filter depends on the drives' sensors; the result's ``config`` states it. ``model`` may be a custom
+        `Model`, and ``optimizer`` a custom class: see `tuning.optimizers`.
 
     Raises
     ------
     InputError
-        If an option or the folder can't be used, the objective needs truth that a drive does not have, or no
-        parameter set gave a finite cost.
+        If an option or the folder is invalid, the objective needs truth that a drive does not have, or no parameter
+        set has a finite cost.
     AlignmentError
         If a drive never moves far enough to start a filter.
     TuningStopped
         If ``progress`` returned False.
     ClusterError
-        If the cluster can't do the work: its scheduler is gone, a worker has other versions, the drives don't fit.
+        If the scheduler stopped, a worker has other versions, or the drives exceed the workers' memory.
     """
     resume, paper, start = (options.pop(name, None) for name in ("resume", "paper", "start"))
     kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
@@ -148,7 +147,7 @@ def tune(
 
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
-    """Fetch the landmarks of the drives, before a cluster can disappear, and save them."""
+    """Save the landmarks of the drives and return them; a cluster may no longer exist when they are needed."""
     if folder is None or not problem.seen:
         return tuple(problem.seen)
     file, names = folder.path / SEEN_FILE, tuple((entry["name"], entry["sha256"]) for entry in problem.data)
@@ -163,7 +162,7 @@ def _problem_of(
     start: FilterParameters | str | Path | None,
     where: "tuple[Executor | None, Client | None]",
 ) -> tuple[Problem[Any], Problem[Any] | None, Array | None]:
-    """Set up the problem of a tuning on the training and on the validation data, and the point of its start."""
+    """Create the problems on the training and the validation data, and convert the start filter to a point."""
     model: Any = options.get("model")
     executor, cluster = where
     first: Array | None = None
@@ -172,7 +171,7 @@ def _problem_of(
         if cluster is not None:
             raise InputError("cluster: a model of your own runs on this machine only; leave cluster out")
         if start is not None:
-            raise InputError("start: is for built-in models; leave start out")
+            raise InputError("start: is available for built-in models only; leave start out")
         data, others = listed(drives), listed(validation)
         stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
         if stray:
@@ -199,12 +198,12 @@ def _problem_of(
 
 
 def start_point(space: SearchSpace, given: FilterParameters) -> Array:
-    """The point of a filter in search coordinates, within the bounds.
+    """Return the point of a filter in search coordinates, clipped to the bounds.
 
     Raises
     ------
     InputError
-        If the filter has another model or type.
+        If the filter has another model or type than the search space.
     """
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
@@ -217,7 +216,7 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 def tuning_folder(
     path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool, start: Array | None = None
 ) -> ResultFolder:
-    """Open the folder of a tuning, which records the configuration, the data and the start."""
+    """Open or create the folder of a tuning, and check that it has the same configuration, data and start."""
     wanted = {**config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
     if start is not None:
         wanted["start"] = dict(zip(problem.space.names, start.tolist(), strict=True))
@@ -237,8 +236,8 @@ def tune_problem(
 ) -> Tuning[P]:
     """Run, resume or read the trials of a tuning, and write its tuning.toml.
 
-    Without an executor all work is done in this thread. ``diagnose`` checks the filter for faults that the objective
-    does not show. The cost of the result is at most that of ``start``, before process-noise inflation.
+    Without ``executor`` all work is done in this thread. ``diagnose`` checks the filter for faults that the objective
+    does not show. Before process-noise inflation, the cost is at most that of ``start``.
     """
     search = Search(config, problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))
@@ -250,7 +249,7 @@ def tune_problem(
     if not np.isfinite(cost):
         raise InputError(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
-            + (problem.why_none(point) or "look for NaN or wildly wrong values in the drives")
+            + (problem.why_none(point) or "check the drives for NaN and for values in wrong units")
         )
     if isinstance(config, TuneConfig) and config.inflation:
         point, cost, factor = inflated(problem, point, cost, config.inflation, executor)
@@ -289,15 +288,15 @@ def tune_problem(
 
 
 def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
-    """Refuse validation drives that are, or overlap with, training drives."""
+    """Raise `InputError` if a validation drive is a training drive or overlaps with one."""
     seen = {entry["sha256"] for entry in problem.data}
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
-        raise InputError(f"{both[0]} is among the training drives, too; hold others back for validation")
+        raise InputError(f"{both[0]} is among the training drives, too; use other drives for validation")
     known = tuple(problem.seen) if len(held_back.seen) else ()
     for drive in held_back.seen:
         if found := overlap_of(drive, known):
             raise InputError(
                 f"{drive.name}: {found.seconds:.0f} s of it are in the training drives, too ({', '.join(found.of)}); "
-                "hold others back for validation"
+                "use other drives for validation"
             )

@@ -1,4 +1,4 @@
-"""The configuration of a study: one TOML file, saved with its results."""
+"""Configuration of a study, which is saved as study.toml with its results."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ from sigmaswarm.tuning.space import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"
-"""The group of all conditions, and the maneuver or environment of a drive without one."""
+"""Name of the group of all conditions; also stands for an unknown maneuver or environment."""
 UNTUNED = "untuned"
 """The protocol of methods without tuning."""
 ProtocolName = Literal["paper", "honest"]
@@ -45,12 +45,12 @@ PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(objective="gps-rmse", scale="linear"),
     "honest": Protocol(objective="truth-rmse", scale="log10"),
 }
-"""The objective of ``paper`` is the paper's equation 4."""
+"""Protocols of tuning; the objective of ``paper`` is the paper's equation 4."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """A row of the tables.
+    """A method of a study, one row of the tables.
 
     Attributes
     ----------
@@ -58,11 +58,11 @@ class Method:
     protocols : tuple of str
         Protocols under which it is tuned or trained.
     filter : (filter type, model) or None
-        The filter, where it is fixed.
+        Filter of the method, if it is fixed.
     paper : str or None
-        The paper's row next to it.
+        Key of the paper's result that is shown next to it.
     rival : bool
-        True for rows of studies with rivals only.
+        True if the method is used only in studies with rivals.
     """
 
     label: str
@@ -73,12 +73,12 @@ class Method:
 
 
 MAIN = "pso-ukf"
-"""The paper's method, which all others are compared with."""
+"""The paper's method, with which all others are compared."""
 BY_DEFAULT = "default"
-"""The filter, objective and optimizer that `tune` chooses for a study's drives."""
+"""Method with the filter, objective and optimizer that `tune` chooses for a study's drives."""
 BY_BO = "bo-ukf"
 HELPED = "pso-planar8"
-"""The filter that networks help: `noise-gru` does not support tilted12, and planar5 has no biases."""
+"""Method whose filter is used with networks: `noise-gru` does not support tilted12, and planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),
@@ -101,12 +101,12 @@ METHODS: dict[str, Method] = {
     "outage-lstm": Method("planar8 with outage-lstm", HONEST, rival=True),
     "noise-gru": Method("planar8 with noise-gru", HONEST, rival=True),
 }
-"""All methods, in the order of the tables; the paper tunes the UKF alone."""
+"""All methods, in the order of the tables; the paper tunes only the UKF."""
 NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
 BO_EVALUATIONS = 100
-"""Largest number of evaluations: with more its Gaussian process takes longer than all filters (docs/optimizers.md)."""
+"""Evaluations of Bayesian optimization; with more, its own time exceeds that of the filters (docs/optimizers.md)."""
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
-"""Additional measures of a study with rivals: s without fixes, by name."""
+"""Outage lengths, s, of the additional measures of a study with rivals."""
 MEASURES = {
     "position_rmse_m": "position RMSE against truth, m",
     "gps_rmse_m": "RMSE against the GPS fix after the update (equation 4), m",
@@ -116,7 +116,7 @@ MEASURES = {
 }
 """Measures of each drive."""
 QUICK = {"runs": 2, "trials": 3}
-"""Options of the study that `sigmaswarm demo` runs: 50 drives, half a minute on two cores."""
+"""Options of the study in `sigmaswarm demo`: 50 drives, half a minute on two cores."""
 RIVALS_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
 
 
@@ -142,44 +142,44 @@ PAPER_RESULTS: dict[str, Any] = {
     "figure_2": {"stable_generation": 15, "stable_at_m": 1.5},
     "real_time_limit_ms": 10.0,
 }
-"""Results of Malabo and Gerardo, "Adaptive Tuning of the Unscented Kalman Filter Using Particle Swarm Optimization for
-Inertial-GPS Sensor Fusion Systems", Tables I to III; the limit of an update is in ms."""
+"""The paper's results: Malabo and Gerardo, "Adaptive Tuning of the Unscented Kalman Filter Using Particle Swarm
+Optimization for Inertial-GPS Sensor Fusion Systems", Tables I to III and Figure 2."""
 
 
 class StudyConfig(BaseModel):
-    """The configuration of a study. The defaults are the paper's where it states them."""
+    """Configuration of a study. Defaults are the paper's values, if it states them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     maneuvers: tuple[str, ...] = Field(default=PAPER_MANEUVERS, min_length=1)
     environments: tuple[str, ...] = Field(default=tuple(ENVIRONMENTS), min_length=1)
     runs: int = Field(default=20, ge=1)
-    """Simulated drives of each maneuver in each environment."""
+    """Number of simulated drives of each maneuver in each environment."""
     imu: str = "icm-20602"
     gps: str = "white-1m"
     """The paper does not state its sensors' noise; CARLA's GNSS sensor has white noise."""
     vibration: float = Field(default=0.0, ge=0)
-    """Vibration of the IMU by road and engine, which may show the speed to a network; 1 is that of real cars."""
+    """Vibration of the IMU by road and engine, relative to real cars; a network may infer the speed from it."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
     """Folders of drives; simulated drives by default."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
-    """Share of the drives of each condition, redrawn in each trial."""
+    """Share of the drives of each condition that are training drives; drawn again in each trial."""
     trials: int = Field(default=20, ge=2)
     particles: int = Field(default=30, ge=2)
     generations: int = Field(default=50, ge=1)
-    """Including the first placement: 30 x 50 are 1500 evaluations."""
+    """Number of generations, including the initial one: 30 x 50 are 1500 evaluations."""
     seed: int = Field(default=0, ge=0)
     """Seed of drives, splits and swarms."""
     per_condition: bool = False
     """Tune a filter for each condition instead of one for all of them."""
     racing: bool | None = None
-    """Drop the worse candidates of a generation early. None: where tunings have many training drives
+    """Drop the worse candidates of a generation early. By default on if every tuning has many training drives
     (`tuning.racing.MANY`)."""
     rivals: bool = False
-    """Also tune a fuzzy filter, tune by Bayesian optimization, and train networks."""
+    """Also tune a fuzzy filter, tune with Bayesian optimization, and train networks."""
     learn_minutes: float = Field(default=20.0, ge=2)
-    """Minutes of driving (after the filters' start) that a network learns from, drawn from the training drives."""
+    """Minutes of driving after the filters' start on which a network is trained, drawn from the training drives."""
     elsewhere: tuple[str, ...] = ()
     """Folders of test drives with other sensors or of another car; simulated by default."""
 
@@ -195,19 +195,19 @@ class StudyConfig(BaseModel):
 
     @property
     def tuned(self) -> list[tuple[ProtocolName, str]]:
-        """Protocol and method of every tuning."""
+        """Pairs of protocol and method that are tuned."""
         methods = {name: method for name, method in self.methods.items() if name not in NETWORKS}
         return [(protocol, name) for name, method in methods.items() for protocol in method.protocols]
 
     @property
     def measures(self) -> dict[str, str]:
-        """The measures of this study, with their units."""
+        """Meanings and units of the measures of this study, by name."""
         longer = {name: f"drift over a {s:g} s outage, m" for name, s in self.long_outages.items()}
         return MEASURES | longer
 
     @property
     def long_outages(self) -> dict[str, float]:
-        """Length, s, of every outage but the usual one, by measure."""
+        """Lengths, s, of the additional outages, by measure."""
         return LONG_OUTAGES if self.rivals else {}
 
     @field_validator("rivals")
@@ -221,12 +221,12 @@ class StudyConfig(BaseModel):
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError("is for a study with rivals; add rivals")
+            raise ValueError("is an option of studies with rivals; set rivals, too")
         return value
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out None, which TOML lacks, and the options of rivals in a study without."""
+        """Leave out None, which TOML does not have, and in a study without rivals their options."""
         values: dict[str, Any] = dump(self)
         left_out = {
             *(() if self.rivals else RIVALS_OPTIONS),
@@ -235,12 +235,12 @@ class StudyConfig(BaseModel):
         return {name: value for name, value in values.items() if name not in left_out}
 
     def to_toml(self) -> str:
-        """Return the text of study.toml, which `read_config` reads."""
+        """Return the text of study.toml."""
         return tomli_w.dumps(self.model_dump(mode="json"))
 
 
 def read_config(path: Path | None, **changes: Any) -> StudyConfig:
-    """Read study.toml, or take the defaults, and change some options."""
+    """Read study.toml or, without a path, use the defaults; then apply changes to the options."""
     options: dict[str, Any] = {}
     if path is not None:
         missing = "leave --config out for the paper's study"

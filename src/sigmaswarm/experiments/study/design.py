@@ -1,4 +1,4 @@
-"""The design of a study: its drives in conditions, a split for each trial, and the list of its tunings."""
+"""Design of a study: drives and their conditions, training and test drives of each trial, and all tunings."""
 
 import hashlib
 import warnings
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 OTHER_IMU = ("mpu-6050", "icm-20602")
-"""Other IMUs; the first that differs from the study's is used."""
+"""IMUs for tests with other sensors; the first that differs from the study's IMU is used."""
 HOME_CAR, OTHER_CAR = "model3", "model3-carla"
 
 
@@ -65,12 +65,12 @@ class Task:
 
     @property
     def folder(self) -> str:
-        """Name of the tunings of all trials of this kind, and of their folder."""
+        """Name of the folder that contains this tuning for all trials."""
         return tuning_name(self.protocol, self.method, self.group)
 
 
 def tuning_name(protocol: str, method: str, group: str) -> str:
-    """Name the tunings of a method under a protocol for a group."""
+    """Return the name of the tunings of a method under a protocol for a group."""
     return f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
 
 
@@ -81,16 +81,16 @@ class Design:
     Attributes
     ----------
     drives : tuple of Drive or Sensors
-        With truth and unique names; the sensors alone where drives are on the workers of a cluster.
+        Drives with truth and unique names; only their sensors if the drives are on the workers of a cluster.
     conditions : tuple of (maneuver, environment)
-        Of each drive.
+        Condition of each drive.
     strata : tuple of str
-        Of each drive: the group within which it is split.
+        Stratum of each drive; each stratum is split into training and test drives.
     config : StudyConfig
     remote : RemoteDataset or None
-        The drives on a cluster.
+        Dataset of drives on a cluster.
     apart : bool
-        All are test drives: no trial trains on them.
+        True if all drives are test drives.
     """
 
     drives: tuple[Drive | Sensors, ...]
@@ -102,24 +102,24 @@ class Design:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups with filters of their own: the conditions, or all drives together."""
+        """Groups that are tuned separately: the conditions, or all drives together."""
         return tuple(dict.fromkeys(self.strata)) if self.config.per_condition else (ALL,)
 
     @cached_property
     def prepared(self) -> tuple[PreparedDrive, ...]:
-        """The local drives, each aligned once and not preprocessed, as in the paper."""
+        """Local drives, aligned once and without preprocessing, as in the paper."""
         drives = (drive for drive in self.drives if isinstance(drive, Drive))
         return tuple(PreparedDrive(drive, as_recorded=True) for drive in drives)
 
     def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
-        """Apply a module-level function to prepared drives (all, or some by index) where they are."""
+        """Apply a module-level function to prepared drives, local or remote: all of them, or some by index."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
         return map_prepared(self.remote.subset(chosen), function, as_recorded=True)
 
     def replays(self, *, outages: bool) -> Replays:
-        """Prepare all drives for parameter sets, where they are."""
+        """Prepare all drives, local or remote, for runs with parameter sets."""
         seed = self.config.seed
         if self.remote is None:
             return Replayer(self.prepared, outages=outages, outage_seed=seed)
@@ -150,7 +150,7 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """True if tunings race: as configured, or where racing costs no accuracy, among many training drives."""
+        """Value of ``racing``: as configured; by default True with many training drives, where it costs no accuracy."""
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
@@ -158,7 +158,7 @@ class Design:
 
     @cached_property
     def _default_options(self) -> dict[str, Any]:
-        """Default filter of `tune` for these drives."""
+        """Options of the default filter of `tune` for these drives."""
         found, _ = with_filter({}, self.drives)
         return {**found, "objective": objective_for(self.drives, "auto", found["model"], found["use"])}
 
@@ -167,11 +167,11 @@ class Design:
         return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
 
     def group_of(self, drive: int) -> str:
-        """Return the group whose filter runs on a drive, given by its index."""
+        """Return the group whose filter runs on a drive with this index."""
         return self.strata[drive] if self.config.per_condition else ALL
 
     def split(self, trial: int) -> tuple[list[int], list[int]]:
-        """Return indices of a trial's training and test drives, split within each condition."""
+        """Return the indices of a trial's training and test drives, split within each stratum."""
         if self.apart:
             return [], list(range(len(self.drives)))
         train: list[int] = []
@@ -181,7 +181,7 @@ class Design:
         return sorted(train), sorted(set(range(len(self.drives))) - set(train))
 
     def rng(self, trial: int, purpose: str) -> np.random.Generator:
-        """Return the random generator of one purpose in a trial."""
+        """Return the random generator for one purpose in a trial."""
         key = (trial, zlib.crc32(purpose.encode()))
         return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=key))
 
@@ -194,14 +194,14 @@ class Design:
                     yield Task(protocol, method, group, trial)
 
     def fingerprint(self) -> str:
-        """Hash the names and numbers of all drives."""
+        """Return a hash of the names and data of all drives."""
         return hashlib.sha256("".join(self.of_each(_identity)).encode()).hexdigest()
 
 
 def make_design(
     config: StudyConfig, executor: Executor | None = None, cluster: "Client | None" = None
 ) -> Design:
-    """Simulate or read a study's drives, locally or on the workers of a cluster."""
+    """Create the design of a study: simulate or read its drives, locally or on the workers of a cluster."""
     remote: RemoteDataset | None = None
     drives: Sequence[Drive | Sensors]
     if cluster is not None:
@@ -219,19 +219,19 @@ def make_design(
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")
     dataset: Dataset = remote or LocalDataset([d for d in drives if isinstance(d, Drive)])
-    if config.drives:  # of those that are simulated no two are the same
+    if config.drives:  # simulated drives never share a part
         _require_apart(dataset.map(landmarks))
     conditions = tuple(dataset.map(_condition_of))
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
         raise InputError(f"{lonely[0]}: has one drive, which can't be split; leave per_condition out")
-    # Where a condition has one drive only, conditions can't be split by themselves.
+    # If any condition has only one drive, all drives are split as one stratum.
     return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)
 
 
 def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives of other sensors and of another car, by their description."""
+    """Read or simulate test drives with other sensors or another car; return designs by description."""
     c = home.config
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}
@@ -256,7 +256,7 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
 
 
 def _sources(config: StudyConfig) -> list[Source]:
-    """Describe the drives for a cluster's workers."""
+    """Return the sources from which a cluster's workers read or simulate the drives."""
     if config.drives:
         return [source_of(location) for location in all_drive_locations(config.drives)]
     names = product(config.maneuvers, config.environments, range(config.runs))
@@ -277,14 +277,14 @@ def _identity(ready: PreparedDrive) -> str:
 
 
 def _condition_of(drive: Drive) -> tuple[str, str]:
-    """Return maneuver and environment from the metadata."""
+    """Return a drive's maneuver and environment from its metadata."""
     scenario = drive.metadata.get("scenario", {})
     named = scenario if isinstance(scenario, dict) else {}
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
 def _require_apart(marks: Sequence[Landmarks]) -> None:
-    """Raise an `InputError` for drives that share a part, which would be in training and test drives."""
+    """Raise `InputError` if drives share a part, which could be in training and in test drives."""
     for i, one in enumerate(marks):
         if found := overlap_of(one, marks[:i]):
             raise InputError(
@@ -294,12 +294,12 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
 
 
 def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
-    """Raise an `InputError` for drives without truth or two of one name."""
+    """Raise `InputError` if a drive has no truth or two drives have the same name."""
     names: set[str] = set()
     for drive in drives:
         if not drive.truth:
             raise InputError(
-                f"{drive.name}: has no truth, which a study scores against; "
+                f"{drive.name}: has no truth, which a study needs for its scores; "
                 "tune on it with `sigmaswarm tune --objective innovation-nll`"
             )
         if drive.name in names:

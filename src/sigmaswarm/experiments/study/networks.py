@@ -1,7 +1,7 @@
-"""The networks of a study: each trained in a trial to help the trial's filter, on the trial's training drives alone.
+"""Networks of a study. Each helps the filter of one trial and is trained only on the training drives of that trial.
 
-Each has a folder in learned/, as `sigmaswarm learn` makes it. They are trained one after the other, so that the
-processor time of each is its own.
+Each has a folder in learned/, as written by `sigmaswarm learn`. They are trained one after the other, so that the
+processor time of each can be measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,18 +28,19 @@ from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
 
 LEAST = 21.0
-"""s after a filter's start: `noise-gru` learns in segments of 20 s, and outages of 10 s begin 10 s after the start."""
+"""Shortest usable drive, s after the filter's start: for segments of 20 s, and outages of 10 s that begin at 10 s."""
 ALONE = 80.0
-"""s after the start: the last quarter of such a drive can be held back where it is the only one."""
+"""Shortest drive, s after the filter's start, that suffices as the only one: its last quarter is held back."""
 FEWEST = 3
-"""Drives of which the last third is held back, to stop the training early and to calibrate."""
+"""Number of drives from which on the last third is held back, for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lessons:
-    """The drives that a network learns from, and the s after the starts of filters over all of them.
+    """Drives for the training of a network; ``driven`` is their total time after the filters' start, s.
 
-    `learn` trains on ``shown`` and stops early by ``held_back``; of one or two drives it holds back the ends.
+    `learn` trains on ``shown`` and uses ``held_back`` for early stopping. With only one or two drives it holds back
+    their ends.
     """
 
     shown: tuple[Drive, ...]
@@ -49,7 +50,7 @@ class Lessons:
 
 @dataclass(frozen=True)
 class Training:
-    """A training of a network in a trial, on some minutes of driving (None: on all that the study allows)."""
+    """Training of a network in a trial, on ``minutes`` of driving; None means the study's ``learn_minutes``."""
 
     network: NetworkName
     trial: int
@@ -57,24 +58,24 @@ class Training:
 
     @property
     def task(self) -> Task:
-        """The network as a task of the study."""
+        """Task of the study for this network."""
         return Task("honest", self.network, ALL, self.trial)
 
     @property
     def folder(self) -> str:
-        """Its folder, relative to the study's."""
+        """Folder of the training, relative to the study's."""
         what = f"trial-{self.trial:03d}" if self.minutes is None else f"curve-{self.minutes:g}-minutes"
         return f"learned/{self.network}/{what}"
 
     @property
     def epochs(self) -> int:
-        """At most."""
+        """Largest number of epochs."""
         return LEARNERS[self.network].epochs
 
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A trained network, the parameters of its filter, and the time of driving that it learned from, s."""
+    """A trained network, the parameters of its filter, and the driving time of its training, s."""
 
     parameters: FilterParameters
     learned: Learned
@@ -82,9 +83,9 @@ class Trained:
 
 
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:
-    """Draw some minutes of a trial's training drives, or all of them: complete drives and the beginning of one.
+    """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    More minutes include the drives of fewer. Drives may be added where a network could not learn otherwise.
+    With more minutes, the drives for fewer minutes are included. If these are too few for training, drives are added.
     """
     left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -103,7 +104,7 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
         else:
             begun.append(clip(drive, end=start + took))
         longest, driven, left = max(longest, took), driven + took, left - took
-    chosen = begun + whole  # held-back drives should be long
+    chosen = begun + whole  # the last ones are held back, and these should be complete
     if len(chosen) < FEWEST and longest < ALONE:
         raise InputError(
             f"trial {trial} has too little to train networks on: they need {FEWEST} drives of {LEAST:g} s after the "
@@ -114,7 +115,7 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
 
 
 def trainings(design: Design) -> list[Training]:
-    """List all trainings of a study: of every trial, and of the learning curves of the first trial."""
+    """List all trainings of a study: those of every trial, and those for the learning curves of the first trial."""
     if not design.config.rivals:
         return []
     trials = range(design.config.trials)
@@ -131,9 +132,9 @@ def train_all(
     folder: Path,
     progress: Callable[[int, Task], None],
 ) -> dict[Training, Trained]:
-    """Run all trainings one after the other, or continue or read them.
+    """Run, continue or read all trainings, one after the other.
 
-    ``progress`` gets the work done of all tunings, which come before, and trainings.
+    ``progress`` is called with the finished generations and epochs, including those of all tunings, and the task.
     """
     done = len(list(design.tasks)) * design.config.generations
     trained: dict[Training, Trained] = {}
@@ -161,12 +162,12 @@ def score_networks(
     drives: Sequence[Sequence[int]],
     executor: Executor | None = None,
 ) -> dict[str, Array]:
-    """Score networks, each on some drives by index, as filters are scored.
+    """Score networks on drives; ``drives`` has the indices of the drives for each network.
 
     Returns
     -------
     dict of measure to ndarray, shape (networks, all drives)
-        NaN on the other drives.
+        Scores; NaN on the other drives.
     """
     jobs = [(k, i) for k, chosen in enumerate(drives) for i in chosen]
     one = partial(_score, long=design.config.long_outages, seed=design.config.seed)
@@ -181,7 +182,7 @@ def score_networks(
 
 
 def _score(trained: Trained, ready: PreparedDrive, long: Mapping[str, float], seed: int) -> dict[str, float]:
-    """Score one drive, without resets."""
+    """Score a network on one drive, without resets of the filter."""
     replay, truth = tracking_replay(ready), ready.drive.truth
     assert truth is not None
     run = trained.learned.run(replay, trained.parameters)

@@ -1,6 +1,6 @@
 """The files of a study: results.json, scores.csv, timings.json and tracks.npz.
 
-results.json contains (null where a figure is unknown):
+results.json contains (unknown numbers are null):
 
     schema         1
     config         study.toml
@@ -9,11 +9,11 @@ results.json contains (null where a figure is unknown):
     methods        {name: label}
     measures       {name: meaning and unit}
     summary        `VariantSummary` of every variant and measure, over all conditions and in each
-    comparisons    `PairedComparison`: pso-ukf under each protocol against every other method
-    tunings        `TrialTuning`, one a trial
+    comparisons    `PairedComparison` of pso-ukf with every other method, by protocol
+    tunings        `TrialTuning` of every tuning and trial
     convergence    `Convergence` of every tuned variant and group
-    paper          the paper's figures
-    rivals         `RivalResults`, of a study with rivals alone
+    paper          the paper's results
+    rivals         `RivalResults`, only in a study with rivals
 """
 
 import math
@@ -41,10 +41,10 @@ def _finite(value: Any) -> Any:
 
 
 Figure = Annotated[float | None, BeforeValidator(_finite)]
-"""A number; None in place of NaN and infinity, which JSON lacks."""
+"""A number; None in place of NaN and infinity, which JSON does not have."""
 Interval = tuple[Figure, Figure]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
-"""A touched bound; in the file it is a sentence."""
+"""A touched bound, which is stored as text."""
 
 
 class _Part(BaseModel):
@@ -52,7 +52,7 @@ class _Part(BaseModel):
 
 
 class DriveCount(_Part):
-    """Number of drives and of conditions, and a hash of all numbers."""
+    """Numbers of drives and of conditions, and a hash of all data."""
 
     count: int
     strata: int
@@ -65,10 +65,10 @@ class ScoreStatistics(_Part):
     Attributes
     ----------
     mean, sd : over trials, of the mean over each trial's test drives
-    trial_interval : mean +- 1.96 SD / sqrt(n): the uncertainty from optimizer and split, not for new drives
-    corrected_t_interval : for new drives, corrected resampled t
-    bootstrap_interval : for new drives; drives, within conditions, and trials are resampled
-    n_trials, n_drives : number of each behind the figures
+    trial_interval : mean +- 1.96 SD / sqrt(n); covers the variation by optimizer and split, but not by new drives
+    corrected_t_interval : corrected resampled t interval, for new drives
+    bootstrap_interval : for new drives, by resampling trials, and drives within conditions
+    n_trials, n_drives : numbers of trials and drives with values
     """
 
     mean: Figure
@@ -93,14 +93,14 @@ class VariantSummary(ScoreStatistics, _Scored):
 
 
 class PairedStatistics(_Part):
-    """Two methods on the same drives, with one value per drive: the mean over the trials that tested on it.
+    """Comparison of two methods on the same drives, with one value per drive: the mean over its trials.
 
     Attributes
     ----------
-    mean_difference, interval : method less other (negative: better), with its bootstrap interval over drives
-    p : of Wilcoxon's signed-rank test, two-sided
-    rank_biserial : effect size, -1 to 1: share of the rank sum in favor minus the share against
-    improvement, improvement_interval : percent, the paper's equation 5
+    mean_difference, interval : method minus other (negative is better), with bootstrap interval over drives
+    p : p-value of Wilcoxon's two-sided signed-rank test
+    rank_biserial : effect size from -1 to 1: share of the rank sum for the method minus the share against it
+    improvement, improvement_interval : %, the paper's equation 5
     n_drives : int
     """
 
@@ -121,13 +121,13 @@ class _Compared(_Part):
 
 
 class PairedComparison(PairedStatistics, _Compared):
-    """The statistics of a method against another; ``holm_p`` is corrected over those of a protocol and measure."""
+    """Statistics of a pair of methods; ``holm_p`` is corrected over all pairs of a protocol and measure."""
 
     holm_p: float
 
 
 class TrialTuning(_Part):
-    """A tuning in a trial; ``folder``, relative to the study's, contains result.json and history.npz."""
+    """Tuning in one trial; ``folder``, relative to the study's, contains result.json and history.npz."""
 
     protocol: str
     method: str
@@ -157,13 +157,13 @@ class Convergence(_Part):
 
 
 class Effort(_Part):
-    """The data and the free numbers of a tuned or trained method; means over trials.
+    """Amount of data and number of free parameters of a tuned or trained method; means over trials.
 
     Attributes
     ----------
-    labelled_s : s of driving with truth: all training drives, which its filter was tuned on
-    learned_s : s of driving, without truth, that its network learned from
-    numbers : how many numbers tuning and training set
+    labelled_s : driving time with truth, s, of all training drives of its filter
+    learned_s : driving time, s, used without truth to train its network
+    numbers : number of parameters that tuning and training set
     """
 
     protocol: str
@@ -174,15 +174,15 @@ class Effort(_Part):
 
 
 class ElsewhereSummary(VariantSummary):
-    """The statistics of a variant's measure on drives of another sensor grade or another car."""
+    """Statistics of a variant's measure on drives with other sensors or another car."""
 
     place: str
 
 
 class CurvePoint(_Part):
-    """A network trained on some minutes (0: the filter alone), scored on the first trial's test drives.
+    """Point of a learning curve: a network after ``minutes`` of training data, on the first trial's test drives.
 
-    ``interval`` of the mean is by bootstrap over drives.
+    0 minutes is the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """
 
     method: str
@@ -196,7 +196,7 @@ class CurvePoint(_Part):
 class RivalResults(_Part):
     """Additional results of a study with rivals.
 
-    ``gains``: each network against the filter that it helps; ``holm_p`` is of each test alone.
+    ``gains`` compares each network with its filter without a network; ``holm_p`` is not corrected over several tests.
     """
 
     efforts: list[Effort]
@@ -252,7 +252,7 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 class Spread(_Part):
     """Quantiles over drives of one value per drive, the mean over its trials.
 
-    Failed drives are counted and left out.
+    ``failed`` is the number of drives with failures, which are left out.
     """
 
     protocol: str
@@ -301,22 +301,22 @@ class _TuningConfig(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class StudyRecord:
-    """Everything in the folder of a study.
+    """Content of the folder of a study.
 
     Attributes
     ----------
     results : Results
-        results.json.
+        Content of results.json.
     spreads : list of Spread
-        Of scores.csv.
+        Quantiles of the scores in scores.csv.
     live : mapping of filter to mapping
-        predict_ms and predict_and_update_ms of live filters, and their ranges, of timings.json.
+        Times from timings.json: predict_ms and predict_and_update_ms of live filters, and their ranges.
     rival_times : mapping of variant to mapping
-        Of timings.json: training_s (processor time of a trial) and sample_us (of an IMU sample).
+        Processor times from timings.json: training_s for a trial and sample_us for an IMU sample.
     tracks : list of Tracks
-        tracks.npz.
+        Content of tracks.npz.
     versions : mapping of str to str
-        Of the software, as its tunings state them.
+        Software versions from the configurations of the tunings.
     """
 
     results: Results

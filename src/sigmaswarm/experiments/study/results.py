@@ -81,12 +81,12 @@ def results_of(
 
 
 def _rng(design: Design) -> np.random.Generator:
-    """Return the bootstrap's generator, the same for each figure, so that none depends on the others."""
+    """Return a new generator for the bootstrap; each result uses the same seed and so is independent of the others."""
     return np.random.default_rng(design.config.seed)
 
 
 def _summaries(scores: ScoreTable, known: Known) -> Iterator[VariantSummary]:
-    """Summarize every variant and measure, over all conditions and in each."""
+    """Yield the summary of every variant and measure, over all conditions and in each."""
     design, everywhere = scores.design, (ALL, ALL)
     train, test = design.split(0)
     each = dict.fromkeys(condition for condition in design.conditions if condition != everywhere)
@@ -107,7 +107,7 @@ def summarize(
     rng: np.random.Generator,
     known: Known | None = None,
 ) -> ScoreStatistics:
-    """Compute mean, spread and intervals of scores (trials, drives); ``test_per_train`` is a ratio of drives."""
+    """Compute mean, SD and intervals of scores, shape (trials, drives); ``test_per_train`` is a ratio of drives."""
     each = trial_means(values)
     each = each[~np.isnan(each)]
     return ScoreStatistics(
@@ -130,7 +130,7 @@ def _comparisons(scores: ScoreTable, known: Known) -> Iterator[PairedComparison]
 
 
 def _compared(scores: ScoreTable) -> list[str]:
-    """All measures but NIS, where neither low nor high is better."""
+    """Return all measures except NIS, for which lower is not better."""
     return [measure for measure in scores.design.config.measures if measure != "nis"]
 
 
@@ -141,7 +141,7 @@ def _against(
     others: Sequence[Variant],
     known: Known | None = None,
 ) -> Iterator[PairedComparison]:
-    """Compare a variant with others; p is corrected over these."""
+    """Compare a variant with others; ``holm_p`` is corrected over these."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
     found: dict[str, PairedStatistics] = {}
@@ -163,7 +163,7 @@ def compare_paired(
     rng: np.random.Generator,
     known: Known | None = None,
 ) -> PairedStatistics:
-    """Compare two methods, scores (trials, drives), on the drives with a value of both."""
+    """Compare the scores of two methods, shape (trials, drives), on the drives where both have values."""
     a, b = drive_means(method), drive_means(other)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
@@ -207,7 +207,7 @@ def rival_results(
 ) -> RivalResults:
     """Return the results of a study with rivals.
 
-    ``less`` and ``curve``: the networks of the learning curves, and their scores by measure, shape (networks, drives).
+    ``less`` has the networks of the learning curves, ``curve`` their scores by measure, shape (networks, drives).
     """
     return RivalResults(
         efforts=list(_efforts(scores.design, trials, networks)),
@@ -220,7 +220,7 @@ def rival_results(
 def _efforts(
     design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
 ) -> Iterator[Effort]:
-    """Sum up the data and numbers behind each variant; a network's include those of its filter."""
+    """Compute the amount of data and free parameters of each variant; those of a network include its filter's."""
     durations = [float(ready.drive.imu.time[-1] - ready.drive.imu.time[0]) for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
     truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))
@@ -242,7 +242,7 @@ def _efforts(
 
 
 def _gains(scores: ScoreTable, networks: Iterable[Task]) -> Iterator[PairedComparison]:
-    """Compare each network with its filter, drive by drive, in the measures that it changes."""
+    """Compare each network with its filter alone, drive by drive, in the measures that the network changes."""
     for protocol, method in dict.fromkeys(task.variant for task in networks):
         for measure in _compared(scores):
             own, alone = (scores.values[protocol, m].get(measure) for m in (method, HELPED))
@@ -268,7 +268,7 @@ def _curve(
     less: Mapping[Training, Trained],
     curve: Mapping[str, Array],
 ) -> Iterator[CurvePoint]:
-    """Score each network of the first trial after no training, after parts of it, and after all of it."""
+    """Yield the learning curves of the first trial: without a network, with parts of its data, and with all data."""
     for task, whole in networks.items():
         if task.trial:
             continue

@@ -1,4 +1,4 @@
-"""The scores of all methods, those of each trial on its test drives."""
+"""Scores of all methods in each trial, on the test drives of the trial."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -34,27 +34,27 @@ TAKEN: dict[str, Callable[[Scores], Array]] = {
     "outage_drift_m": lambda s: s.outage_drift,
     "nis": lambda s: s.mean_nis,
 }
-"""The measures, taken from compiled scores."""
+"""Functions that take each measure from the compiled scores."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
-    """All scores of a study, arrays of shape (trials, drives) by variant and measure.
+    """All scores of a study: arrays of shape (trials, drives) by variant and measure.
 
-    NaN where the trial did not test on the drive or the measure is unknown; ``inf`` where the filter failed.
+    A score is NaN if the trial did not test on the drive or the measure is unknown, and ``inf`` if the filter failed.
     """
 
     design: Design
     values: Mapping[Variant, Mapping[str, Array]]
 
     def columns(self) -> Iterator[tuple[str, str, str, Array]]:
-        """Protocol, method, measure and values of each array."""
+        """Yield protocol, method, measure and values of each array."""
         for (protocol, method), measures in self.values.items():
             for measure, values in measures.items():
                 yield protocol, method, measure, values
 
     def to_frame(self) -> pl.DataFrame:
-        """Return the long table: protocol, trial, method, drive, maneuver, environment, measure, value."""
+        """Return a table in long format: protocol, trial, method, drive, maneuver, environment, measure, value."""
         names = np.array([drive.name for drive in self.design.drives])
         maneuvers, environments = (np.array(column) for column in zip(*self.design.conditions, strict=True))
         parts: list[pl.DataFrame] = []
@@ -85,7 +85,7 @@ class ScoreTable:
 
 
 def manual(method: str, drive: Drive) -> FilterParameters:
-    """Return the parameters of a filter without tuning for a drive."""
+    """Return the parameters of a method without tuning for a drive."""
     if method == "ukf-paper":
         return PAPER
     kind, _, preset = method.rpartition("-")
@@ -123,7 +123,7 @@ def score_all(
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """Prepared drives, the drives (bool) whose failures count, and the measures."""
+    """Prepared drives, a mask of the drives where an outage fits and failures count, and functions of the measures."""
 
     replays: Replays
     fits: NDArray[np.bool_]
@@ -154,7 +154,7 @@ def _score_sets(
     Returns
     -------
     dict of measure to ndarray, shape (sets, all drives)
-        ``inf`` where the filter failed, NaN on drives without a job.
+        Scores; ``inf`` where the filter failed, NaN on drives without a job.
     """
     found: dict[str, Array] = {}
     for drives, sets in jobs:
@@ -167,7 +167,7 @@ def _score_sets(
 
 
 def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[FilterParameters]]]:
-    """Return the distinct parameters of a method without tuning, each with its drives."""
+    """Return the distinct parameter sets of a method without tuning, each with its drives."""
     drives: dict[FilterParameters, list[int]] = {}
     for i, parameters in enumerate(design.of_each(partial(_manual, method=method))):
         drives.setdefault(parameters, []).append(i)
@@ -179,9 +179,9 @@ def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
 
 
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
-    """Score the raw fixes, the fixes alone or the IMU alone on all drives, shape (1, drives) each.
+    """Score raw fixes, fixes alone or IMU only on all drives; return arrays of shape (1, drives) by measure.
 
-    The filter of the fixes alone uses the median of the noises fitted to each drive.
+    The filter of the fixes alone uses the medians of the noises fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     if method == "fixes-alone":

@@ -2,17 +2,17 @@
 
 The folder of a study contains
 
-    study.toml           the configuration; a resumed study must have the same
-    trials/              a folder for each protocol and tuned method, as a tuning's
+    study.toml           configuration, which must be the same for a resumed study
+    trials/              a folder for each protocol and tuned method, in the format of a tuning
     results.json         see `record.py`
     scores.csv           one row per protocol, trial, method, test drive and measure
-    learned/             with rivals, a folder for each network and trial, and for each point of a learning curve, as
-                         `sigmaswarm learn` makes it
-    elsewhere/           with rivals, scores.csv of drives of other sensors, and of another car
+    learned/             only with rivals: a folder, in the format of `sigmaswarm learn`, for each network and trial and
+                         for each point of a learning curve
+    elsewhere/           only with rivals: scores.csv of drives with other sensors, and with another car
     tracks.npz           tracks of a few test drives of the best trial
-    best/                a parameter file of the best trial of each tuning
-    timings.json         durations of the study and of filters; it alone, with tables of it, differs between two runs;
-                         with rivals each tuning and training has one, too
+    best/                parameter file of the best trial of each tuning
+    timings.json         durations of the study and of filters; only this file and tables made from it differ between
+                         two runs; with rivals each tuning and training has its own, too
 """
 
 import sys
@@ -60,8 +60,10 @@ class StudyProgress:
 
     Attributes
     ----------
-    done, total : generations of all tunings, and epochs of all trainings of networks
-    task : Task that advanced
+    done, total : int
+        Finished and total number of generations of all tunings and epochs of all trainings.
+    task : Task
+        Task that advanced.
     """
 
     done: int
@@ -80,11 +82,11 @@ class Study:
     trials : mapping of Task to Trial
     parameters : mapping of Task to FilterParameters
     best : mapping of str to FilterParameters
-        Of the best trial of each folder in trials/, also saved as best/<name>.toml.
+        Parameters of the best trial of each folder in trials/, also saved as best/<name>.toml.
     record : StudyRecord
-        The content of the folder.
+        Content of the folder.
     picture : Picture
-        Of a test drive of the trial whose honest PSO-UKF has the lowest training cost.
+        Data of a printed picture of a test drive, for the trial in `shown_trial`.
     """
 
     folder: Path
@@ -102,7 +104,7 @@ class Study:
 
 
 def shown_trial(trials: Mapping[Task, Trial]) -> int:
-    """Return the trial whose filters are plotted: the one with the honest PSO-UKF's lowest training cost."""
+    """Return the trial whose filters are plotted: the one with the lowest training cost of the honest PSO-UKF."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN):
@@ -128,21 +130,21 @@ def run_study(
     out : path
         The study's folder.
     resume : bool
-        Continue with the content of ``out``. The result has the same bits as that of an uninterrupted study.
+        Continue the study in ``out``. The result has the same bits as without interruption.
     executor : concurrent.futures.Executor, optional
         Runs the tunings; by default forked processes on Linux, else threads.
     workers : int, optional
-        Number of these; all cores by default. The result does not depend on it.
+        Number of processes or threads; by default the number of cores. The result does not depend on it.
     cluster : distributed.Client, optional
-        A Dask cluster whose workers make or read the drives and do the work. The result does not depend on it. Not
-        with rivals: networks are trained locally.
+        Dask cluster whose workers simulate or read the drives and run the filters. The result does not depend on it.
+        Not available with rivals, since networks are trained locally.
     progress : callable, optional
         Called with a `StudyProgress` as tunings and trainings advance.
 
     Raises
     ------
     InputError
-        If the configuration, the folder or the drives can't be used.
+        If the configuration, the folder or a drive is invalid.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
@@ -154,13 +156,13 @@ def run_study(
     watch = Stopwatch()
     with held_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)
-        if config.rivals:  # bo silences it, but a compiler in another thread may undo that
+        if config.rivals:  # bo suppresses this warning, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
-        # Python's own number of threads is larger, and they would wait for each other.
+        # Python's default number of threads is larger than the number of cores, and they would wait for each other.
         crew = workers or cores()
         pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
-        # JAX, which rivals need, does not survive a fork.
+        # JAX, which rivals need, does not work in forked processes.
         forks = sys.platform == "linux" and crew > 1 and executor is cluster is None and not config.rivals
         design = make_design(config, pool, cluster)
         return _run(folder, design, pool, crew if forks else 0, progress or (lambda _: None), watch)
@@ -232,7 +234,7 @@ def _run(
 def _write_best(
     out: Path, trials: Mapping[Task, Trial], points: Mapping[Task, FilterParameters]
 ) -> dict[str, FilterParameters]:
-    """Write a parameter file of the best trial of each tuning, by the training cost alone."""
+    """Write a parameter file of the trial with the lowest training cost of each tuning."""
     best: dict[str, Task] = {}
     for task, trial in trials.items():
         if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
@@ -251,7 +253,7 @@ def _tune_all(
     progress: Callable[[int, Task], None],
     processes: int,
 ) -> dict[Task, Trial]:
-    """Run every tuning of the study, on the drives of its group that its trial trains on."""
+    """Run every tuning of the study, on the training drives of its group and trial."""
     configs = {(p, m): design.tune_config(m, p) for p, m in design.config.tuned}
     outages = {v: objective_named(config.objective).needs_outages for v, config in configs.items()}
     replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}
@@ -271,14 +273,14 @@ def _tune_all(
         if not np.isfinite(trial.cost):
             raise InputError(
                 f"{task.folder}: no parameter set gave a finite cost in trial {task.trial}; "
-                "look for NaN or wildly wrong values in the drives"
+                "check the drives for NaN and for values in wrong units"
             )
         return trial
 
     def effort(task: Task) -> float:
-        """Estimate the duration of a tuning relative to others on as many drives."""
+        """Estimate the duration of a tuning relative to others on the same number of drives."""
         config = configs[task.variant]
-        step = len(MODELS[config.model].states) ** 1.5 * (0.2 if config.racing else 1.0)  # of the time
+        step = len(MODELS[config.model].states) ** 1.5 * (0.2 if config.racing else 1.0)  # time per step
         return (1 + outages[task.variant]) * step * config.particles * config.generations
 
     if processes:
@@ -296,7 +298,7 @@ def _tune_all(
 
 
 def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
-    """Open a folder for the trials of each tuning, with its configuration and data."""
+    """Open or create the folder of each tuning, with its configuration and data."""
     data = {"fingerprint": design.fingerprint(), "drives": len(design.drives)}
     folders: dict[str, ResultFolder] = {}
     for task in design.tasks:

@@ -1,4 +1,4 @@
-"""The duration of a study and of an update of each filter: the only results that differ between two runs."""
+"""Durations of a study and of filter updates, the only results that differ between two runs."""
 
 import os
 import time
@@ -28,11 +28,11 @@ LIVE: dict[str, tuple[FilterKind, ModelName]] = {
     "UKF": ("ukf", "planar5"),
     "UKF, planar8": ("ukf", "planar8"),
 }
-"""Filter type and model of the filters whose updates are timed."""
+"""Filters whose updates are timed: type and model by name."""
 
 
 class Stopwatch:
-    """Measure wall and processor time per lap; child processes count once they have ended."""
+    """Wall and processor time of each lap, s; child processes are included after they end."""
 
     def __init__(self) -> None:
         self.laps: dict[str, dict[str, float]] = {}
@@ -43,14 +43,14 @@ class Stopwatch:
         return {"wall_s": time.perf_counter(), "processor_s": sum(os.times()[:4])}
 
     def lap(self, name: str) -> None:
-        """End a lap."""
+        """End a lap and store its times."""
         began, self._began = self._began, self._now()
         self.laps[name] = {clock: self._began[clock] - t for clock, t in began.items()}
 
 
 @contextmanager
 def kept_time(file: Path) -> Generator[None]:
-    """Write the processor time of this thread in the block to timings.json, as that of a training."""
+    """Measure this thread's processor time in a ``with`` block, and write it to timings.json, as for a training."""
     began = time.thread_time()
     yield
     write_json(file, {"processor_s": time.thread_time() - began})
@@ -62,10 +62,10 @@ def rival_times(
     parameters: Mapping[Task, FilterParameters],
     networks: Mapping[Task, Trained],
 ) -> dict[str, dict[str, float]]:
-    """Return processor times of every tuned or trained variant, as ``honest-pso-ukf``.
+    """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s``: s of a trial, a network's without its filter's; ``sample_us``: us of an IMU sample over a whole
-    drive. A training or tuning that was killed counts from where it was resumed.
+    ``training_s`` is the time of a trial, s; that of a network does not include its filter's. ``sample_us`` is the mean
+    time of an IMU sample over a whole drive, us. If a training or tuning was resumed, only its last part is counted.
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}
@@ -84,7 +84,7 @@ def rival_times(
 
 
 def _content(file: Path) -> dict[str, Any]:
-    """Read timings.json, if it was written."""
+    """Return the content of a timings.json; empty if it is missing or unreadable."""
     try:
         return read_content(file)
     except InputError:
@@ -92,7 +92,7 @@ def _content(file: Path) -> dict[str, Any]:
 
 
 def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
-    """Measure the processor time of an IMU sample, us, in the second of two runs."""
+    """Measure the processor time per IMU sample, us, in the second of two runs."""
     took = 0.0
     for _ in range(2):
         replay = tracking_replay(ready)
@@ -106,12 +106,12 @@ def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
 def write_timings(
     out: Path, design: Design, watch: Stopwatch, rivals: Mapping[str, Mapping[str, float]]
 ) -> dict[str, dict[str, float]]:
-    """Append this run's laps to timings.json, one entry for each run that was not killed.
+    """Append this run's laps to timings.json; killed runs have no entry.
 
     Returns
     -------
     dict
-        The times of the live filters, ms.
+        Times of the live filters, ms.
     """
     runs = _content(out / "timings.json").get("runs")
     (live,) = design.of_each(_live_times, [0])
@@ -126,7 +126,7 @@ def _live_times(ready: PreparedDrive) -> dict[str, dict[str, float]]:
 
 
 def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
-    """Measure ms per IMU sample, and per sample with a fix: medians over a drive, and ranges of 95% of the calls."""
+    """Measure the median times of an IMU sample without and with a fix, ms, and the ranges of 95% of the calls."""
     drive = ready.drive
     q = (*DEFAULTS.process_noise, *(1e-8,) * (3 if model == "planar8" else 0))
     parameters = FilterParameters(0.1, 2.0, 0.0, q, DEFAULTS.measurement_noise, model, kind=kind)

@@ -1,4 +1,4 @@
-"""Tracks of a study: a few test drives of its best trial, by the filters tuned in it."""
+"""Tracks of a study: filters of the best trial on a few of its test drives."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -19,7 +19,7 @@ FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-"""Protocol and method of the filters whose tracks are saved, as series ``honest-pso-ukf``."""
+"""Protocol and method of the tuned filters whose tracks are saved, in series such as ``honest-pso-ukf``."""
 MOST_DRIVES = 10
 MOST_POINTS = 700
 """Largest number of points of a series, to limit the size of the page."""
@@ -28,7 +28,7 @@ MOST_POINTS = 700
 def follow(
     design: Design, parameters: Mapping[Task, FilterParameters], trial: int
 ) -> tuple[list[Tracks], Picture]:
-    """Record tracks on some test drives of a trial, and the data of the figures on the first."""
+    """Record tracks on some test drives of a trial, and the data of the figures on the first drive."""
     tracks: list[Tracks] = []
     pictures: list[Picture] = []
     for i in shown_drives(design, trial):
@@ -53,10 +53,10 @@ def _followed(
 
 
 def shown_drives(design: Design, trial: int) -> list[int]:
-    """Choose test drives of a trial: one of each condition, or of each maneuver where conditions are many.
+    """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    Each maneuver's comes from another part of its drives, so that environments differ; one with turns comes first. The
-    first drives are taken where none states its condition.
+    The drives come from different parts of the lists of drives, so that environments differ. A drive with turns is
+    first. If no drive states its condition, the first test drives are chosen.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}

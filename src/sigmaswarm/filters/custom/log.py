@@ -34,7 +34,7 @@ class Log:
     truth : mapping of str to ndarray, shape (j,)
         True values of some or all states, by name. No filter uses them.
     truth_time : ndarray, shape (j,), optional
-        s, strictly increasing; ``time`` by default.
+        Times of truth, s, strictly increasing; ``time`` by default.
 
     Raises
     ------

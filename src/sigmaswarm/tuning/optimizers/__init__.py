@@ -1,6 +1,6 @@
 """The optimizers, one algorithm per file.
 
-All follow the protocol `Optimizer`, and one loop serves them::
+All implement the protocol `Optimizer` and are used in the same loop::
 
     optimizer = create_optimizer("cma-es", low, high, population=30, budget=1500, rng=rng)
     while len(points := optimizer.ask()):
@@ -71,23 +71,23 @@ def create_optimizer(
     Parameters
     ----------
     name : str or class
-        One of `OPTIMIZERS`, or a class of your own that follows `Optimizer`.
+        A name in `OPTIMIZERS`, or a custom class that implements `Optimizer`.
     low, high : ndarray, shape (d,)
         Bounds, in search coordinates.
     population : int
-        Points per batch, at least 2.
+        Number of points per batch, at least 2.
     budget : int
-        Evaluations, at least 1. The last batch is cut to the rest of the budget.
+        Number of evaluations, at least 1. The last batch is cut to the remaining budget.
     rng : numpy.random.Generator
         The only source of random numbers.
     **options
-        ``polish``: evaluations of the budget reserved for a Nelder-Mead search from the best point. All others are
+        ``polish`` is the number of evaluations reserved for a Nelder-Mead search from the best point. All others are
         options of the optimizer itself.
 
     Raises
     ------
     InputError
-        If the name or an option is not known, a method is missing, or a number can't be used.
+        If the name or an option is unknown, a method is missing, or a number is out of range.
     """
     polish = options.pop("polish", 0)
     if isinstance(name, str) and name not in OPTIMIZERS:

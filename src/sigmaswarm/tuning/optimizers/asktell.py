@@ -1,4 +1,4 @@
-"""The protocol of an optimizer, and the base class of the built-in ones."""
+"""Protocol of an optimizer, and base class of the built-in optimizers."""
 
 from inspect import get_annotations
 from typing import Any, ClassVar, Protocol
@@ -12,10 +12,11 @@ Array = NDArray[np.float64]
 
 
 class Optimizer(Protocol):
-    """A search algorithm with ``ask`` and ``tell``; the lowest cost wins.
+    """A minimizer with ``ask`` and ``tell``.
 
-    The class is called as ``Own(low, high, population, rng)``: the bounds in search coordinates, shape (d,); the points
-    per batch; and a `numpy.random.Generator`, the only source of random numbers. Points outside the bounds are clipped.
+    The class is called as ``Own(low, high, population, rng)``. ``low`` and ``high`` are the bounds in search
+    coordinates, shape (d,). ``population`` is the number of points per batch. ``rng`` is a `numpy.random.Generator`,
+    the only source of random numbers. Points outside the bounds are clipped.
     """
 
     def ask(self) -> Array:
@@ -23,18 +24,18 @@ class Optimizer(Protocol):
         ...
 
     def tell(self, costs: Array) -> None:
-        """Take the costs of the last points, shape (n,); a failed filter costs ``inf``."""
+        """Receive the costs of the last points, shape (n,); ``inf`` for a failed filter."""
         ...
 
     def state(self) -> dict[str, Any]:
-        """Return all that `restore` needs to continue bit for bit: arrays, numbers and strings by name.
+        """Return the state as arrays, numbers and strings by name, so that `restore` continues bit for bit.
 
-        The state of ``rng`` is saved with it and need not be in it.
+        The state of ``rng`` is saved separately and is not needed here.
         """
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a saved `state`, in an optimizer made with the same arguments."""
+        """Restore a saved `state` in an optimizer that was created with the same arguments."""
         ...
 
 
@@ -44,9 +45,9 @@ class AskTell:
     Parameters
     ----------
     low, high, population, rng
-        As for every `Optimizer`.
+        Arguments of every `Optimizer`.
     **options
-        The annotated class attributes of the child.
+        Values for annotated class attributes of the child.
 
     Attributes
     ----------
@@ -55,7 +56,7 @@ class AskTell:
     global_best : ndarray, shape (d,)
         The best point so far.
     global_cost : float
-        Its cost; ``inf`` until a point had a finite one.
+        Cost of the best point; ``inf`` while no point has a finite cost.
 
     Raises
     ------
@@ -65,7 +66,7 @@ class AskTell:
 
     name: ClassVar[str] = ""
     saved: ClassVar[tuple[str, ...]] = ()
-    """Attributes of the child that are part of the state: arrays, numbers or strings."""
+    """Names of the child's attributes that belong to the state: arrays, numbers or strings."""
 
     def __init__(
         self, low: Array, high: Array, population: int, rng: np.random.Generator, **options: Any
@@ -83,7 +84,7 @@ class AskTell:
         self.told = False
 
     def begin_at(self, point: Array) -> None:
-        """Put a point into the first batch, shape (d,); to be called before the first `ask`."""
+        """Put a point, shape (d,), into the first batch. Call this before the first `ask`."""
         self.positions[0] = point
 
     def ask(self) -> Array:
@@ -94,7 +95,7 @@ class AskTell:
         return self.positions.copy()
 
     def tell(self, costs: Array) -> None:
-        """Take the costs of the last points, shape (n,); one that is not finite counts as ``inf``."""
+        """Receive the costs of the last points, shape (n,); values that are not finite count as ``inf``."""
         if np.shape(costs) != (len(self.positions),):
             raise ValueError(
                 f"{len(self.positions)} points were asked for, costs have shape {np.shape(costs)}"
@@ -107,7 +108,7 @@ class AskTell:
         self.told = True
 
     def _begin(self) -> Array:
-        """Set up the child's own state and return the first points; random ones by default."""
+        """Initialize the child's state and return the first points; by default these are random."""
         return self.rng.uniform(self.low, self.high, (self.population, len(self.low)))
 
     def _next(self) -> Array:
@@ -126,11 +127,11 @@ class AskTell:
         return ("positions", "global_best", "global_cost", "told", *self.saved)
 
     def state(self) -> dict[str, Any]:
-        """Return all that `restore` needs to continue bit for bit."""
+        """Return the state for `restore`, so that the search continues bit for bit."""
         return {name: getattr(self, name) for name in self._names()} | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a saved `state`, in an optimizer made with the same arguments."""
+        """Restore a saved `state` in an optimizer that was created with the same arguments."""
         for name in self._names():
             now, value = getattr(self, name), state[name]
             if isinstance(now, np.ndarray):
@@ -144,7 +145,7 @@ class AskTell:
 
 
 class Swarm(AskTell):
-    """Base of the swarms, whose particles remember their best positions."""
+    """Base class of swarms, whose particles remember their best positions."""
 
     saved = ("personal_best", "personal_cost")
 

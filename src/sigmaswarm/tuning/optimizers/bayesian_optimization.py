@@ -2,13 +2,13 @@
 
 J. Mockus, V. Tiesis and A. Zilinskas, The application of Bayesian methods for seeking the extremum, 1978; D. R. Jones,
 M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-box functions, J. Global Optimization 13,
-455-492, 1998: expected improvement. Several points at a time by the kriging believer of D. Ginsbourger, R. Le Riche and
-L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is assumed to have its predicted cost
-until its cost is known.
+455-492, 1998: expected improvement. Batches of points are selected by the kriging believer of D. Ginsbourger, R. Le
+Riche and L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is assumed to have its
+predicted cost until its cost is known.
 
-scikit-learn fits the length scales from the points and costs each time, so these and the generator are the whole state.
-The search for the next point is our own, since it uses the slope of the expected improvement in closed form; without
-the slope it would take several times as long as everything else.
+scikit-learn fits the length scales to all points and costs each time, so points, costs and the generator are the whole
+state. This module searches for the next point itself, with the analytic gradient of the expected improvement. Without
+the gradient, the search would take several times as long as all other steps.
 """
 
 import threading
@@ -23,21 +23,21 @@ from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
 MOST = 200
-"""Largest number of costs in a fit, whose time grows with the third power of their number."""
+"""Largest number of costs in a fit, since its time grows with the third power of this number."""
 NOISE = 1e-6
-"""Variance of a cost that nearby points can't explain, in variances of all costs."""
+"""Variance of the noise of a cost, relative to the variance of all costs."""
 LEAST = 1e-12
-"""Variance of a forecast at a point that was tried, in variances of all costs."""
+"""Lower limit of the variance of a predicted cost, relative to the variance of all costs."""
 FEW_BEST, NEAR = 5, 0.02
-"""Distance of half of the candidates from the best points, in widths of the bounds, and the number of these points."""
+"""Number of best points around which half of the candidates lie, and their distance in widths of the bounds."""
 SHORTEST, LONGEST = 0.2, 10.0
 """Range of the length scales, in widths of the bounds."""
 _ALONE = threading.Lock()
-"""Warnings and thread limits are settings of the whole process, so only one fit may change them at a time."""
+"""Lock for a fit, since it changes warnings and thread limits, which are settings of the whole process."""
 
 
 class BayesianOptimization(AskTell):
-    """A Gaussian process that proposes points of the highest expected improvement; it begins with Sobol' points.
+    """Bayesian optimizer that selects the points of the highest expected improvement, after initial Sobol' points.
 
     Raises
     ------
@@ -48,11 +48,11 @@ class BayesianOptimization(AskTell):
     name = "bo"
     saved = ("points", "costs")
     batch: int = 1
-    """Points between two fits: fewer learn more from each evaluation, more take less time."""
+    """Number of points between two fits: with fewer, evaluations are used better; with more, less time is needed."""
     candidates: int = 2000
     """Number of candidates for each point."""
     searches: int = 3
-    """Searches that climb from the best of them."""
+    """Number of local searches that start at the best candidates."""
 
     def _begin(self) -> Array:
         require_packages("bo")
@@ -74,7 +74,7 @@ class BayesianOptimization(AskTell):
         return self.low + found * (self.high - self.low)
 
     def _remembered(self) -> NDArray[np.intp]:
-        """Indices of the points of the fit: all, or the best half of `MOST` and the latest."""
+        """Return the indices of the points for the fit: all, or the best `MOST` / 2 and the latest `MOST` / 2."""
         last = len(self.costs) - MOST // 2
         if last <= MOST // 2:
             return np.arange(len(self.costs))
@@ -83,11 +83,11 @@ class BayesianOptimization(AskTell):
 
 
 def leveled(costs: Array) -> Array:
-    """Costs (n,) on a scale that keeps their order and the differences between the best; one at least is finite.
+    """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one must be finite.
 
-    A diverged filter costs a thousand times as much as a good one, and a process of such costs is flat near the best.
-    So the scale is log(1 + (cost - best) / (median - best)): linear below the median, logarithmic above. A failure
-    costs as much as the worst of the others.
+    A diverged filter may cost a thousand times as much as a good one, and a process fitted to such costs is flat near
+    the best point. The transformation is nearly linear below the median and logarithmic above. Infinite costs are
+    replaced by the highest finite one.
     """
     finite = np.isfinite(costs)
     filled = np.where(finite, costs, costs[finite].max())
@@ -99,12 +99,12 @@ def leveled(costs: Array) -> Array:
 def suggested(
     points: Array, costs: Array, count: int, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Select ``count`` points of the highest expected improvement, from points (n, d) of the unit cube with costs (n,).
+    """Select ``count`` points with the highest expected improvement in the unit cube, shape (count, d).
 
-    They are selected one by one; each gets its predicted cost before the next. ``effort``: number of random candidates,
-    and of local searches from the best of them.
+    ``points``, shape (n, d), have known ``costs``, shape (n,). The new points are selected one by one; each has its
+    predicted cost when the next is selected. ``effort``: numbers of candidates and of local searches.
     """
-    # one thread: more gain nothing on small matrices, and the bits would depend on their number
+    # one thread, since bits depend on the number of threads, and more are not faster with small matrices
     from threadpoolctl import threadpool_limits
 
     n = len(points)
@@ -119,7 +119,7 @@ def suggested(
 
 
 def _fitted(points: Array, costs: Array) -> Array:
-    """The length scales, shape (d,), of the process with the largest likelihood of these costs."""
+    """Return the length scales, shape (d,), of the process with the largest likelihood of these costs."""
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import Matern
 
@@ -133,9 +133,9 @@ def _fitted(points: Array, costs: Array) -> Array:
 
 
 class Improvement:
-    """Expected improvement of a point of the unit cube over the lowest cost, in standard deviations of costs.
+    """Expected improvement over the lowest cost, in standard deviations of costs, at points of the unit cube.
 
-    Of length scales (d,), and points (n, d) with costs (n,).
+    The Gaussian process has length scales, shape (d,), and is fitted to points, shape (n, d), with costs, shape (n,).
     """
 
     def __init__(self, lengths: Array, points: Array, costs: Array) -> None:
@@ -151,9 +151,9 @@ class Improvement:
         self.weights = self._solved(self.factor, y)
 
     def _alike(self, at: Array) -> tuple[Array, Array, Array]:
-        """Matern 5/2 between candidates (m, d) and the points, shape (m, n).
+        """Return the Matern 5/2 kernel between candidates, shape (m, d), and the points, shape (m, n).
 
-        Exp(-r) (1 + r); and the offsets (m, n, d).
+        In addition, return exp(-r) (1 + r), shape (m, n), and the scaled offsets, shape (m, n, d), for its gradient.
         """
         offsets = (at[:, np.newaxis] - self.points) / self.lengths
         r = np.sqrt(5 * np.sum(offsets**2, axis=2))
@@ -161,11 +161,11 @@ class Improvement:
         return (1 + r + r**2 / 3) * fading, (1 + r) * fading, offsets
 
     def forecast(self, point: Array) -> float:
-        """The cost that is expected at a point, shape (d,)."""
+        """Return the predicted cost at a point, shape (d,)."""
         return self.middle + self.scale * float(self._alike(point[np.newaxis])[0][0] @ self.weights)
 
     def __call__(self, at: Array) -> Array:
-        """Expected improvement at candidates (m, d), shape (m,); Jones et al. (1998), equation 15."""
+        """Return the expected improvement, (m,), at candidates, shape (m, d): Jones et al. (1998), equation 15."""
         near = self._alike(at)[0]
         variance = 1 - np.sum(near * self._solved(self.factor, near.T).T, axis=1)
         deviation = np.sqrt(np.maximum(variance, LEAST))
@@ -173,7 +173,7 @@ class Improvement:
         return deviation * (z * self._below(z) + _density(z))
 
     def downhill(self, point: Array) -> tuple[float, Array]:
-        """Minus its logarithm at one point, shape (d,), and the slope of that, shape (d,)."""
+        """Return the negative logarithm of the expected improvement at a point, shape (d,), and its gradient, (d,)."""
         near, fading, offsets = (part[0] for part in self._alike(point[np.newaxis]))
         slope = -5 / 3 * fading[:, np.newaxis] * offsets / self.lengths
         back = self._solved(self.factor, near)
@@ -191,7 +191,7 @@ def _density(z: Array) -> Array:
 def _highest(
     improvement: Improvement, best: Array, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Results of searches from the best of many candidates, half of them random, half near the best points."""
+    """Return the best result of local searches from the best candidates: half are random, half near the best points."""
     from scipy.optimize import minimize
 
     d, (places, searches) = best.shape[1], effort

@@ -1,4 +1,4 @@
-"""A limit on evaluations, and a local search at the end of it."""
+"""Budget of evaluations for an optimizer, and an optional local search at the end."""
 
 from typing import Any
 
@@ -10,11 +10,12 @@ from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 
 class Budgeted:
-    """An optimizer with a budget of evaluations; it may end with a Nelder-Mead search from the best point (polish).
+    """An optimizer with a budget of evaluations, optionally with a final Nelder-Mead search (polish).
 
-    ``first`` searches the whole space; ``rng`` is its generator, whose state is saved and restored here. ``polish``
-    evaluations of the budget are reserved. ``global_best`` (d,) is the best point so far, ``global_cost`` its cost
-    (``inf`` until a point had a finite one), ``spent`` the number of evaluations.
+    ``first`` searches the whole space; the state of its generator ``rng`` is saved and restored here. ``polish``
+    evaluations of the budget are reserved for the final search, which starts at the best point. ``global_best``, shape
+    (d,), is the best point so far, and ``global_cost`` its cost (``inf`` while no point has a finite cost). ``spent``
+    is the number of evaluations so far.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class Budgeted:
         self.global_best, self.global_cost = low.copy(), np.inf
 
     def begin_at(self, point: Array) -> None:
-        """Search from a point, where the optimizer can; to be called before the first `ask`."""
+        """Start the search at a point, if the optimizer supports it. Call this before the first `ask`."""
         if isinstance(self.first, AskTell):
             self.first.begin_at(point)
 
@@ -60,7 +61,7 @@ class Budgeted:
         return np.clip(batch, self.low, self.high)
 
     def tell(self, costs: Array) -> None:
-        """Take the costs of the last points, shape (n,); one that is not finite counts as ``inf``."""
+        """Receive the costs of the last points, shape (n,); values that are not finite count as ``inf``."""
         costs = np.where(np.isfinite(costs), costs, np.inf)
         if len(costs) and costs.min() < self.global_cost:
             best = int(np.argmin(costs))
@@ -82,7 +83,7 @@ class Budgeted:
         return NelderMead(self.low, self.high, 1, self.rng, start=start, start_cost=cost)
 
     def state(self) -> dict[str, Any]:
-        """Return all that `restore` needs to continue bit for bit."""
+        """Return the state for `restore`, so that the search continues bit for bit."""
         parts = {"first": self.first, "local": self.local}
         states = {
             f"{part}.{name}": value
@@ -95,14 +96,14 @@ class Budgeted:
         return states | own | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a saved `state`, in an optimizer made with the same arguments."""
+        """Restore a saved `state` in an optimizer that was created with the same arguments."""
 
         def part(name: str) -> dict[str, Any]:
             own = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
             return own and own | {"rng": state["rng"]}
 
         most, self.spent, self.budget = self.budget, int(state["spent"]), int(state["budget"])
-        # checkpoints of 0.3.0 have them in the parts alone
+        # in checkpoints of version 0.3.0 only the parts have these values
         where = next(p for p in ("", "local.", "first.") if f"{p}global_cost" in state)
         self.global_best = np.asarray(state[f"{where}global_best"]).astype(np.float64, casting="same_kind")
         self.global_cost = float(state[f"{where}global_cost"])

@@ -16,9 +16,9 @@ import numpy as np
 from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 
 EXPANSION = (1.0, 0.5)
-"""The contraction-expansion coefficient at the start and in the last generation."""
+"""Contraction-expansion coefficient at the start and in the last generation."""
 DIFFERENTIAL, SCALE, CROSSOVER = 0.5, (0.5, 1.0), 0.7
-"""The chance of a differential move, the range of its factor F, and the chance CR of a coordinate to take part."""
+"""Probability of a differential move, range of its factor F, and probability CR that a coordinate takes part."""
 
 
 class QuantumSwarm(Swarm):
@@ -27,7 +27,7 @@ class QuantumSwarm(Swarm):
     name = "de-qpso"
     saved = (*Swarm.saved, "generation")
     generations: int = 50
-    """Generations over which the coefficient falls; `create_optimizer` takes those of the budget."""
+    """Number of generations over which the coefficient falls; `create_optimizer` computes it from the budget."""
 
     def _begin(self) -> Array:
         self.generation = 0

@@ -14,16 +14,16 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 
 class DifferentialEvolution(AskTell):
-    """A population whose trials replace their parents where they cost less."""
+    """A population whose trial points replace their parents if their cost is not higher."""
 
     name = "de"
     saved = ("members", "member_costs")
     base: Literal["best", "rand"] = "best"
     """Base vector: the best member, or a random one."""
     scale: tuple[float, float] = (0.5, 1.0)
-    """F is drawn from this range, once a generation."""
+    """Range of F, which is drawn once per generation."""
     crossover: float = 0.7
-    """CR, the chance of a coordinate to come from the mutant."""
+    """CR, the probability that a coordinate comes from the mutant."""
 
     def _begin(self) -> Array:
         self.members = super()._begin()
@@ -46,7 +46,7 @@ class DifferentialEvolution(AskTell):
         return self._redrawn(np.where(crossed, mutants, x))
 
     def _others(self) -> list[NDArray[np.intp]]:
-        """Three different other members for each member; of fewer than four members some serve twice."""
+        """Return three different other members for each member; with fewer than four members some repeat."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last

@@ -1,8 +1,8 @@
 """A hybrid of genetic algorithm and particle swarm: the better half moves as particles, the worse half is bred again.
 
 C.-F. Juang, A hybrid of genetic algorithm and particle swarm optimization for recurrent network design, IEEE Trans.
-Systems, Man, and Cybernetics B 34, 997-1006, 2004 (HGAPSO). Two things differ: crossover and mutation are those of
-`genetic.py`, and children are bred from the elites before these move, so that a generation is one batch.
+Systems, Man, and Cybernetics B 34, 997-1006, 2004 (HGAPSO). There are two differences: crossover and mutation are those
+of `genetic.py`, and children are bred from the elites before the elites move, so that a generation is one batch.
 """
 
 import numpy as np
@@ -18,11 +18,11 @@ class GeneticSwarm(Swarm):
     name = "ga-pso"
     saved = ("velocities", "costs", *Swarm.saved)
     inertia: float = INERTIA
-    """w, of the half that moves as a swarm."""
+    """Inertia weight w of the half that moves as a swarm."""
     cognitive: float = ACCELERATION
-    """c1."""
+    """Coefficient c1."""
     social: float = ACCELERATION
-    """c2."""
+    """Coefficient c2."""
 
     def _begin(self) -> Array:
         positions = super()._begin()
@@ -43,7 +43,7 @@ class GeneticSwarm(Swarm):
             self.inertia * v + self.cognitive * r1 * (best - x) + self.social * r2 * (self.global_best - x)
         )  # (the paper's eq. 2)
         children = mutated(offspring(x, costs, n - len(elites), box, self.rng), box, self.rng)
-        # a child starts at rest; its position is its best one
+        # a child starts with zero velocity, and its best position is its first one
         self.velocities = np.concatenate([v, np.zeros_like(children)])
         self.personal_best = np.concatenate([best, children])
         self.personal_cost = np.concatenate([best_cost, np.full(len(children), np.inf)])

@@ -1,9 +1,9 @@
 """A genetic algorithm on real numbers: tournaments, simulated binary crossover, polynomial mutation, elitism.
 
 K. Deb and R. B. Agrawal, Simulated binary crossover for continuous search space, Complex Systems 9, 115-148, 1995, in
-the form for bounded variables of K. Deb, An efficient constraint handling method for genetic algorithms, Comput.
-Methods Appl. Mech. Engrg. 186, 311-338, 2000, which also gives the polynomial mutation. The best of parents and
-children together survive.
+the version for bounded variables of K. Deb, An efficient constraint handling method for genetic algorithms, Comput.
+Methods Appl. Mech. Engrg. 186, 311-338, 2000, which also defines the polynomial mutation. The best of all parents and
+children survive.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
-"""The chance that two parents are crossed, and how near to its parents a child stays (eta; higher is nearer)."""
+"""Probability of crossover, and distribution indices eta: with higher values points stay closer to their parents."""
 
 
 class GeneticAlgorithm(AskTell):
@@ -21,11 +21,11 @@ class GeneticAlgorithm(AskTell):
     name = "ga"
     saved = ("members", "member_costs")
     crossover: float = CROSSOVER
-    """Chance that two parents are crossed; else their children are copies, before mutation."""
+    """Probability of crossover; without it, children are copies of their parents before mutation."""
     crossover_index: float = CROSSOVER_INDEX
-    """eta_c: how near to its parents a child stays; higher is nearer."""
+    """Distribution index eta_c of crossover: with a higher value children stay closer to their parents."""
     mutation_index: float = MUTATION_INDEX
-    """eta_m, of mutation."""
+    """Distribution index eta_m of mutation."""
 
     def _begin(self) -> Array:
         self.members = super()._begin()
@@ -67,12 +67,12 @@ def offspring(
     crossover: float = CROSSOVER,
     eta: float = CROSSOVER_INDEX,
 ) -> Array:
-    """Children, shape (n, d), of parents (m, d) with costs (m,) that won tournaments of two.
+    """Return children, shape (n, d), of parents that won tournaments of two.
 
-    ``box``: lower and upper bounds.
+    ``parents``, shape (m, d), have ``costs``, shape (m,). ``box`` has the lower and upper bounds.
     """
     pairs = (n + 1) // 2
-    # neighbors of one round, so that a member is rarely paired with itself
+    # winners of the same round are paired, so that a member is rarely paired with itself
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
     low, high = np.minimum(first, second), np.maximum(first, second)
     u = rng.random(first.shape)
@@ -94,7 +94,7 @@ def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]
 
 
 def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
-    """Distance of the children of two parents within the bounds: beta times that of the parents."""
+    """Return the distance of two children within the bounds: beta times the distance of their parents."""
     alpha = 2 - (1 + 2 * room / np.maximum(distance, 1e-200)) ** -(eta + 1)
     ua = u * alpha
     beta = np.where(ua <= 1, ua, 1 / (2 - np.minimum(ua, 2 - 1e-15))) ** (1 / (eta + 1))
@@ -104,7 +104,7 @@ def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
 def mutated(
     points: Array, box: tuple[Array, Array], rng: np.random.Generator, eta: float = MUTATION_INDEX
 ) -> Array:
-    """Mutate each coordinate of points, shape (n, d), with a chance of one in d (polynomial mutation)."""
+    """Mutate each coordinate of points, shape (n, d), with probability 1 / d (polynomial mutation)."""
     low, width = box[0], box[1] - box[0]
     u = rng.random(points.shape)
     below = (points - low) / width

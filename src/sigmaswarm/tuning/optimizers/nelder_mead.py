@@ -1,4 +1,4 @@
-"""Local search with a simplex, several of its vertices at a time.
+"""Local search with a simplex (Nelder-Mead), which may move several vertices at a time.
 
 J. A. Nelder and R. Mead, A simplex method for function minimization, Computer Journal 7, 308-313, 1965; several
 vertices at a time by D. Lee and M. Wiswall, A parallel implementation of the simplex function minimization routine,
@@ -17,9 +17,9 @@ SMALLEST = 1e-12
 
 
 class NelderMead(AskTell):
-    """A simplex that moves by the costs of its points.
+    """A simplex that moves according to the costs of its vertices.
 
-    A batch has the points that the step needs, at most d + 1, whatever the population.
+    A batch contains the points that a step needs, at most d + 1; it does not depend on ``population``.
     """
 
     name = "nelder-mead"
@@ -27,14 +27,11 @@ class NelderMead(AskTell):
     start: Array | None = None
     """First vertex, shape (d,); a random one by default."""
     start_cost: float = np.inf
-    """Its cost, if known."""
+    """Cost of the first vertex, if known."""
     size: float = 0.05
-    """Edge of the first simplex, in widths of the bounds."""
+    """Edge length of the first simplex, in widths of the bounds."""
     parallel: int = 1
-    """Number of the worst vertices that are moved at a time.
-
-    1 is the algorithm of 1965, the largest is half of them.
-    """
+    """Number of the worst vertices that are moved at a time: 1 as in the algorithm of 1965, at most half of them."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -42,7 +39,7 @@ class NelderMead(AskTell):
             self.global_best, self.global_cost = self.simplex[0].copy(), self.start_cost
 
     def begin_at(self, point: Array) -> None:
-        """Make the first simplex at a point."""
+        """Create the first simplex at a point, shape (d,)."""
         self.start = point
         self.positions = self._begin()
 
@@ -71,7 +68,7 @@ class NelderMead(AskTell):
         return self._through_the_middle(np.ones(self.moved))
 
     def _through_the_middle(self, reach: Array) -> Array:
-        """The worst vertices, each reflected through the middle of the others to ``reach`` times its distance."""
+        """Reflect each of the worst vertices through the center of the others, to ``reach`` times its distance."""
         t, middle = reach[:, np.newaxis], np.mean(self.simplex[: -self.moved], axis=0)
         return (1 + t) * middle - t * self.simplex[-self.moved :]
 
@@ -86,7 +83,7 @@ class NelderMead(AskTell):
             self._settle(len(costs), self.positions, costs)
 
     def _judge_reflections(self, costs: Array) -> None:
-        """Expand points better than the best, keep those no longer among the worst, contract the others."""
+        """Expand points that beat the best vertex, keep those that are not among the worst, and contract the others."""
         self.reflected, self.reflected_values = self.positions, costs
         best, kept, own = self.values[0], self.values[-self.moved - 1], self.values[-self.moved :]
         self.reach = np.select(
@@ -116,7 +113,7 @@ class NelderMead(AskTell):
         self._settle(self.moved, points, values)
 
     def _settle(self, n: int, points: Array, values: Array) -> None:
-        """Replace the last ``n`` vertices, and rank all of them."""
+        """Replace the last ``n`` vertices, and sort all vertices by cost."""
         self.simplex[-n:], self.values[-n:] = points, values
         order = np.argsort(self.values, kind="stable")
         self.simplex, self.values = self.simplex[order], self.values[order]

@@ -9,22 +9,22 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class ParticleSwarm(Swarm):
-    """A swarm whose particles move by the costs of their positions."""
+    """A swarm whose particles move toward their own best positions and the best of the swarm."""
 
     name = "pso"
     saved = ("velocities", *Swarm.saved)
     inertia: float = INERTIA
-    """w."""
+    """Inertia weight w."""
     cognitive: float = ACCELERATION
-    """c1."""
+    """Coefficient c1."""
     social: float = ACCELERATION
-    """c2."""
+    """Coefficient c2."""
     zero_velocity_at_bounds: bool = False
-    """Stop a particle in the coordinates in which the projection moved it."""
+    """Set the velocity to zero in coordinates in which a particle reached a bound."""
 
     def _begin(self) -> Array:
         positions = super()._begin()
-        # Half the way to another random place (SPSO 2007): all directions, and none straight out of the box.
+        # Half the way to another random point (SPSO 2007), so that no particle starts toward the outside of the bounds.
         self.velocities = 0.5 * (self.rng.uniform(self.low, self.high, positions.shape) - positions)
         return positions
 
