@@ -25,12 +25,12 @@ WINDOW = 10.0
 BIAS_SPREAD = (0.1, 0.5)
 """m/s2: bounds of the spread of tilt, slope and bias between windows."""
 FEW = 8.0
-"""Number of windows at which their variances are doubled."""
+"""Number of windows at which the few windows double the variances."""
 LEAST_NOISE = 0.03
 """m: smallest standard deviation of the IMU's path over some seconds."""
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)
-"""s: delays of the fixes that are tried one by one."""
+"""s: delays of the fixes to try."""
 DRIFT_SPAN = 6.0
 BIN = 3.0
 """s: deviation of the Gaussian over which gyro and course are aligned, and length of its bins."""
@@ -50,35 +50,35 @@ class AccelerationFit:
 
 
 def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:
-    """The gyro's integral (n,), and the course of the moving car minus that integral, rad."""
+    """Return the gyro's integral (n,), and the course of the moving car minus that integral, rad."""
     turned = integral(time, rate)
     seen = course.moving
     return turned, course.angle[seen] - smoothed(time, turned, course.time[seen] - late, course.span)
 
 
 def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
-    """Heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course over some seconds.
+    """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course over some seconds.
 
     Parameters
     ----------
     time : (n,) s, the IMU's
-    rate : (n,) rad/s, the yaw rate with its sign and unit right
+    rate : (n,) rad/s, the yaw rate, with correct sign and unit
     late : s, of the fixes
     """
     turned, off = _off_course(time, course, rate + drift_of(time, course, rate, late), late)
     at, speed = course.time[course.moving] - late, np.abs(course.velocity[course.moving])
     jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
-    off = off - jump  # while it stands the course's turns are lost by whole circles
+    off = off - jump  # the course may turn by whole circles, unseen, while the car stands
     bin_of = ((at - at[0]) // BIN).astype(np.intp)
     bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
-    # the faster, the better known
+    # the course of a faster car is more accurate
     weight, total = (np.convolve(np.bincount(bin_of, v), bell)[6:-6] for v in (speed, speed * off))
     middles = at[0] + BIN * (np.arange(len(weight)) + 0.5)
     return turned + np.interp(time, middles[weight > 0], (total / np.maximum(weight, 1e-12))[weight > 0])
 
 
 def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
-    """rad/s: correction of the gyro's rate by the course, minus its bias. Parameters as of `heading_of`."""
+    """Return the correction of the gyro's rate by the course, minus its bias, rad/s. Parameters as of `heading_of`."""
     _, off = _off_course(time, course, rate, late)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
@@ -90,7 +90,7 @@ def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
 def fit_acceleration(
     drive: Drive, course: Course, rate: Array, tried: Array = LATENESS
 ) -> AccelerationFit | None:
-    """Fit; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are values of ``late`` to begin with, s."""
+    """Fit the path; ``rate`` (n,) is the yaw rate, rad/s, ``tried`` are initial values of ``late``, s."""
     rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
         return None
@@ -101,7 +101,7 @@ def fit_acceleration(
     for k in range(10):
         found = fit.at(late)
         step = 1.0
-        if k > 1:  # the first rounds find M and the biases, which the fifth column rests on
+        if k > 1:  # the column of the delay needs M and the biases, which the first rounds find
             step = float(np.clip(found.solution[4], -0.2, 0.2))
             late += step
         if abs(step) < 1e-3:
@@ -116,7 +116,7 @@ def fit_acceleration(
 
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
-    """Indices (w, n) of the fixes of windows in which the car moves and the IMU, sampled at ``imu`` s, has no gap."""
+    """Return the fixes (w, n) of windows in which the car moves and the IMU, sampled at ``imu`` s, has no gap."""
     interval = float(np.median(np.diff(course.time)))
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
@@ -126,7 +126,7 @@ def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.int
 
 
 class _Fit:
-    """Regression at a given delay, with M and the spread of the windows' biases from the last one."""
+    """Regression at a given delay, with M and the spread of the windows' biases from the previous regression."""
 
     def __init__(self, drive: Drive, course: Course, rate: Array, rows: NDArray[np.intp]):
         self._drive, self._course, self._rate, self._rows = drive, course, rate, rows
@@ -137,10 +137,10 @@ class _Fit:
         self.bias = np.zeros((len(rows), 2))
 
     def at(self, late: float, rounds: int = 4) -> Regression:
-        """The shared unknowns are M, row by row, and the corrections of ``late`` and of the mean bias."""
+        """Solve for the shared unknowns: M, row by row, and the corrections of ``late`` and of the mean bias."""
         position, columns, own = self._terms(late)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
-        # One more row a window: its bias lies about where the others' lie.
+        # One more row per window draws its bias to the mean of all windows.
         own = [np.hstack([c, f * one]) for c, f in zip(own, (0, 0, self._noise / self._spread), strict=True)]
         position, *columns = (np.hstack([c, 0 * one]) for c in (position, *columns))
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
@@ -159,7 +159,7 @@ class _Fit:
         self._spread = float(np.clip(spread, *BIAS_SPREAD))
 
     def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
-        """The positions, the columns of the shared unknowns and of those of each window, all (w, n)."""
+        """Return the positions, and the columns of the shared and of each window's own unknowns, all (w, n)."""
         imu, rows, course = self._drive.imu, self._rows, self._course
         direction = np.exp(1j * heading_of(imu.time, course, self._rate, late))
         at, usual = course.time - late, complex(*self._usual)

@@ -12,11 +12,11 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
 
 FEWEST = 8
-"""Fixes from which a course is computed."""
+"""Number of fixes from which a course is computed."""
 SLOWEST = 1.0
-"""m/s: at lower speeds no course is shown."""
+"""m/s: lowest speed at which a course is shown."""
 SPAN = 2.0
-"""s: mean of the specific force, so that vibration does not hide gravity."""
+"""s over which the specific force is averaged, so that vibration does not hide gravity."""
 RATE = 10.0
 """Hz of the smoothed specific force."""
 FINDINGS = {
@@ -28,7 +28,7 @@ FINDINGS = {
     "speed": ("speed", "velocity", "odometer"),
     "course": ("course",),
 }
-"""For each agreement, the beginnings of the codes of the findings that it shows."""
+"""First words of the codes of the findings that each agreement shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
 
 
 def _gravity(drive: Drive) -> Agreement:
-    """Specific force, smoothed, and its value at rest: gravity on az."""
+    """Compare the smoothed specific force with its value at rest: gravity on az."""
     imu, ends = drive.imu, drive.imu.time[[0, -1]]
     at = np.arange(ends[0], ends[1], 1 / RATE)
     names = [name for name in ("ax", "ay", "az") if getattr(imu, name) is not None]
@@ -83,7 +83,7 @@ def _gravity(drive: Drive) -> Agreement:
 
 
 def _of_motion(drive: Drive) -> Iterator[Agreement]:
-    """Agreements that need a moving vehicle."""
+    """Return the agreements that need a moving vehicle."""
     imu, gps = drive.imu, drive.gps
     used = ~frozen_fixes(gps) & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     time, position = gps.time[used], gps.x[used] + 1j * gps.y[used]
@@ -123,7 +123,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """The integral of gz, and the course in pieces without a stop, each placed on it: only its shape counts."""
+    """Compare the integral of gz with the course. Each piece between two stops is shifted: only its shape counts."""
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

@@ -16,16 +16,16 @@ NEAR = 4.0
 SPAN = 5.0
 """s: interval over which turns are compared."""
 LEAST, CLEARLY = 0.8, 0.15
-"""Share of the turns that an offset must explain, and by how much it must exceed that of any other."""
+"""Share of the turns that an offset must explain, and its smallest lead over any other offset."""
 FEWER = 4.0
-"""An offset is also significant if it leaves this many times less unexplained than any other: turns may repeat."""
+"""An offset is also significant if every other one leaves this many times more unexplained: turns may repeat."""
 FEWEST = 20
 LEAST_TURN = 0.15
 """rad RMS in `SPAN`: least change of a course that shows an offset."""
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:
-    """The offset, s, by which the fixes are late, within 40 s either way; None if none is significant."""
+    """Find the offset, s, by which the fixes are late, from -40 to 40 s; None if none is significant."""
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
     if len(first) < FEWEST:
@@ -34,12 +34,12 @@ def search_offset(drive: Drive, course: Course) -> float | None:
     whole = float(np.sum((turn - turn.mean()) ** 2))
     if np.sqrt(np.mean((turn - np.mean(turn)) ** 2)) < LEAST_TURN:
         return None
-    # About the vertical, whatever the mounting; gz of an IMU without six axes.
+    # The rate about the vertical in any mounting; gz of an IMU without six axes.
     planar = imu.az is None or imu.gx is None or imu.gy is None
     total = integral(imu.time, imu.gz if planar else turned(imu, level(imu)).gz)
 
     def explained(lag: float) -> float:
-        """The share of the turns that the gyro explains, with either sign and in any unit."""
+        """Return the share of the turns that the gyro explains, with either sign and in any unit."""
         start, end = at[first] - lag, at[last] - lag
         inside = (start >= imu.time[0]) & (end <= imu.time[-1])
         if np.count_nonzero(inside) < max(FEWEST, len(turn) / 3):
@@ -60,7 +60,7 @@ def search_offset(drive: Drive, course: Course) -> float | None:
 
 
 def _pairs(course: Course) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of fixes some 5 s apart between which the car moves throughout."""
+    """Return the indices of fixes about 5 s apart between which the car never stops."""
     interval = float(np.median(np.diff(course.time)))
     step = max(round(SPAN / interval), 1)
     first = np.arange(max(len(course.time) - step, 0))

@@ -1,4 +1,4 @@
-"""All checks over one drive."""
+"""Diagnosis of one drive by all checks."""
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
@@ -31,9 +31,9 @@ CHECKS = (
     check_observability,
     check_use,
 )
-"""Order of findings of one severity."""
+"""Order of findings of equal severity."""
 KEPT = 32
-"""Diagnoses in memory: a command and a page ask for that of one drive more than once."""
+"""Number of diagnoses in memory: a command and a page use that of one drive more than once."""
 _kept: dict[tuple[str, str], Diagnosis] = {}
 
 
@@ -79,7 +79,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 
 
 def findings_of(drive: Drive) -> tuple[str, ...]:
-    """The serious findings and warnings about a drive, as sentences; none if a drive is too short for a diagnosis."""
+    """Return the serious findings and warnings about a drive, as sentences; none if it is too short for a diagnosis."""
     try:
         found = diagnose(drive).findings
     except DriveError:

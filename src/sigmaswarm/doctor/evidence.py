@@ -22,11 +22,11 @@ SEARCHED = 2.3
 USUAL = 1.0
 """s: largest usual delay of a receiver. A larger offset is accepted only where the search finds no other."""
 AS_RECORDED = Yaw(known=True)
-"""A yaw rate that needs no other column, sign or unit; these are accepted only where no offset explains the data."""
+"""The yaw rate as recorded. Another column, sign or unit is accepted only where no offset explains the data."""
 FEWEST = 20
-"""Fixes; with fewer, only checks without motion run."""
+"""Number of fixes below which only the checks that need no motion run."""
 KEPT = 256
-"""Drives whose scatter stays in memory: a tuning asks for it after the diagnosis, and again in each repetition."""
+"""Number of drives whose scatter stays in memory: a tuning uses it after the diagnosis, and in each repetition."""
 _scatters: dict[str, float] = {}
 
 
@@ -34,7 +34,7 @@ _scatters: dict[str, float] = {}
 class Evidence:
     """A drive and the quantities computed from it."""
 
-    drive: Drive  # its IMU turned by `mounting`, where that is needed: what follows is about these axes
+    drive: Drive  # with its IMU turned by `mounting`, where that is needed; all fits are in these axes
     stale: Mask  # (n,), fixes that repeat an earlier one
     outlying: Mask  # (n,), fixes far off the path
     used: NDArray[np.intp]  # (m,), indices of the fixes in `course`
@@ -46,27 +46,27 @@ class Evidence:
     clock: ClockOffset  # the fixes' delay
     noise: float  # m per axis, of the fixes from one to the next
     scatter: float  # m per axis, of the fixes about the path over ten seconds
-    mounting: Mounting | None  # how the IMU sits in the vehicle, of a log with six axes
-    moved: float = 0.0  # s, taken off the fixes' times, where the clocks are far apart
+    mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
+    moved: float = 0.0  # s, subtracted from the fixes' times where the clocks are far apart
 
     @property
     def mounted(self) -> bool:
-        """True where the IMU is turned against the vehicle, and by how much is known."""
+        """True if the IMU is turned relative to the vehicle by a known rotation."""
         return self.mounting is not None and self.mounting.needed
 
     @property
     def drives(self) -> bool:
-        """True where the fixes show a course anywhere."""
+        """True if any fix has a course."""
         return self.course is not None and bool(self.course.moving.any())
 
     @property
     def span(self) -> tuple[float, float]:
-        """From the first to the last IMU sample, s."""
+        """Time from the first to the last IMU sample, s."""
         return float(self.drive.imu.time[0]), float(self.drive.imu.time[-1])
 
 
 def gather(drive: Drive) -> Evidence:
-    """Fit the gyro to the course and the accelerometers to the path, and read the fits.
+    """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
     If the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first, up to
     40 s. The times of the fixes are corrected by it before axes are checked.
@@ -79,7 +79,7 @@ def gather(drive: Drive) -> Evidence:
 
 
 def scatter_of(drive: Drive) -> float:
-    """The `scatter` of a drive's evidence, m per axis, from memory where the drive was gathered before."""
+    """Return the `scatter` of a drive's evidence, m per axis, from memory if it was computed before."""
     kept = _scatters.get(fingerprint(drive))
     return gather(drive).scatter if kept is None else kept
 
@@ -93,13 +93,13 @@ def _read(drive: Drive) -> Evidence:
     if fit.share > EXPLAINED and evidence.yaw == AS_RECORDED and abs(fit.late) < USUAL:
         return evidence
     late = search_offset(drive, course)
-    if fits or fit.course_change < LEAST_TURN:  # only a large offset contradicts this reading
+    if fits or fit.course_change < LEAST_TURN:  # only a large offset contradicts this interpretation
         if late is None or abs(late) < SEARCHED:
             return evidence
-    elif late is None:  # without the clock no axis can be read
+    elif late is None:  # without a common clock no axis can be interpreted
         return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
     rest = 0.0
-    for _ in range(2):  # the fits give the rest
+    for _ in range(2):  # the fits determine the rest
         evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - late)))
         rest = evidence.clock.late if np.isfinite(evidence.clock.std) else 0.0
         late += rest
@@ -131,7 +131,7 @@ def _gather(drive: Drive) -> Evidence:
     clock = clock_of(yaw_fit, yaw, acceleration, mount)
     noise, scatter = white_noise(course.position) if course else 0.0, 0.0
     if acceleration:
-        n = acceleration.rows.shape[1]  # each window's own three unknowns take their share
+        n = acceleration.rows.shape[1]  # the three unknowns of each window reduce the residuals
         noise = _spread(np.diff(acceleration.residual, n=2, axis=1)) / np.sqrt(6.0)
         scatter = _spread(acceleration.residual) * np.sqrt(n / (n - 3))
         off[used[_far_off(acceleration)]] = True
@@ -141,12 +141,12 @@ def _gather(drive: Drive) -> Evidence:
 
 
 def _spread(v: Complex) -> float:
-    """The robust standard deviation per axis."""
+    """Return the robust standard deviation per axis."""
     return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
 
 
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
-    """Indices, among the used fixes, of those that lie far off the IMU's path in every window."""
+    """Return the indices, among the used fixes, of those far from the IMU's path in every window."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
     off = size > 0.2 + 4 * float(np.quantile(size, 0.9))  # m; of Gaussian noise that is 8.6 deviations
     times, far = (

@@ -34,14 +34,14 @@ class Finding:
     Attributes
     ----------
     code : str
-        Short and lasting, for programs: "gyro-sign", "clock-offset" and so on (docs/doctor.md has all).
+        A short, stable name for programs: "gyro-sign", "clock-offset" and so on (docs/doctor.md has all).
     severity : {"note", "warning", "serious"}
     what : str
         A sentence: the fault, with figures.
     where : str
         File and columns.
     span : (float, float)
-        s, from when to when on the drive's clock.
+        Start and end on the drive's clock, s.
     confidence : float
         0 to 1.
     remedy : str

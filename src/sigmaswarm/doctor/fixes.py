@@ -14,13 +14,13 @@ Mask = NDArray[np.bool_]
 NEIGHBORS = 3
 """Fixes on each side that predict the one between them."""
 HARDEST = 8.0
-"""m/s2: largest acceleration of a car, whose effect between fixes is not a jump."""
+"""m/s2: largest acceleration of a car; its effect between fixes is not a jump."""
 SPAN = (3.0, 6.0)
-"""s: the shortest and longest stretch of fixes for one velocity."""
+"""s: shortest and longest duration of the fixes for one velocity."""
 SPEED_STD = 0.5
-"""m/s: the stretch is chosen so that white noise of the fixes gives the velocity about this deviation."""
+"""m/s: the duration is chosen so that white noise of the fixes gives the velocity about this deviation."""
 SLOWEST = 3.0
-"""m/s: at lower speeds the course is noise."""
+"""m/s: lowest speed with a course; at lower speeds it is noise."""
 USUAL_SHARE = 0.5
 """Share of a slow vehicle's usual speed above which the course is used, if the fixes are accurate enough."""
 
@@ -34,15 +34,17 @@ class Course:
     velocity: Complex  # (n,) m/s, east + i north; the mean over about `span`, weighted by a parabola
     std: float  # m/s per axis, of the velocity, from the fixes' white noise
     angle: Array  # (n,) rad, the course, unwrapped
-    moving: Mask  # (n,): fast enough that noise does not make the course
-    slowest: float  # m/s, that speed
+    moving: Mask  # (n,), true where the car is fast enough for a course
+    slowest: float  # m/s, the lowest speed with a course
     span: float  # s
 
 
 def jumps(time: Array, position: Complex) -> Mask:
-    """Fixes that are farther from the line through their neighbors than a car can drive, (n,)."""
+    """Mark fixes that are farther from the line through their neighbors than a car can drive, (n,)."""
     kept = np.arange(len(time))
-    for _ in range(20):  # the worst of each neighborhood at a time: it spoils its neighbors' lines too
+    for _ in range(
+        20
+    ):  # one at a time, the worst of its neighbors: a jump distorts its neighbors' lines, too
         off = np.abs(_off_line(time[kept], position[kept]))
         limit = 12 * float(np.median(off)) + 0.5 * HARDEST * (NEIGHBORS * np.gradient(time[kept])) ** 2
         worst = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(
@@ -56,7 +58,7 @@ def jumps(time: Array, position: Complex) -> Mask:
 
 
 def _off_line(time: Array, position: Complex) -> Complex:
-    """Offset of each fix from the straight line through its neighbors, without itself, (n,) m."""
+    """Return the offset of each fix from the straight line through its neighbors, without itself, (n,) m."""
     n = len(time)
     offsets = np.array([k for k in range(-NEIGHBORS, NEIGHBORS + 1) if k])
     index = np.arange(n)[:, None] + offsets
@@ -69,7 +71,7 @@ def _off_line(time: Array, position: Complex) -> Complex:
 
 
 def course_of(time: Array, position: Complex) -> Course:
-    """Speed and course from straight lines through short stretches of fixes."""
+    """Compute speed and course from straight lines through short sequences of fixes."""
     interval, noise = float(np.median(np.diff(time))), white_noise(position)
     # a line through n fixes over T: std = noise sqrt(12 / n) / T
     span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN))

@@ -25,27 +25,27 @@ from sigmaswarm.drives.drive import Array, Drive, Imu
 
 ROUNDS = 6
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
-"""rad: the total deviation up to which a mounting is sure, and likely."""
+"""rad: largest total deviation of a mounting that is sure, and of one that is likely."""
 LEAST_TURN = 0.05
-"""rad: RMS change of the course within 20 s, below which the mounting's yaw is unknown."""
+"""rad: smallest RMS change of the course within 20 s that determines the yaw of the mounting."""
 LEAST_SHARE = 0.5
-"""Share of the course's changes that the levelled gyro must explain."""
+"""Smallest share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
-"""Chi-square by which the mounting must be better than any that is rotated by 90 degrees or more."""
+"""Smallest lead in chi-square over any mounting that is rotated by 90 degrees or more."""
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-"""rad: lowest uncertainty of the turning axis (springs) and of gravity (roads, biases)."""
+"""rad: smallest uncertainty of the axis of turning (springs) and of gravity (roads, biases)."""
 YAW_FLOOR = math.radians(0.8)
 TRAVEL_FLOOR = math.radians(0.8)
-"""rad: lowest uncertainty of the direction of travel (slip, suspension)."""
+"""rad: smallest uncertainty of the direction of travel (slip, suspension)."""
 ALIKE = 0.025
 """Tolerance of an entry of M, for slip and for tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
 """s: window over which the axis of turning is fitted."""
 WANDERS = math.radians(8.0)
-"""rad: change of gravity between windows above which the mounting is not constant."""
+"""rad: change of gravity between windows from which the mounting is not constant."""
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
-"""rad and deviations: smaller rotations of the mounting are ignored."""
+"""Smallest rotation of the mounting that is used, rad, and in standard deviations."""
 SERIOUS = math.radians(7.0)
 AXES = [
     m
@@ -62,19 +62,19 @@ class Mounting:
 
     rotation: Array  # (3, 3)
     std: Array  # (3,) rad, of roll, pitch and yaw
-    confidence: Confidence  # "no": roll and pitch at most are known
-    reason: str  # why the confidence is no better
+    confidence: Confidence  # with "no" at most roll and pitch are known
+    reason: str  # why the confidence is not higher
 
     @property
     def needed(self) -> bool:
-        """True if the rotation is known, and larger than its own deviation and a tolerance."""
+        """True if the rotation is known, and larger than its deviation and a tolerance."""
         return self.confidence != "no" and not np.array_equal(self.repair, np.eye(3))
 
     @property
     def repair(self) -> Array:
-        """(3, 3): the certain part of the rotation.
+        """Return the certain part of the rotation, (3, 3).
 
-        Exchanged axes are exchanged exactly. The rest is levelled, and rotated about the vertical, only if that is
+        Exchanged axes are exchanged exactly. The rest is levelled and rotated about the vertical only where that is
         significant.
         """
         exchanged = max(AXES, key=lambda axes: float(np.trace(self.rotation @ axes.T)))
@@ -86,7 +86,7 @@ class Mounting:
 
     @property
     def degrees(self) -> tuple[float, float, float]:
-        """Roll, pitch and yaw of `repair`, deg, as ``import --mount`` takes them."""
+        """Return roll, pitch and yaw of `repair`, deg, in the order of ``import --mount``."""
         r = self.repair
         pitch = -math.asin(np.clip(r[2, 0], -1, 1))
         angles = math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
@@ -98,7 +98,7 @@ class Mounting:
 class _Round:
     """Result of one round on the rotated axes; angles in rad, margins in chi-square.
 
-    ``margin`` is that over axes turned by 90 degrees or more, ``mirrored`` that of a mirror image of the accelerations.
+    ``margin``: lead over axes turned by 90 degrees or more; ``mirrored``: that of a mirror image of the accelerations.
     """
 
     yaw_fit: YawFit
@@ -113,12 +113,12 @@ class _Round:
 
 
 def angle_of(rotation: Array) -> float:
-    """The angle of a rotation (3, 3), rad."""
+    """Return the angle of a rotation (3, 3), rad."""
     return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
 def turned(imu: Imu, rotation: Array) -> Imu:
-    """The IMU's six axes, turned by a rotation (3, 3)."""
+    """Turn the IMU's six axes by a rotation (3, 3)."""
     columns: dict[str, Array] = {}
     for names in (("ax", "ay", "az"), ("gx", "gy", "gz")):
         rows = rotation @ np.array([getattr(imu, name) for name in names])
@@ -127,7 +127,7 @@ def turned(imu: Imu, rotation: Array) -> Imu:
 
 
 def levelling(up: Array) -> Array:
-    """The smallest rotation (3, 3) that turns a direction (3,) onto +z."""
+    """Return the smallest rotation (3, 3) that turns a direction (3,) onto +z."""
     x, y, z = up / np.linalg.norm(up)
     if z < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])
@@ -136,7 +136,7 @@ def levelling(up: Array) -> Array:
 
 
 def about_z(angle: float) -> Array:
-    """The rotation (3, 3) about z, rad."""
+    """Return the rotation (3, 3) about z by an angle, rad."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -148,23 +148,23 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
         return None
     rotation, seen = _converged(drive, course, imu)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
-        # Levelled upside down: the accelerometers report the opposite of specific force.
+        # The levelled IMU is upside down: its accelerometers report the opposite of specific force.
         rotation, seen = _converged(drive, course, _scaled(imu, "a", -1.0))
     return Mounting(rotation, seen.std, *_confidence(seen)) if seen else None
 
 
 def _scaled(imu: Imu, sensor: Literal["a", "g"], factor: float) -> Imu:
-    """The IMU with all axes of the accelerometers or the gyro times a factor."""
+    """Multiply all axes of the accelerometers or the gyro by a factor."""
     return replace(imu, **{f"{sensor}{axis}": factor * getattr(imu, f"{sensor}{axis}") for axis in "xyz"})
 
 
 def level(imu: Imu) -> Array:
-    """The smallest rotation (3, 3) that turns the median specific force onto +z."""
+    """Return the smallest rotation (3, 3) that turns the median specific force onto +z."""
     return levelling(np.array([np.median(getattr(imu, name)) for name in ("ax", "ay", "az")]))
 
 
 def _in_si_units(drive: Drive, course: Course) -> Imu | None:
-    """The IMU in m/s2 and rad/s, by the size of gravity and the turns of the course; None without six axes."""
+    """Convert the IMU to m/s2 and rad/s, by the size of gravity and the turns of the course; None without six axes."""
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
         return None
@@ -193,9 +193,9 @@ def _converged(drive: Drive, course: Course, imu: Imu) -> tuple[Array, _Round | 
 
 
 def _round(drive: Drive, course: Course, last: _Round | None) -> _Round | None:
-    """One round: yaw from the accelerations, then roll and pitch from the remaining gravity and from the turns.
+    """Run one round: yaw from the accelerations, then roll and pitch from the remaining gravity and from the turns.
 
-    The clocks' offset is searched in the first round alone.
+    The offset of the clocks is searched in the first round only.
     """
     tried = np.array([last.yaw_fit.late]) if last else YAW_LATENESS
     yaw_fit = fit_column(drive, course, "gz", yaw_windows(course), tried)
@@ -226,13 +226,13 @@ def _round(drive: Drive, course: Course, last: _Round | None) -> _Round | None:
 
 
 def _mean(*estimates: tuple[float, float]) -> tuple[float, float]:
-    """Mean and deviation of independent estimates with their deviations."""
+    """Return the weighted mean of independent estimates, and its deviation."""
     weight = np.array([1 / std**2 for _, std in estimates])
     return float(weight @ [value for value, _ in estimates] / weight.sum()), 1 / math.sqrt(weight.sum())
 
 
 def _misfits(fit: AccelerationFit, side: float) -> Array:
-    """Chi-square of M against k R(angle) for each of `ANGLES`, k within `SCALE` of 1; ``side`` -1: mirrored."""
+    """Return chi-square of M against k R(angle) for each of `ANGLES`, k within `SCALE` of 1; ``side`` -1: mirrored."""
     found, covariance = fit.matrix.ravel(), fit.covariance[:4, :4] + ALIKE**2 * np.eye(4)
     c, s = np.cos(ANGLES), np.sin(ANGLES)
     expected = np.stack([c, -side * s, s, side * c], axis=-1)
@@ -242,10 +242,11 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 
 
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
-    """Tilt of the axes after a rotation by ``yaw``: (2,) slopes of up along x and y, their deviations, and the spread.
+    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, their deviations, and the spread.
 
     Gravity is the part of the accelerations that no motion explains; the axis of turning is where the integrals of gx
-    and gy follow that of gz. Both point up, with independent errors: the result is their mean, weighted by variance.
+    and gy follow that of gz. Both are vertical, with independent errors: the result is
+    their mean, weighted by the inverse variances.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)
@@ -258,9 +259,9 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
 
 
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
-    """Slopes (2,) of the integrals of gx and gy on that of gz within windows, minus straight lines.
+    """Fit the slopes (2,) of the integrals of gx and gy on that of gz within windows, minus straight lines.
 
-    And their deviations.
+    Also return their deviations.
     """
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)
@@ -289,7 +290,7 @@ def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
 
 
 def _lateral(drive: Drive, course: Course, fit: AccelerationFit, rate: Array, yaw: float) -> float:
-    """Slope of the lateral specific force on speed x yaw rate; NaN where the car does not turn."""
+    """Fit the slope of the lateral specific force on speed x yaw rate; NaN if the car does not turn."""
     imu = drive.imu
     at = course.time[course.moving] - fit.late
     rotated = about_z(yaw)[1]
@@ -301,12 +302,12 @@ def _lateral(drive: Drive, course: Course, fit: AccelerationFit, rate: Array, ya
 
 
 def _follows(turns: YawFit) -> bool:
-    """True if the course follows the gyro, with either sign."""
+    """Check that the course follows the gyro, with either sign."""
     return turns.share > LEAST_SHARE and 1 / FAMILIAR < abs(turns.gain) < FAMILIAR
 
 
 def _confidence(seen: _Round) -> tuple[Confidence, str]:
-    """Confidence in the mounting, and the reason why it is not higher."""
+    """Return the confidence in the mounting, and the reason why it is not higher."""
     lateral, total = seen.lateral, float(np.linalg.norm(seen.std))
     uncertain = f"its standard deviation is {math.degrees(total):.0f} deg"
     for fault, reason in (

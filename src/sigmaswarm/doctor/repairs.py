@@ -37,7 +37,7 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     if not found:
         return drive
     for action, apply in ACTIONS.items():
-        # The latest first, so that a moment that is named by its time still has it.
+        # Latest jump first: closing it leaves the times of earlier jumps unchanged.
         for values in sorted((r.values for _, r in found if r.action == action), reverse=True):
             drive = apply(drive, *values)
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
@@ -45,7 +45,7 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
 
 
 def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
-    """The drive with other columns of a sensor, if it has that sensor."""
+    """Replace columns of a sensor, if the drive has that sensor."""
     table = getattr(drive, sensor)
     return replace(drive, **{sensor: table and replace(table, **columns)})
 
@@ -57,7 +57,7 @@ def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
 
 
 def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
-    """Leave out the rows of these times, s."""
+    """Leave out the rows at these times, s."""
     table = getattr(drive, sensor)
     return replace(drive, **{sensor: table.select(~np.isin(table.time, times))})
 
@@ -68,7 +68,7 @@ def _rotate(drive: Drive, *rotation: float) -> Drive:
 
 
 def _gyro(drive: Drive, column: float, factor: float) -> Drive:
-    """Take a column (0, 1, 2 for gx, gy, gz) times a factor as gz; multiply the others by the factor's size."""
+    """Use a column (0, 1, 2: gx, gy, gz) times a factor as gz; multiply the others by the factor's magnitude."""
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
@@ -139,13 +139,13 @@ def _odometer(drive: Drive, factor: float) -> Drive:
 
 
 def _drop_readings(drive: Drive, *ends: float) -> Drive:
-    """Leave out spans of the odometer, given by start and end of each, s."""
+    """Leave out spans of the odometer, given by their starts and ends, s."""
     spans = zip(ends[::2], ends[1::2], strict=True)
     return replace(drive, odometer=(drive.odometer and without(drive.odometer, spans)) or None)
 
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
-    """Subtract the jump, s, from all times after a moment, s."""
+    """Subtract the jump, s, from all times after a time, s."""
     for sensor in ("imu", "gps", "truth", "odometer"):
         if table := getattr(drive, sensor):
             drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
@@ -171,4 +171,4 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
-"""In the order of application: rows are identified by their recorded times, fixes by those after a clock correction."""
+"""Actions in their order: rows are identified by recorded times, fixes by times after a correction of the clock."""

@@ -19,15 +19,15 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
 WINDOW, DEGREE = 20.0, 2
-"""s, and degree of the polynomial in time whose coefficients belong to a window."""
+"""Duration of a window, s, and degree of its polynomial in time."""
 FORWARD = 4.0
 """Ratio of the deviations of the velocity along and across the direction of travel."""
 LEAST_STRAIGHT = 0.5
-"""Ratio of the mean velocity to the speed in the sharpest turns."""
+"""Smallest ratio of the mean velocity to the speed, in the sharpest turns."""
 
 
 def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
-    """Slopes (2,) of the direction of travel to the left and up, in axes that about fit the car, and their deviations.
+    """Fit the slopes (2,) of the direction of travel to the left and up, in nearly aligned axes, with their deviations.
 
     None if no window is usable. ``late`` is the delay of the fixes, s.
     """
@@ -41,7 +41,7 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     tilt = integral(time, heading * (imu.gx - imu.gx.mean() + 1j * (imu.gy - imu.gy.mean())))
 
     def since(values: Complex | Array) -> Complex:
-        """Change of values since the start of each window, (w, n)."""
+        """Return the change of values since the start of each window, (w, n)."""
         found: Any = np.interp(at, time, values)
         return found - found[:, :1]
 
@@ -57,7 +57,7 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     back, zero = np.conj(turned), np.zeros(at.shape)
 
     def stack(across: Complex, up: Array) -> Complex:
-        """Velocity along the direction of travel, to its left and up, (w, 3n)."""
+        """Stack the velocity along the direction of travel, to its left and up, (w, 3n)."""
         return np.hstack([across.real, across.imag, up]) + 0j
 
     powers = np.linspace(-1, 1, at.shape[1]) ** np.arange(DEGREE + 1)[:, None]

@@ -14,28 +14,28 @@ from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
 FAMILIAR = 1.35
-"""A factor this close to a known one (1, -1, deg/s) is that one."""
+"""Largest deviation of a factor from a known one (1, -1, deg/s) that counts as the known one."""
 LEAST_SHARE = 0.2
-"""Least share of the course's changes that a gyro's column must explain, unless the gain is CERTAIN."""
+"""Smallest share of the course's changes that a gyro's column must explain, unless the gain is CERTAIN."""
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
-"""Chi-square by which another interpretation must be better than the log as it is, and the most that one in g may have.
+"""Smallest lead in chi-square of another interpretation over the log as it is, and largest chi-square of a log in g.
 
-In steady circles forces are hardly more than their windows' noise, and show no unit. Logs in g have 4.
+In steady circles forces barely exceed the noise of their windows, and show no unit. Logs in g have 4.
 """
 ALIKE = 0.05
-"""Tolerance of M's entries off the diagonal, for slip and for tilt in maneuvers."""
+"""Tolerance of the entries of M off the diagonal, for slip and for tilt in maneuvers."""
 SCALE = 0.12
-"""The same along the axes; roll and pitch of the body add 5 to 10% to the measured acceleration."""
+"""Tolerance of the entries on the diagonal: roll and pitch of the body add 5 to 10% to the acceleration."""
 SHOWN = 0.25
-"""Deviation of an entry of M, in its unit, below which the drive shows it."""
+"""Largest deviation of an entry of M that the drive shows."""
 LEAST_OFFSET = 0.1
-"""s between the clocks: a smaller offset is hidden by a receiver's noise."""
+"""s between the clocks: a receiver's noise hides smaller offsets."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
-"""Deviations: at least the first is a note, the second a warning and a repair, the third serious."""
+"""Standard deviations from which an offset is a note, a warning with a repair, and serious."""
 MOUNTED = math.radians(40)
-"""Above it, a rotation counts as exchanged axes."""
+"""rad: larger rotations count as exchanged axes."""
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
@@ -49,7 +49,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Column, sign and unit of the gyro that agree with the course; if unclear, those of the format."""
+    """Find the column, sign and unit of the gyro that agree with the course; if unclear, those of the format."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
@@ -59,13 +59,13 @@ def yaw_of(fit: YawFit | None) -> Yaw:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The interpretation of the accelerometers' columns."""
+    """Interpretation of the accelerometers' columns."""
 
     axes: Array  # (2, 2), signed permutation of (ax, ay)
     unit: float  # 1, or m/s2 per g
-    angle: float  # rad: the axes, so read, are turned about z by -angle against the car
+    angle: float  # rad: the interpreted axes are turned about z by -angle relative to the car
     angle_std: float  # rad
-    margin: float  # how much better (chi-square) this reading is than the log as it stands
+    margin: float  # lead in chi-square of this interpretation over the log as recorded
     known: tuple[bool, bool]  # (forward, left): True if the drive shows that axis
     scale: tuple[
         tuple[float, float], tuple[float, float]
@@ -73,12 +73,12 @@ class Mount:
 
     @property
     def matrix(self) -> Array:
-        """(2, 2): unit times axes."""
+        """Return the unit times the axes, (2, 2)."""
         return self.unit * self.axes
 
 
 def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
-    """Entries (n, 4) of M for an interpretation of the columns, one per angle; variances (4, 4) of their tolerances."""
+    """Return M (n, 4) for an interpretation of the columns at n angles, and the variances (4, 4) of its tolerances."""
     c, s = np.cos(angles), np.sin(angles)
     slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
     rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
@@ -86,7 +86,7 @@ def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
 
 
 def mount_of(fit: AccelerationFit) -> Mount:
-    """The simplest interpretation of the columns that agrees with the fit."""
+    """Return the simplest interpretation of the columns that agrees with the fit."""
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 
@@ -113,7 +113,7 @@ def mount_of(fit: AccelerationFit) -> Mount:
     if plain - best < CLEARLY:
         axes, unit = as_recorded, 1.0
     if unit == 1 and not ((deviation(axes, unit) < SHOWN) & (axes != as_recorded).any(axis=1)).any():
-        axes = as_recorded  # an axis that the drive does not show stays as it is
+        axes = as_recorded  # an axis that the drive does not show is not changed
     misfits = misfits_of(axes, unit, ANGLES)
     k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
@@ -144,7 +144,7 @@ class ClockOffset:
 
     @property
     def visible(self) -> float | None:
-        """The smallest offset, s, that would have been seen with a probability of 95% or more; None: not any."""
+        """Return the smallest offset, s, that would have been seen with a probability of 95%; None if there is none."""
         offset = self.least + 1.65 * self.std
         return offset if offset < self.searched else None
 
@@ -152,11 +152,11 @@ class ClockOffset:
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
 ) -> ClockOffset:
-    """The delay by accelerometers and gyro together; its deviation grows with their disagreement."""
+    """Combine the delays of accelerometers and gyro; the deviation grows with their disagreement."""
     found: list[tuple[float, float]] = []
     searched = float(acceleration_fit.LATENESS[-1])
     if acceleration is not None and mount is not None:
-        # The delay and its deviation, now that M is about known: the fit's Gaussian, conditioned.
+        # The delay and its deviation, given M: the conditional Gaussian of the fit.
         (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance
         gain = np.linalg.solve(covariance[:4, :4] + slack, covariance[:4, 4])

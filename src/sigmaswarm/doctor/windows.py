@@ -14,25 +14,25 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 Values = TypeVar("Values", Array, Complex)
 
 FAR = 4.0
-"""Usual sizes of a residual, beyond which a value is downweighted (Cauchy weights)."""
+"""Scale of the Cauchy weights, in units of the usual residual."""
 _NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
 _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
 
 def integral(time: Array, values: Values) -> Values:
-    """The integral from the first sample on, by trapezoids, (n,)."""
+    """Integrate from the first sample on, by trapezoids, (n,)."""
     total: Any = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
     return total
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Average around times ``at`` over ``span`` s with parabolic weights: of a rate, the slope of a line fit."""
+    """Average around times ``at`` over ``span`` s with parabolic weights, as the slope of a line fitted to an integral."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 
 
 def moving_mean(rows: Array, count: int) -> Array:
-    """The moving mean over ``count`` samples, of rows (r, n), mirrored at their ends.
+    """Compute the moving mean over ``count`` samples of rows (r, n), mirrored at their ends.
 
     It is `scipy.ndimage.uniform_filter1d`, whose import takes longer than all checks.
     """
@@ -43,7 +43,7 @@ def moving_mean(rows: Array, count: int) -> Array:
 
 
 def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray[np.intp]:
-    """Indices (w, n) of the fixes of windows of about ``length`` s that overlap by half; none has a gap."""
+    """Return the indices (w, n) of the fixes of windows of about ``length`` s that overlap by half; none has a gap."""
     index = np.flatnonzero(usable)
     interval = float(np.median(np.diff(time)))
     count = max(round(length / interval), 8)
@@ -54,33 +54,33 @@ def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A robust fit of y = sum over k of solution[k] columns[k], minus the part of each window's own unknowns."""
+    """A robust fit of y = sum over k of solution[k] columns[k] + the unknowns of each window."""
 
     solution: Array  # (k,)
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
-    cost: float  # the mean size of the residual
-    columns: Array  # (w, 2n, k), weighted, less each window's own: real parts next to imaginary ones
-    left: Array  # (w, 2n), of the same kind, what they do not explain
+    cost: float  # the mean magnitude of the residual
+    columns: Array  # (w, 2n, k), weighted, orthogonal to the window's own unknowns; real parts, then imaginary ones
+    left: Array  # (w, 2n), the residuals, in the same form
     own: int  # number of a window's own unknowns
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the solution, shape (k, k); allows for overlapping windows and correlated residuals."""
+        """Return the covariance (k, k) of the solution, for overlapping windows and correlated residuals."""
         return _covariance(self.columns, self.left, self.own)
 
 
 def regress(
     y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, rounds: int
 ) -> Regression:
-    """Least squares over windows, robust.
+    """Solve robust least squares over windows.
 
     Parameters
     ----------
     y : (w, n) complex
     columns : each (w, n); they share real factors over all windows
     own : each (w, n); they have complex factors in each window
-    weight : (w, n), one over the standard deviation, as far as known beforehand, up to a factor
+    weight : (w, n), one over the known part of the standard deviation, up to a factor
     rounds : 1 for plain least squares; more to downweight outliers
     """
     fit = _solve(y, columns, own, weight, np.ones(y.shape))
@@ -99,7 +99,7 @@ def _solve(
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
 
     def rest(v: Complex) -> Array:
-        """The part of v (w, n) orthogonal to the window's own columns, real parts, then imaginary ones, (w, 2n)."""
+        """Return the part of v (w, n) orthogonal to the window's own columns: real, then imaginary parts, (w, 2n)."""
         v = root * v
         v = v - np.einsum("wnk,wk->wn", q, np.einsum("wnk,wn->wk", q.conj(), v))
         return np.concatenate([v.real, v.imag], axis=1, dtype=np.float64)
@@ -114,10 +114,10 @@ def _solve(
 
 
 def _covariance(a: Array, left: Array, own: int) -> Array:
-    """Covariance of the solution, from the columns (w, n, k) and the residuals (w, n).
+    """Return the covariance of the solution, from the columns (w, n, k) and the residuals (w, n).
 
-    That of white residuals, but at least that of the windows' disagreement (the sandwich of White, 1980, with windows
-    as clusters); doubled, since each fix is in two windows.
+    It is that of white residuals, but at least that of the windows' disagreement (the sandwich of White, 1980, with
+    windows as clusters); doubled, since each fix is in two windows.
     """
     inverse = np.linalg.pinv(np.einsum("wnk,wnl->kl", a, a), rcond=1e-12, hermitian=True)
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

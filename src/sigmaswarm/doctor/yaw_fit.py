@@ -11,36 +11,36 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0
-"""s: long enough for turns, and short enough that a gyro's bias gives a straight line."""
+"""s: windows long enough for turns, and short enough that the integral of a gyro's bias is a straight line."""
 EXPLAINED = 0.7
-"""Share of the course's changes: a column that explains more is the right one, and others are not tried."""
+"""Share of the course's changes from which a column is the right one, and others are not tried."""
 CLEARLY_BETTER = 0.3
-"""Share of them that another column must explain in addition."""
+"""Smallest share of the course's changes that another column must explain in addition."""
 AHEAD = (0.8, 0.8)
-"""m, mean and deviation.
+"""m, mean and deviation of the distance of the antenna ahead of the rear axle.
 
-How far the antenna is before the rear axle, which does not slide sideways. The course there turns earlier than the car,
+The rear axle does not slide sideways. At the antenna the course turns earlier than the car,
 by the distance between the two.
 """
 LATENESS = np.arange(-2.5, 2.51, 0.1)
-"""s by which fixes may be late, tried one after the other."""
+"""s: delays of the fixes to try."""
 
 
 @dataclass(frozen=True, eq=False)
 class YawFit:
-    """A fit of the course to one of the gyro's columns, integrated: course = gain x turned, later by ``late``."""
+    """Fit of the course to the integral of one of the gyro's columns: course = gain x turned, later by ``late``."""
 
     column: str
-    gain: float  # 1 for a column that turns as the car does
+    gain: float  # 1 for the yaw rate of the car in rad/s
     std: float  # of the gain
     share: float  # of the course's changes that the column explains, 0 to 1
     late: float  # s, by which the fixes are late
     late_std: float  # s
-    course_change: float  # rad, how much the course changes within windows, RMS
+    course_change: float  # rad, RMS change of the course within windows
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
-    """The fit of the column that explains the course best; None where the car hardly drives."""
+    """Fit the column that explains the course best; None if the car hardly drives."""
     rows = yaw_windows(course)
     if not len(rows):
         return None
@@ -53,7 +53,7 @@ def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
 
 
 def yaw_windows(course: Course) -> NDArray[np.intp]:
-    """Indices (w, n) of the fixes of windows in which the car moves."""
+    """Return the indices (w, n) of the fixes of windows in which the car moves."""
     interval = float(np.median(np.diff(course.time)))
     length = min(WINDOW, np.count_nonzero(course.moving) * interval - interval)
     return windows_of(course.time, course.moving, length)
@@ -62,7 +62,7 @@ def yaw_windows(course: Course) -> NDArray[np.intp]:
 def fit_column(
     drive: Drive, course: Course, column: str, rows: NDArray[np.intp], tried: Array = LATENESS
 ) -> YawFit:
-    """Course = gain x (turned until ``late`` s ago) + each window's own straight line."""
+    """Fit course = gain x (turned until ``late`` s ago) + a straight line in each window."""
     time = drive.imu.time
     rate: Array = getattr(drive.imu, column)
     rate = rate - np.median(rate)
@@ -86,7 +86,7 @@ def fit_column(
         late = float(min(tried, key=lambda late: at(float(late), 1).cost))
     for _ in range(4):
         joint = at(late, gain=float(at(late).solution[0]))
-        # A car that never turns shows nothing of the clock: the column is zero, and so is its covariance.
+        # A car that never turns does not show the delay: the column is zero, and so is its covariance.
         late_std = math.sqrt(joint.covariance[1, 1]) or math.inf
         late += float(np.clip(joint.solution[1], -0.1, 0.1))
     fit = at(late)

@@ -15,16 +15,16 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""rad: a rotation about z of at least the first is a warning, of at least the second serious."""
+"""rad: rotations about z from which a finding is a warning, and serious."""
 TILT = (0.5, 1.2)
-"""m/s2: the same for what is left over in ax, ay. Roads and cheap sensors' biases stay below the second."""
+"""m/s2: the same for the residual of ax, ay. Roads and cheap sensors' biases stay below the second."""
 SIZE = (0.3, 1.0)
-"""m/s2 by which the usual specific force differs from gravity: at least the first is a note, the second a warning.
+"""m/s2: differences of the usual specific force from gravity from which a finding is a note, and a warning.
 
 Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Standard deviations: a rotation of at least the first is a note, of at least the second is repaired."""
+"""Standard deviations from which a rotation is a note, and from which it is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
 """m/s2: acceleration below which the scale is unknown."""
@@ -44,7 +44,7 @@ def check_accelerometer(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
-    """Axes and unit of ax and ay."""
+    """Check the axes and the unit of ax and ay."""
     axes, az, span = mount.axes, evidence.drive.imu.az, evidence.span
     confidence = confidence_by_margin(mount.margin)
     if not np.array_equal(axes, np.eye(2)):
@@ -71,7 +71,7 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 
 def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
-    """The angle about the vertical, and the scale of each axis."""
+    """Check the angle about the vertical, and the scale of each axis."""
     angle, std, imu, span = mount.angle, mount.angle_std, evidence.drive.imu, evidence.span
     if abs(angle) >= max(MOUNTING[0], LIKELY * std):
         clear = abs(angle) >= CLEAR * std
@@ -99,7 +99,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """The mean of ax, ay less the car's own motion."""
+    """Check the mean of ax, ay minus the car's own motion."""
     assert evidence.acceleration is not None
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
@@ -120,7 +120,7 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """Turn six axes level where a tilt explains what is left over in ax and ay; else take the constants off."""
+    """Turn six axes level where a tilt explains the residual of ax and ay; else subtract the constants."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):
@@ -129,7 +129,7 @@ def _leveled(imu: Imu, leak: Array) -> Repair:
 
 
 def _upward(evidence: Evidence) -> Iterator[Finding]:
-    """Faults that az shows, which planar filters do not use."""
+    """Check az, which planar filters do not use."""
     imu, mount, span = evidence.drive.imu, evidence.mount, evidence.span
     if imu.az is None:
         return
@@ -146,10 +146,10 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         where = "imu.csv, ay, az, gy, gz"
         yield Finding("mounting", "serious", what, where, span, 0.95, remedy, repair)
     elif wrong.code != "accelerometer-unit":
-        free = abs(up) < 0.2 * GRAVITY  # gravity was taken off, and nothing is lost
+        free = abs(up) < 0.2 * GRAVITY  # gravity was subtracted, and no information is lost
         sign = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0)) if up < -0.7 * GRAVITY else None
         yield finding_of(wrong, "note" if free else "warning", span, 0.99, sign)
-    elif mount is None or not any(mount.known):  # else the motion is the better evidence
+    elif mount is None or not any(mount.known):  # otherwise the motion is better evidence
         yield finding_of(wrong, "warning", span, 0.9)
     elif unit == 1:
         factor = math.copysign(GRAVITY, up)
@@ -161,7 +161,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
-    """A specific force whose usual magnitude, over half a second, is not gravity."""
+    """Check that the median magnitude of the specific force, averaged over half a second, is gravity."""
     imu = evidence.drive.imu
     count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
     force = unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)
@@ -170,7 +170,7 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     if abs(off) < SIZE[0]:
         return
     large = abs(off) > SIZE[1]
-    # The factor of az that makes the sum right: along the others gravity hardly stands.
+    # Gravity is almost all on az: the factor of az that corrects the magnitude.
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
     what = f"the specific force is {size:.2f} m/s2 but gravity is {GRAVITY:.2f} m/s2: az is off by {off:+.2f}"

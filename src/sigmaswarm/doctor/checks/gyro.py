@@ -2,7 +2,7 @@
 
 Within half a second the direction of the specific force turns against the body as the body turns (g' = -w x g). The
 car's own acceleration turns it too, but a body that rolls and pitches on its springs leans the same way: in a left
-turn the force points to the left and the left side comes up. So the signs show on flat roads as well; the sizes do not.
+turn the force points to the left and the left side comes up. So flat roads show the signs, too, but not the scales.
 """
 
 from collections.abc import Iterator
@@ -19,27 +19,27 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
 WRONG = 0.1
-"""Deviation of a gain from 1 that causes a warning."""
+"""Deviation of a gain from 1 from which it is a warning."""
 LEAST_TURN = np.radians(1.0)
-"""rad within some seconds; less is the course of a car that sways, not turns."""
+"""rad within some seconds: a smaller change of course is swaying, not a turn."""
 BIAS = (np.radians(0.1), np.radians(1.0))
-"""rad/s: a bias of at least the first is a note, of at least the second a warning."""
+"""rad/s: biases from which a finding is a note, and a warning."""
 
 SMOOTHED, LAG = 0.3, 0.5
-"""s: windows for the mean of the force and for the change of its direction.
+"""s: windows over which the force is averaged, and over which its direction changes.
 
 Longer ones contain more of the car's own acceleration, shorter ones more vibration. On seven recordings every correct
 sign is significant by 9.5 standard deviations or more.
 """
 CLEAR = 7.0
-"""Standard deviations; they are too small, since neighboring changes share samples."""
+"""Standard deviations from which a sign is significant. Neighboring changes share samples, so they are too small."""
 CLEARER = 2.0
-"""Least ratio of its significance to that of the other column."""
+"""Smallest ratio of the significances of the two columns."""
 OUTLYING = 3.0
 """Standard deviations from which a change is an outlier."""
 
 Follows = tuple[int, float, float]
-"""Rate that a direction follows (0: gx, 1: gy), its sign, and the significance in deviations."""
+"""Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations."""
 
 
 def check_gyro(evidence: Evidence) -> Iterator[Finding]:
@@ -100,9 +100,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """The course's turns over the gyro's, from the first to the last fix of each window, without a bias.
+    """Return the ratio of the course's turns to the gyro's over whole windows, without a bias.
 
-    On a log of circles changes within windows are small: there lever arms and slip pass for a scale.
+    On circles, changes within windows are small, and lever arms and slip look like a scale.
     """
     imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
     assert course is not None and fit is not None
@@ -120,7 +120,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
     seen, span = [axis for axis in follows if axis], evidence.span
     if any(axis and axis[0] != right for right, axis in enumerate(follows)):
         if [axis[0] for axis in seen] != [1, 0]:
-            return  # one of them alone, or both after one column: that is no exchange, and nothing to build on
+            return  # one of them alone, or both following one column: no exchange of axes explains this
         roll, pitch = (f"{'-' if sign < 0 else ''}{('gx', 'gy')[column]}" for column, sign, _ in seen)
         yield Finding(
             "gyro-tilt", "warning",
@@ -167,7 +167,7 @@ def _tilt_rates(evidence: Evidence) -> list[Follows | None]:
 
 
 def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
-    """Specific force and angular rates, (3, n), after repair of the other findings."""
+    """Return specific force and angular rates, (3, n), after repair of the other findings."""
     imu, mount, yaw = evidence.drive.imu, evidence.mount, evidence.yaw
     if imu.az is None or imu.gx is None or imu.gy is None:
         return None
@@ -188,7 +188,7 @@ def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
     interval = float(np.median(np.diff(time)))
     count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
     first = np.arange(0, len(time) - lag, max(lag // 2, 1))
-    first = first[time[first + lag] - time[first] < 2 * LAG]  # over a gap the rates are not known
+    first = first[time[first + lag] - time[first] < 2 * LAG]  # the rates within a gap are unknown
     if len(first) < 20:
         return [None, None]
     mean = moving_mean(force, count)
@@ -199,7 +199,7 @@ def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
 
 
 def _deviations(angle: Array, change: Array) -> Array:
-    """Factors of the turns about x and y in the change, divided by their deviations, by robust least squares.
+    """Fit the factors of the turns about x and y in the change by robust least squares; divide by their deviations.
 
     The turn about z is a regressor, too, since a tilted sensor and cornering contain it.
     """

@@ -20,13 +20,13 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from east": np.negative,
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
-"""Conventions of a heading; the first one is right."""
+"""Conventions of a heading; the first one is that of a drive."""
 ALIKE = math.radians(15)
-"""rad: median difference from the course, less a constant, up to which a heading follows it."""
+"""rad: largest median difference, apart from a constant, of a heading that follows the course."""
 TURNED = math.radians(2), math.radians(10)
-"""rad: constant difference from the course worth a warning, and a serious one."""
+"""rad: constant differences from the course from which a finding is a warning, and serious."""
 LATE, WORSE = 0.15, 0.8
-"""s of delay worth a warning, and the ratio of the misfits with and without it."""
+"""s: delay from which a finding is a warning, and the ratio of the misfits with and without it."""
 WINDOW = 5.0
 """s over which turns of the heading and of the gyro are compared."""
 FEWEST = 30
@@ -55,14 +55,14 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _offset(off: Array) -> tuple[float, float]:
-    """The constant part of angles, and the median size of the rest, rad."""
+    """Return the constant part of angles, and the median magnitude of the rest, rad."""
     mean = float(np.angle(np.mean(np.exp(1j * off))))
     mean += float(np.median(wrap_angle(off - mean)))
     return wrap_angle(mean), float(np.median(np.abs(wrap_angle(off - mean))))
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """The convention that follows the course with the smallest constant, of those that follow it about as well."""
+    """Return the convention with the smallest constant among those that follow the course about equally well."""
     limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
@@ -89,7 +89,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
 
 
 def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
-    """The delay of the heading against the positions, s, by the gyro; 0 if none is seen."""
+    """Estimate the delay of the heading relative to the positions, s, from the gyro; 0 if none is significant."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
     if not yaw.known:

@@ -14,7 +14,7 @@ from sigmaswarm.drives.sensors import stated_spread, suggest_filter
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
-"""Change of the course within windows (RMS), in its standard deviations, from which it certainly turns."""
+"""RMS change of the course within windows, in standard deviations, from which the car certainly turns."""
 LEAST_TURN = np.radians(5.0)
 """rad: a smaller change is the swaying of a car."""
 
@@ -42,7 +42,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
-    """The reason why a gyro can't be checked (no turn, or none that a column of the gyro follows), and the remedy."""
+    """Return why a gyro can't be checked (no turn, or none that a column of the gyro follows), and the remedy."""
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving
@@ -70,7 +70,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         return
     drive = evidence.drive
     chosen = suggest_filter([drive])
-    reasons = dict.fromkeys(chosen.use, "")  # of every car, unless the log gives a reason
+    reasons = dict.fromkeys(chosen.use, "")  # every car has it, unless the log gives a reason
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv has the wheels' speed"
     if stated := stated_spread(drive):

@@ -14,7 +14,7 @@ from sigmaswarm.drives.drive import Array, Drive
 
 MOVED = math.radians(15.0)
 STANDS_OUT = 6.0
-"""rad, and deviations of the medians: least jump of gravity for an IMU that was moved within a log."""
+"""Smallest jump of gravity for an IMU that was moved within a log, rad, and in deviations of the medians."""
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 STANDS = 1.0
@@ -22,7 +22,7 @@ STANDS = 1.0
 STEP = 2.0
 """s: interval over which changes of speed are compared with ax."""
 CLEAR, LEAST = 3.0, 0.4
-"""Deviations and size by which the slope of the changes of speed on ax differs from 0."""
+"""Smallest slope of the changes of speed on ax that shows a direction: in deviations, and its size."""
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:
@@ -48,9 +48,9 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 
 
 def moved(drive: Drive) -> tuple[float, float] | None:
-    """The time, s, at which the IMU was moved within a log, and by how much gravity turned, rad; None where it was not.
+    """Find the time, s, at which the IMU was moved within a log, and the angle of gravity, rad; None if it was not.
 
-    Directions of the specific force over 5 s each are split at the time with the least spread about the two medians.
+    Split the directions of the specific force, each over 5 s, where they scatter least about the two medians.
     """
     imu = drive.imu
     if imu.az is None:
@@ -81,7 +81,7 @@ def moved(drive: Drive) -> tuple[float, float] | None:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a start in reverse, which assumes that the heading is the course. Reversing before the start is harmless."""
+    """Find a log whose filter would start in reverse with the course as heading. Earlier reversing is harmless."""
     course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
         return
@@ -107,7 +107,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Slope of the changes of speed on the integral of ax, and its significance; None if the speed hardly changes."""
+    """Fit the slope of the changes of speed on the integral of ax, and its significance; None without such changes."""
     step = max(round(STEP / float(np.median(np.diff(time)))), 1)
     if len(time) < step + 4:
         return None

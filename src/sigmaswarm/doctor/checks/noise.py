@@ -10,15 +10,15 @@ from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0
-"""Observed noise over the stated one."""
+"""Ratio of the observed noise to the stated one from which the stated one is too small."""
 TOO_LARGE = 6.5
-"""Stated over observed, where the noise is white; a receiver's slow errors do not show, so that much is usual."""
+"""Usual ratio of the stated to the observed white noise: a receiver's slow errors do not show."""
 LASTS = 2.5
-"""The stated deviation over the scatter about a path of ten seconds, from which on most of the error outlasts these."""
+"""Ratio of the stated deviation to the scatter about a path of 10 s, from which most of the error lasts longer."""
 FAR_FIRST = 1000.0
-"""m from the first fix to the next sound one: such a first fix, as the origin, displaces the whole drive."""
+"""m from the first fix to the next good one: such a first fix, as the origin, displaces the whole drive."""
 WHITE = 0.7
-"""Noise from fix to fix over the scatter about a path of ten seconds: 1 for white noise."""
+"""Ratio of the noise from fix to fix to the scatter about a path of 10 s; white noise has 1."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:

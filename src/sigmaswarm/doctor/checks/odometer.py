@@ -1,4 +1,4 @@
-"""The wheels' speed against fixes and accelerometer: sign, unit, scale, clock, a counter that is stuck, and slip."""
+"""The wheel speed against fixes and accelerometer: sign, unit, scale, clock, a stuck counter, and slip."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -13,41 +13,41 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
 SPAN = (6.0, 20.0)
-"""s: bounds of the length of the paths of fixes that are compared with the wheels', a tenth of the drive. Longer ones
+"""s: bounds of the duration of the compared paths, which is a tenth of the drive's. Longer paths
 are less sensitive to noise, and the gyro's bias matters little within 20 s."""
 SHORTEST = 15.0
-"""m: shortest straight distance of such a path."""
+"""m: shortest straight distance of a compared path."""
 FEWEST = 6
-"""Fewest such paths."""
+"""Smallest number of compared paths."""
 WRONG = 0.02
-"""Error of the scale that is reported, if it is three times its uncertainty."""
+"""Smallest error of the scale that is reported; it must also be three times its uncertainty."""
 FAMILIAR = 1.25
 """A factor beyond which the unit is wrong, not the size of the tires."""
 
 LATE = 0.15
 """s of delay that causes a warning; a filter's own latency corrects less."""
 LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4
-"""s: largest delay, its step, and the time over which both accelerations are averaged."""
+"""s: largest delay that is tried, the step, and the time over which both accelerations are averaged."""
 ALIKE = 0.6
-"""Correlation of the two accelerations from which their delay is used."""
+"""Smallest correlation of the two accelerations at which their delay is used."""
 
 STUCK = 4.0
-"""s of one constant reading while the fixes move at another speed ..."""
+"""s: shortest constant reading that counts as stuck, if the fixes move at another speed."""
 APART = 2.5
-"""... with at least this median difference, m/s."""
+"""m/s: smallest median difference between a stuck reading and the speed of the fixes."""
 
 JUMP = 2.5
-"""m/s: change of the wheel speed within `WITHIN` without acceleration, by wheels that spin or lock.
+"""m/s: change of the wheel speed within `WITHIN` without acceleration, from which wheels spin or lock.
 
 A slope of 10% looks like 1 m/s, a delay of 0.3 s like 2 m/s during full braking.
 """
 WITHIN, LASTS_AT_MOST = 1.0, 10.0
-"""s: duration of a jump, and time in which the wheels return from it."""
+"""s: longest duration of a jump, and longest time until the wheels return from it."""
 AGREE = 0.5
-"""m/s: largest median difference at which the accelerometer can check the wheels."""
+"""m/s: largest median difference of the two changes of speed at which the accelerometer can check the wheels."""
 
 Spans = list[tuple[float, float]]
-"""From when to when, s."""
+"""Start and end, s."""
 SPEED = "odometer.csv, speed"
 
 
@@ -81,7 +81,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
 
 
 def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
-    """The readings outside the spans (start and end, s)."""
+    """Return the readings outside the spans."""
     keep = np.ones(len(odometer), dtype=np.bool_)
     for first, last in spans:
         keep &= (odometer.time < first) | (odometer.time > last)
@@ -89,7 +89,7 @@ def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odomete
 
 
 def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
-    """Spans of a constant reading that the fixes contradict, whatever its sign, unit and scale."""
+    """Find constant readings that the fixes contradict in any sign, unit and scale; return their spans."""
     time, speed, seen = odometer.time, np.abs(odometer.speed), np.abs(course.velocity)
     begins = np.flatnonzero(np.append(True, np.diff(odometer.speed) != 0))
     ends = np.append(begins[1:], len(time)) - 1
@@ -109,7 +109,7 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
 
 
 def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
-    """Spans in which the wheels spin or lock: from a jump to the one back, or around the jump."""
+    """Find spans in which the wheels spin or lock: from a jump to the return, or around the jump."""
     imu, time = evidence.drive.imu, odometer.time
     a, b = max(imu.time[0], time[0]) + WITHIN, min(imu.time[-1], time[-1]) - WITHIN
     at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
@@ -122,7 +122,7 @@ def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
     quiet = np.abs(apart) < JUMP
     if np.median(np.abs(apart)) > AGREE or np.count_nonzero(quiet) < 0.5 * len(at):
         return []
-    jumps: list[tuple[float, float]] = []  # when, and by how much
+    jumps: list[tuple[float, float]] = []  # time and size of each jump
     for jump in zip(at[~quiet].tolist(), apart[~quiet].tolist(), strict=True):
         if jumps and jump[0] - jumps[-1][0] <= WITHIN and jump[1] * jumps[-1][1] > 0:
             jumps[-1] = max(jumps[-1], jump, key=lambda jump: abs(jump[1]))
@@ -141,12 +141,12 @@ def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
 
 
 def _gain(time: Array, values: Array, at: Array, span: float) -> Array:
-    """The change of values (n,) over a span, s, around moments."""
+    """Return the change of values (n,) over a span, s, around times."""
     return np.interp(at + span / 2, time, values) - np.interp(at - span / 2, time, values)
 
 
 def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[Finding]:
-    """The ratio of the distance of the wheels to that of the fixes, over paths that are about straight."""
+    """Return the ratio of the distance of the wheels to that of the fixes, over nearly straight paths."""
     found, span = _ratios(odometer, course, evidence), evidence.span
     if len(found) < FEWEST:
         return
@@ -181,7 +181,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Ratios of the odometer's displacement, turned by the gyro, to that of the fixes; the latter in m."""
+    """Return the ratios of the odometer's displacement, turned by the gyro, to that of the fixes, and the latter, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
@@ -201,14 +201,14 @@ def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tupl
         if known and chord > SHORTEST and float(np.max(np.diff(inside))) < 1.0:
             way = float(abs(np.diff(np.interp(ends, time, place))[0]))
             ahead = float(np.diff(np.interp(ends, time, along))[0])
-            if way > 0.5 * abs(ahead):  # and no turn round
+            if way > 0.5 * abs(ahead):  # and no U-turn
                 found.append((math.copysign(way, ahead) / chord, chord))
         first = i
     return found
 
 
 def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
-    """The delay of the speed's changes relative to the forward acceleration."""
+    """Estimate the delay of the changes of speed relative to the forward acceleration."""
     imu = evidence.drive.imu
     a, b = max(imu.time[0], odometer.time[0]), min(imu.time[-1], odometer.time[-1])
     if b - a < 20.0 or b - a > 1e6:
@@ -232,7 +232,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
-    """Slopes around moments, minus their mean over 10 s: the slope of a road, which ax contains, lasts longer."""
+    """Return accelerations around times, minus their mean over 10 s, which removes the slope of the road from ax."""
     slope = _gain(time, values, at, SMOOTH) / SMOOTH
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))
@@ -242,7 +242,7 @@ def _quick(time: Array, values: Array, at: Array) -> Array:
 
 
 def _correlation(a: Array, b: Array) -> float:
-    # not a @ b: of so many numbers BLAS makes work for threads, which wait for each other ten times as long as they add
+    # not a @ b: BLAS would use threads, whose synchronization takes ten times as long as the sum
     ab, aa, bb = (float(np.sum(p * q)) for p, q in ((a, b), (a, a), (b, b)))
     size = math.sqrt(aa * bb)
     return ab / size if size > 0 else 0.0

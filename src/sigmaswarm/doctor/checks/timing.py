@@ -13,22 +13,22 @@ from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 GRAVE = 0.3
-"""s between the clocks: a larger offset costs meters."""
+"""s between the clocks: a larger offset causes errors of meters."""
 SLOW_IMU = 8.0
 """Hz: at lower rates turns are lost between samples."""
 UNEVEN = 0.5
-"""Spread of the middle 90% of the intervals, as a share of the usual one."""
+"""Spread of the middle 90% of the intervals, as a share of the median, from which they are uneven."""
 HELD = 0.2
-"""Share of IMU samples that repeat the one before: a slower sensor, logged too often."""
+"""Share of IMU samples that repeat the previous one, from which a slower sensor was logged too often."""
 LONG_GAP = 0.5
-"""s without IMU samples from which a step loses accuracy."""
+"""s without IMU samples, from which a filter's step is inaccurate."""
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
-"""Usual intervals by which an interval of fixes is longer if fixes are missing in a gap of the IMU."""
+"""An interval of fixes is longer by this many usual intervals if fixes are missing in a gap of the IMU."""
 AROUND = 2.0
 """s on each side of a gap in which the speed is measured."""
 SIGMAS = 3.0
-"""Distance, in standard deviations, of a pause and of a jump from the middle between them, to distinguish the two."""
+"""Standard deviations by which the time that passed must be nearer to a pause than to a jump, or the reverse."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
@@ -124,7 +124,7 @@ def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> 
 
 
 def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
-    """Times that both sensors lack: the logger paused, or its clock jumped."""
+    """Find times that both sensors lack: the logger paused, or its clock jumped."""
     interval, fix_interval = np.diff(imu), np.diff(gps.time)
     usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
     for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
@@ -151,7 +151,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
                 "warning",
                 "subtract the jump from all later times in all files",
             )
-            # Only a jump that both clocks miss alike, and all of it, can be closed: lost samples can't be restored.
+            # Only a jump that both clocks have in full can be closed: lost samples can't be restored.
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
@@ -162,7 +162,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 
 
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
-    """Time, s, that the car needs from fix j to the next at the speed around them, and its standard deviation.
+    """Estimate the time, s, that the car needs from fix j to the next at the speed around them, with its deviation.
 
     The speed is that of a line through the fixes of `AROUND` seconds on each side, since single fixes are too noisy. If
     the two speeds differ, the car may have had either.

@@ -18,7 +18,7 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from north": lambda c: math.pi / 2 - c,
     "deg counter-clockwise from east": np.radians,
 }
-"""Other conventions of a course than rad counter-clockwise from east."""
+"""Conventions of a course other than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
 LATE = 0.2
 """s of delay that causes a warning."""
@@ -80,9 +80,9 @@ def agrees(evidence: Evidence) -> bool:
 
 
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
-    """The delay of speed and course against the positions, s, that fits best.
+    """Find the delay of speed and course relative to the positions, s, that fits best.
 
-    Ratio of the misfit with it to that without.
+    Also return the ratio of the misfits with and without it.
     """
     course = evidence.course
     assert course is not None
