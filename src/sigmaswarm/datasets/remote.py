@@ -26,12 +26,12 @@ from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
-"""Called with the number of drives that are read, and of all."""
+"""Called with the number of drives read so far, and of all drives."""
 
 POLL_INTERVAL = 2.0
 """s between two requests to the scheduler for its workers."""
 MOST_RETRIES = 3
-"""Number of rounds without any answer, each ended by the loss of workers, after which the drives are blamed."""
+"""Number of rounds that end without an answer by the loss of workers, after which the drives are the likely cause."""
 DRIVES_SHOWN = 10
 """Drives in one message."""
 
@@ -106,7 +106,7 @@ class Assignment:
         while True:
             try:
                 answer = task.result(timeout=POLL_INTERVAL)
-            except (OSError, CancelledError):  # among them a timeout, and broken connections
+            except (OSError, CancelledError):  # includes a timeout, and broken connections
                 self.poll()
                 if worker not in self.workers or task.cancelled():
                     task.cancel()
@@ -123,7 +123,7 @@ class Assignment:
 
 
 def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
-    """Assign drives to workers in proportion to their threads, to within 5%; few drives move.
+    """Assign drives to workers in proportion to their threads, to within 5%, and move few drives.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 USABLE_MEMORY = 0.8
 """Share of a worker's memory: Dask pauses a worker above it."""
 BASE_MEMORY = 350e6
-"""Bytes of a worker without drives: the interpreter, Numba, polars."""
+"""Bytes of a worker without drives: interpreter, Numba, polars."""
 BYTES_PER_COLUMN_BYTE = 3.3
 """Memory of a prepared drive per byte of its columns; with truth and two passes, `benchmarks/fleet.py`."""
 
@@ -69,7 +69,7 @@ class DriveCache:
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._worker, self._memory = worker, memory
-        self._drives: dict[str, CachedDrive] = {}  # the last one was used last
+        self._drives: dict[str, CachedDrive] = {}  # in the order of use
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
@@ -114,12 +114,12 @@ def in_gb(size: float) -> str:
 
 
 _caches: dict[str, DriveCache] = {}
-"""By address of the worker; a process has several workers only in a cluster of threads."""
+"""Caches by address of the worker; a process has several workers only in a cluster of threads."""
 _caches_lock = threading.Lock()
 
 
 def run_task(call: bytes, sources: bytes, address: str) -> Any:
-    """Call a function with drives of this worker; None if it needs the sources of some."""
+    """Call a function with drives of this worker; return None if the sources of some are needed."""
     from distributed import get_worker
     from distributed.system import MEMORY_LIMIT
 

@@ -26,7 +26,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Average around times ``at`` over ``span`` s with parabolic weights, as the slope of a line fitted to an integral."""
+    """Average around times ``at`` over ``span`` s with parabolic weights, as a line fitted to an integral does."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 

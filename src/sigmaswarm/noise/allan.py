@@ -12,11 +12,11 @@ FLICKER = 2 * math.log(2) / math.pi
 MARKOV_PEAK = 0.3811
 """Largest Allan variance of a first-order Gauss-Markov process of unit variance, at 1.89 correlation times."""
 PER_DECADE = 8
-"""Averaging times."""
+"""Number of averaging times."""
 LONGEST = 5
-"""Averaging times are at most the longest stretch over this; beyond, the estimate scatters by more than half."""
+"""Ratio of the longest stretch to the longest averaging time; beyond it the estimate scatters by more than half."""
 PIECE = 32_768
-"""Samples at a time, which stay in the processor's cache."""
+"""Number of samples per batch, which fits into the processor's cache."""
 
 
 def allan_deviation(parts: Sequence[Array], interval: float) -> tuple[Array, Array]:
@@ -49,7 +49,7 @@ def allan_deviation(parts: Sequence[Array], interval: float) -> tuple[Array, Arr
 
 
 def _squares(phase: Array, m: int) -> float:
-    """Sum of the squared second differences over ``m`` samples."""
+    """Return the sum of the squared second differences over ``m`` samples."""
     total, count = 0.0, len(phase) - 2 * m
     for first in range(0, count, PIECE):
         last = min(first + PIECE, count)

@@ -15,13 +15,13 @@ from sigmaswarm.tables import Column, Table
 HOUR = 3600.0
 """s"""
 DEG_PER_SQRT_HOUR = math.degrees(1) * 60
-"""From rad/s/sqrt(Hz)."""
+"""Factor from rad/s/sqrt(Hz)."""
 DEG_PER_HOUR = math.degrees(1) * HOUR
-"""From rad/s."""
+"""Factor from rad/s."""
 MPS_PER_SQRT_HOUR = 60.0
-"""From m/s2/sqrt(Hz)."""
+"""Factor from m/s2/sqrt(Hz)."""
 MGAL = 1e5
-"""From m/s2."""
+"""Factor from m/s2."""
 SENSORS = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
 """Axes and unit of each sensor."""
 
@@ -40,9 +40,9 @@ class AxisNoise:
     walk : Interval
         Rate random walk: growth of the bias, unit/sqrt(s).
     correlation_time : float
-        s: of a bias that returns, a Gauss-Markov process. inf: the log does not show that it does.
+        s, of a Gauss-Markov bias; inf if the log does not show that the bias returns to its mean.
     drift : float
-        Trend, unit/s, where it exceeds what these processes explain; else 0.
+        Trend, unit/s, if these processes do not explain it; else 0.
     tau, deviation : array (n,)
         Overlapping Allan deviation, s and unit.
     """
@@ -84,7 +84,7 @@ class Noise:
     stretches : tuple of (float, float)
         Static stretches that were used: start in the time of the log and length, s.
     remarks : tuple of str
-        What the log does not show, and what looks wrong.
+        Noise terms that the log does not determine, and signs of faults.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Noise:
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
-        """Return a value of the three axes of a sensor; an unknown axis gets the root mean square of the others."""
+        """Return a value for the three axes of a sensor; an unknown axis gets the root mean square of the others."""
         known = {a.axis: value(a) for a in self.axes}
         axes = SENSORS[sensor][0].split()
         there = [known[a] for a in axes if a in known]

@@ -1,4 +1,4 @@
-"""Remarks on a log: what its stretches show, and what looks wrong about an axis."""
+"""Remarks on a log: noise terms that its stretches determine, and signs of a fault of an axis."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from sigmaswarm.noise.static import Stretches, step_of
 from sigmaswarm.wording import counted
 
 LONG = 1800.0
-"""s: length of a stretch from which on a log shows more than white noise."""
+"""s: shortest stretch that shows more than white noise."""
 LONG_TREND = 300.0
 """s: shortest stretch whose trend is tested."""
 STATIC = 0.95
@@ -24,17 +24,17 @@ UNLIKELY = 0.1
 ROUGH_GYRO = 3e-3
 """rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise above that of any sensor of a vehicle in rad/s, but usual in deg/s."""
 MANY = 30.0
-"""Number of averages of a stretch from which the Allan deviation is accurate,"""
+"""Smallest number of averages of an accurate Allan deviation."""
 MISFIT = 1.5
-"""and the ratio to the model, or its inverse, from which it is reported."""
+"""Ratio of the Allan deviation to the model, or its inverse, from which a misfit is reported."""
 TREND = 4.0
 """Standard deviations by which a trend exceeds the fitted processes."""
 COARSE = 0.5
-"""Step over deviation above which a quantized axis is reported."""
+"""Ratio of quantization step to deviation above which an axis is reported."""
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
-    """Return remarks on what the stretches show."""
+    """Return remarks on the noise terms that the stretches determine."""
     total, longest = sum(lengths), max(lengths)
     remarks: list[str] = []
     if stretches.gaps:

@@ -21,9 +21,9 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1
-"""Highest frequency used, over the sampling rate: above, sensors filter, and engines shake."""
+"""Ratio of the highest frequency used to the sampling rate: sensors filter higher ones, and engines add to them."""
 ENOUGH = 200
-"""Least number of frequencies used, if necessary up to half the sampling rate."""
+"""Smallest number of frequencies used, if necessary up to half the sampling rate."""
 FIRST = 2
 """Lowest frequency used, periods per stretch: the trend, which is subtracted, contains most of the lower ones."""
 PER_DECADE = 24

@@ -1,4 +1,4 @@
-"""Static stretches of a log, and what makes an axis unusable."""
+"""Static stretches of a log, and faults that make an axis unusable."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 SHORTEST = 10.0
 """s: shorter stretches are left out."""
 FEWEST = 50
-"""Least number of samples of a stretch."""
+"""Smallest number of samples of a stretch."""
 BLOCK = 1.0
 """s: length of the blocks whose mean and deviation show motion."""
 SMALLEST = 20
-"""Least number of samples of a block: the deviations of fewer scatter too much."""
+"""Smallest number of samples of a block: the deviations of fewer scatter too much."""
 JUMP = {"a": 0.1, "g": np.radians(0.5)}
 """m/s2, rad/s: change of a sensor's mean from one block to the next that shows motion."""
 RESTLESS = 3.0
@@ -32,9 +32,9 @@ FIX_SPEED = 0.5
 SAMPLE = 100_000
 """Number of samples from which the quantization step is determined."""
 PILED = 3.0
-"""Ratio of samples at the end of an axis's range to those at the next value that shows saturation,"""
+"""Ratio of samples at the end of an axis's range to those at the next value that shows saturation."""
 LEAST_PILED = 1e-3
-"""if they exceed this share."""
+"""Smallest share of samples at the end of the range that shows saturation."""
 
 
 @dataclass(frozen=True)

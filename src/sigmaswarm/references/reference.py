@@ -37,7 +37,7 @@ from sigmaswarm.tuning.tune import tune
 ACCURACY = 0.1
 """m per axis: less accurate positions are left out."""
 HIDDEN = (2.0, 20.0)
-"""s for which fixes are hidden from the smoother: as long as IMUs of cars bridge to a decimeter, and longer."""
+"""s for which fixes are hidden from the smoother: IMUs of cars bridge the shorter one to a decimeter."""
 HIDDEN_FIRST = 10.0
 """s from the start before fixes are hidden, and between two windows."""
 PLACEMENTS = 3
@@ -181,7 +181,7 @@ def _tuned(
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
     options: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
-    with warnings.catch_warnings():  # of a filter that is not used any further
+    with warnings.catch_warnings():  # warnings about a filter that is not used any further
         warnings.simplefilter("ignore", SigmaswarmWarning)
         return tune(receiver, executor=executor, progress=progress, **options).parameters
 
@@ -197,7 +197,7 @@ def _log(fixes: "str | Path | Drive | Gps", drive: Drive, offset: float) -> tupl
 
 
 def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
-    """Return the fixed solutions that the receiver states to ``accuracy``, m."""
+    """Return the fixed solutions with a stated deviation of at most ``accuracy``, m."""
     gps, start, end = log.gps, drive.imu.time[0], drive.imu.time[-1]
     accuracy, fix_std = options.accuracy, options.fix_std
     if (gps.std_x is None or gps.std_y is None) and fix_std is None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
-"""The paper's five."""
+"""The five maneuvers of the paper."""
 
 
 def simulated_source(maneuver: str, environment: str, run: int, **options: Any) -> Source:
@@ -76,7 +76,7 @@ def simulate_many(
         As from `simulate`, before the first drive.
     """
     duration = options.pop("duration", None)
-    # Names that only a later drive would use; the first drive checks everything else.
+    # Checks the names that only later drives use; the first drive checks everything else.
     for maneuver in maneuvers:
         find_maneuver(maneuver)
     for environment in environments:

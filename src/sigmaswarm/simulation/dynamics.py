@@ -42,10 +42,12 @@ STATES = 24
 AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE, REAR_SPIN = range(12, 21)
 RECORDED = 21
 
-_LOW_SPEED = 3.0  # m/s; below it the tire gets a damper, or a standing car would swing on its tires [P]
-_NOTHING = 1e-60  # of any state; smaller values become zero, since denormal numbers are slow
+_LOW_SPEED = (
+    3.0  # m/s; at lower speeds the tire has a damper, or a standing car would oscillate on its tires [P]
+)
+_NOTHING = 1e-60  # of any state; smaller values become zero, since subnormal numbers are slow
 _LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
-_BRAKE_VISCOSITY = 1000.0  # N m s/rad; a brake's dry friction, made continuous around standstill
+_BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes a brake's dry friction continuous at standstill
 
 
 class Vehicle(NamedTuple):
@@ -64,7 +66,7 @@ class Vehicle(NamedTuple):
     slip_stiffness: float  # longitudinal force over load, per unit of slip
     cornering_front: float  # lateral force over load, per rad, compliances of the suspension included
     cornering_rear: float
-    load_sensitivity: float  # loss of the three above at twice the wheel's static load
+    load_sensitivity: float  # relative decrease of the three above at twice the wheel's static load
     tire_shape: float  # C of the magic formula
     relaxation_longitudinal: float  # m
     relaxation_lateral: float  # m
@@ -89,7 +91,7 @@ class Vehicle(NamedTuple):
 
 
 class Drivetrain(NamedTuple):
-    """Common quantities of the four wheels at a moment."""
+    """Common quantities of the four wheels at one time."""
 
     tangent: float  # of the steering angle
     peak: float  # slip where the force of a tire peaks
@@ -100,7 +102,7 @@ class Drivetrain(NamedTuple):
 
 @cached(nogil=True, error_model="numpy")
 def _lookup(x: float, knots: Array, values: Array) -> float:
-    """Linear interpolation, constant beyond both ends."""
+    """Interpolate linearly, with constants beyond both ends."""
     if x <= knots[0]:
         return values[0]
     for i in range(1, len(knots)):
@@ -118,7 +120,7 @@ def _clip(x: float, low: float, high: float) -> float:
 
 @cached(nogil=True, error_model="numpy")
 def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, float, float]:
-    """Vertical load on each wheel, N, under the accelerations (m/s2) that the suspension carries."""
+    """Return the vertical load on each wheel, N, under the accelerations (m/s2) that the suspension transmits."""
     front = car.mass * (GRAVITY * car.rear - car.height * ax) / (car.front + car.rear)
     rear = car.mass * GRAVITY - front
     across = car.mass * car.height * ay / car.track
@@ -142,10 +144,10 @@ def _tire(
     friction: float,
     car: Vehicle,
 ) -> tuple[float, float, float, float]:
-    """Force of a tire, N, with its longitudinal and its combined slip, both relative to linear grip.
+    """Return the force of a tire, N, with its longitudinal and its combined slip, both relative to linear grip.
 
-    The similarity method: slips normalized by stiffness over friction add up as a vector, whose length goes
-    through the magic formula [P]. So the force never leaves the circle friction x load.
+    By the similarity method, slips normalized by stiffness over friction add up as a vector. The magic formula
+    of its length gives the force [P]. So the force never leaves the circle friction x load.
     """
     stiffness = 1.0 - car.load_sensitivity * (load / static_load - 1.0)
     slip_x = car.slip_stiffness * stiffness * kappa / friction
@@ -164,7 +166,7 @@ def _relax(rate: float, deflection: float, sliding: bool) -> float:
 
 @cached(nogil=True, error_model="numpy")
 def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
-    """Total torques, N m, of all motors and of all brakes for the pedal.
+    """Return the total torques, N m, of all motors and of all brakes for a pedal position.
 
     The pedal goes from coasting to full throttle, or from coasting to full brake.
     """
@@ -172,7 +174,7 @@ def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
     coast = _lookup(speed, car.pedal_speed, car.coast)
     drive = coast + max(s[PEDAL], 0.0) * (_lookup(speed, car.pedal_speed, car.full_throttle) - coast)
     brake = max(-s[PEDAL], 0.0) * (coast - _lookup(speed, car.pedal_speed, car.full_brake))
-    # The maps are accelerations of the whole car, turning wheels included.
+    # The maps are accelerations of the whole car, including its turning wheels.
     lever = (car.mass + 4.0 * car.wheel_inertia / car.wheel_radius**2) * car.wheel_radius
     return drive * lever, brake * lever
 
@@ -181,10 +183,10 @@ def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
 def _spin_up(
     spin: float, slip: float, load: float, force: float, drive: float, brake: float, car: Vehicle
 ) -> float:
-    """Angular acceleration of a wheel, rad/s2, under torques (N m) and its tire's force (N).
+    """Return the angular acceleration of a wheel, rad/s2, under torques (N m) and its tire's force (N).
 
-    Anti-lock and traction control, idealized: from the slip of the tire's peak (1) the torques fall, to 0 at twice that
-    slip.
+    Idealized anti-lock and traction control reduce the torques from the slip of the tire's peak (1) on, to 0 at twice
+    that slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake
@@ -197,7 +199,7 @@ def _spin_up(
 def _wheel(
     i: int, s: Array, rate: Array, load: float, shared: Drivetrain, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Force of wheel i along the body's axes, N, and its moment, N m; fills the rates of its own states."""
+    """Return the force of wheel i along the body's axes, N, and its moment, N m; fill the rates of its own states."""
     at_front = i < 2
     along = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
@@ -226,7 +228,7 @@ def _wheel(
     )
     sliding = slip > 3.0 * shared.peak
     travel = abs(roll_speed)
-    # A tire's slip follows that of its wheel over a way, the relaxation length [P].
+    # The slip of a tire follows that of its wheel over the relaxation length [P].
     kappa_rate = (slide_speed - travel * kappa) / car.relaxation_longitudinal
     alpha_rate = (-side_speed - travel * alpha) / car.relaxation_lateral
     rate[KAPPA + i] = _relax(kappa_rate, kappa, sliding)
@@ -242,7 +244,7 @@ def _wheel(
 
 @cached(nogil=True, error_model="numpy")
 def _swing(target: float, value: float, rate: float, frequency: float, damping: float) -> float:
-    """Second derivative of a second-order response."""
+    """Return the second derivative of a second-order response."""
     return frequency**2 * (target - value) - 2.0 * damping * frequency * rate
 
 
@@ -250,7 +252,7 @@ def _swing(target: float, value: float, rate: float, frequency: float, damping: 
 def _derivative(
     s: Array, rate: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Fill `rate` with the state's rate of change, under wanted steering (rad) and pedal.
+    """Fill `rate` with the state's rate of change, under desired steering (rad) and pedal.
 
     Returns the acceleration of the center of gravity along the body's axes, m/s2, and the force of all tires together
     over friction times weight.
@@ -284,7 +286,7 @@ def _derivative(
     rate[YAW_RATE] = moment / car.yaw_inertia
     rate[STEER] = _clip((steer - s[STEER]) / car.steer_lag, -car.steer_rate, car.steer_rate)
     rate[PEDAL] = _clip((pedal - s[PEDAL]) / car.pedal_lag, -car.pedal_rate, car.pedal_rate)
-    # Roll and pitch are kept as the acceleration (m/s2) that would hold the body there.
+    # Roll and pitch are stored as the acceleration (m/s2) that would cause them at rest.
     rate[ROLL] = s[ROLL_RATE]
     rate[ROLL_RATE] = _swing(ay, s[ROLL], s[ROLL_RATE], car.roll_frequency, car.roll_damping)
     rate[PITCH] = s[PITCH_RATE]
@@ -308,7 +310,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
 def _advance(
     s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
-    """One Runge-Kutta step of the state, in place; `row` records the state before it.
+    """Do one Runge-Kutta step of the state, in place; `row` records the state before it.
 
     k: (5, states), the four stages' rates, and the state at which the next one is taken.
     """
@@ -351,7 +353,7 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 
 @cached(nogil=True, error_model="numpy")
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
-    """Desired steering angle, rad; the nearest point's index; the distance along the path, m.
+    """Return the desired steering angle, rad, the nearest point's index, and the distance along the path, m.
 
     Feedforward of the previewed curvature, and feedback by which an offset decays like a second-order system
     whose frequency grows with speed up to 1.5 rad/s.
@@ -384,9 +386,9 @@ def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) ->
 
 @cached(nogil=True, error_model="numpy")
 def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> float:
-    """Desired pedal, -1 to 1. Rows of the plan: speed m/s, acceleration m/s2, distance m."""
+    """Return the desired pedal, -1 to 1. Rows of the plan: speed m/s, acceleration m/s2, distance m."""
     if soon[0] < 0.02 and abs(s[VX]) < 0.3:
-        return -0.25  # stand on the brake
+        return -0.25  # hold the car with the brake
     speed = max(s[VX], 0.0)
     wanted = soon[1] + 4.0 * (now[0] - s[VX]) + 0.3 * _clip(now[2] - gone, -2.0, 2.0)
     wanted += car.rolling_resistance * GRAVITY + 0.5 * AIR_DENSITY * car.drag_area * speed**2 / car.mass

@@ -53,7 +53,7 @@ def take_journey(
     duration: float | None = None,
     warm_up: bool = True,
 ) -> Journey:
-    """Draw a maneuver and drive it; parameters as in `simulate`."""
+    """Draw a maneuver and drive it; for the parameters see `simulate`."""
     road = Road(where.friction)
     seconds = URBAN_DURATION if duration is None else duration
     drawn = urban(road, rng, seconds) if name == "urban" else find_maneuver(name)(road, rng)
@@ -71,7 +71,7 @@ def take_journey(
 
 
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
-    """Seconds from one speed to the other, m/s, in the steepest change; NaN if the drive never gets there.
+    """Measure the time, s, from one speed to another, m/s, in the steepest change; NaN if a speed is never reached.
 
     The clock starts with the last sample before the change and stops with the first one beyond it, as a
     stopwatch in the car would.
@@ -116,7 +116,7 @@ def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, flo
 
 
 def _gap(fixes: Array, start: float, end: float) -> float:
-    """Time between the last fix before an outage and the first one after it, s."""
+    """Return the time between the last fix before an outage and the first one after it, s."""
     before, after = fixes[fixes < start], fixes[fixes >= end]
     return float(after[0] - before[-1]) if len(before) and len(after) else float("nan")
 
@@ -126,11 +126,10 @@ def _length(record: Array) -> float:
 
 
 def _turned(record: Array) -> tuple[float, float]:
-    """Degrees of the left and of the right turn, from the headings before, between and after them."""
+    """Measure the left and the right turn, deg, from the headings before, between and after them."""
     yaw = np.degrees(record[:, YAW])
     extreme = int(np.argmax(np.abs(yaw - yaw[0])))
-    # Between the turns the heading rests at the first turn's end; its median over the inner quarters is
-    # robust.
+    # Between the turns the heading is constant; its median over the inner quarters is robust.
     middle = float(np.median(yaw[np.abs(yaw - yaw[extreme]) < 10.0]))
     first, second = middle - float(yaw[0]), float(yaw[-1]) - middle
     return (first, second) if first > 0 else (second, first)

@@ -19,8 +19,8 @@ KMH = 1 / 3.6
 """m/s in a km/h."""
 QUARTER = math.pi / 2
 HARD_EASE = 0.2
-"""s: time in which a hard-driving driver reaches an acceleration."""
-_LIMIT = 0.96  # of the friction, which leaves a margin for steering
+"""s: time in which a hard driver reaches an acceleration."""
+_LIMIT = 0.96  # share of the friction; the rest is a margin for steering
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Road:
     friction: float
 
     def hard(self, wanted: float) -> float:
-        """Limit a wanted acceleration, m/s2, to what the road allows."""
+        """Limit a desired acceleration, m/s2, to the friction of the road."""
         return min(wanted, _LIMIT * self.friction * GRAVITY)
 
     def easy(self, wanted: float) -> float:
-        """Limit a wanted acceleration, m/s2, to that of everyday driving: half of what the road allows."""
+        """Limit a desired acceleration, m/s2, to that of everyday driving: half of what friction allows."""
         return min(wanted, 0.5 * self.friction * GRAVITY)
 
 
@@ -47,7 +47,7 @@ class Maneuver:
     outages: list[
         tuple[float, float]
     ]  # (start, end), s after the maneuver's own start, when there are no fixes
-    first: int = 0  # index of the first leg of the maneuver itself; a filter aligns on the legs before it
+    first: int = 0  # index of the first leg of the maneuver itself; a filter starts on the legs before it
 
 
 def straight(road: Road, length: float, kmh: float, wait: float = 0.0) -> Leg:
@@ -76,7 +76,7 @@ def hard(length: float, speed: float, acceleration: float, braking: float, wait:
 
 
 def warm_up(road: Road, kmh: float = 34.0) -> list[Leg]:
-    """Pull away and drive at least 30 m at 5 m/s or more, so that a filter can align."""
+    """Pull away and drive at least 30 m at 5 m/s or more, so that a filter can start."""
     kmh = kmh if road.friction > 0.4 else 0.8 * kmh
     pull_away = 1.15 * (kmh * KMH) ** 2 / 2 / road.easy(2.5)
     return [straight(road, pull_away + 32.0, kmh)]

@@ -48,7 +48,7 @@ FORCE_DENSITY = (0.06, 0.025, 0.04)
 RATE_DENSITY = (0.002, 0.003, 0.0005)
 """rad/s/sqrt(Hz) about the same axes. About the second axis, the only recording with it shows 0.010."""
 FULL_SPEED = 5.0
-"""m/s; below it the vibration is proportional to the speed."""
+"""m/s: at lower speeds the vibration is proportional to the speed."""
 SPRINGS = 1.0
 """Hz, about the frequency of a car's body on its springs: a choice."""
 
@@ -61,12 +61,12 @@ class Motion:
     velocity: Array  # (n, 3) m/s
     rotation: Array  # (n, 3, 3), from body to local axes
     yaw: Array  # (n,) rad, not wrapped
-    specific_force: Array  # (n, 3) m/s2, in the body frame: what an ideal IMU there measures
-    angular_rate: Array  # (n, 3) rad/s, as well
+    specific_force: Array  # (n, 3) m/s2, in the body frame: the reading of an ideal IMU at the point
+    angular_rate: Array  # (n, 3) rad/s, in the body frame
 
 
 def sample(record: Array, times: Array) -> Array:
-    """Rows of the record (n, 21 or 30) at any times (k,) in s, linearly between milliseconds."""
+    """Interpolate the record (n, 21 or 30) linearly between milliseconds, at times (k,), s."""
     place = np.clip(times / STEP, 0, len(record) - 1)
     before = np.minimum(place.astype(np.intp), len(record) - 2)
     weight = (place - before)[:, None]
@@ -74,7 +74,7 @@ def sample(record: Array, times: Array) -> Array:
 
 
 def _rotation(yaw: Array, pitch: Array, roll: Array) -> Array:
-    """R_z(yaw) R_y(pitch) R_x(roll), shape (n, 3, 3)."""
+    """Return R_z(yaw) R_y(pitch) R_x(roll), shape (n, 3, 3)."""
     cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
     cr, sr = np.cos(roll), np.sin(roll)
     rows = [

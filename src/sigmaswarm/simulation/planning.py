@@ -37,7 +37,9 @@ class Leg:
     lateral: float = 3.0  # m/s2, the largest that the driver plans in a bend
     wait: float = 0.0  # s, standstill at the leg's end; 0 drives on
     ease: float = 1.0  # s, over which accelerations build up and fade
-    fading: float = 0.02  # s/m, decrease of the acceleration per m/s: drivers ease off near the wanted speed
+    fading: float = (
+        0.02  # s/m, decrease of the acceleration per m/s: drivers accelerate less near the desired speed
+    )
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Sway:
     wavelengths: Array  # (3,) m
 
     def waves(self, way: Array, row: int) -> Array:
-        """Each wave, shape (3, n), at distances along the path (m)."""
+        """Return the waves, shape (3, n), at distances along the path (m)."""
         return np.sin(2 * np.pi * way / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(3)
 
 
@@ -127,7 +129,7 @@ def _in_time(way: Array, speed: Array, waits: Array, ease: Array) -> Array:
     times = np.column_stack([arrival, arrival + waits]).ravel()
     looks = np.arange(0.0, times[-1], LOOK)
     planned = np.interp(looks, times, np.repeat(speed, 2))
-    # The average's width follows the legs; a hard leg's narrow one also holds for the second around it.
+    # The average is as wide as the legs state; the narrow one of a hard leg also applies to the second around it.
     width = minimum_filter1d(np.interp(looks, times, np.repeat(ease, 2)), round(2.0 / LOOK))
     half = uniform_filter1d(width, round(0.5 / LOOK), mode="nearest") / 2
     far = np.concatenate([[looks[0] - 2], looks, [looks[-1] + 2]])

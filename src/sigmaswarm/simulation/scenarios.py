@@ -1,7 +1,7 @@
 """One simulated drive: a journey, its sensors and the truth.
 
-Seed, maneuver, environment and run identify a drive. With its own name each sensor derives a stream of random numbers
-from them, so a drive depends on nothing else, and a change of one sensor leaves the draws of the others unchanged.
+Seed, maneuver, environment and run identify a drive. Each sensor derives a stream of random numbers
+from them and from its own name: a change of one sensor does not change the draws of the others.
 """
 
 import math
@@ -204,7 +204,7 @@ def check_duration(maneuver: str, duration: float | None) -> None:
 
 
 def _times(end: float, rate: float, jitter: float = 0.0, rng: np.random.Generator | None = None) -> Array:
-    """Sample times from 0 to `end`, s, strictly increasing."""
+    """Draw sample times from 0 to `end`, s, strictly increasing."""
     times = np.arange(int(end * rate + 1e-6) + 1) / rate
     if rng is None or jitter == 0:
         return times

@@ -123,14 +123,14 @@ TERRAINS = {
 
 @dataclass(frozen=True)
 class Road:
-    """A road's pitch (positive downhill) and roll (positive left side up), rad, over the way, m."""
+    """Pitch (positive downhill) and roll (positive left side up) of a road, rad, over the distance, m."""
 
     pitch: CubicSpline
     roll: CubicSpline
 
 
 def _wander(rng: np.random.Generator, count: int, std: float, length: float, limit: float) -> Array:
-    """Second-order Gauss-Markov sequence at the knots, saturated smoothly near the limit."""
+    """Draw a second-order Gauss-Markov sequence at the knots, saturated smoothly near the limit."""
     keep = np.exp(-_KNOTS / length)
     settled = int(10 * length / _KNOTS)
     drawn = lfilter([1.0], [1.0, -2 * keep, keep**2], rng.standard_normal(settled + count))
@@ -140,7 +140,7 @@ def _wander(rng: np.random.Generator, count: int, std: float, length: float, lim
         return values
     if limit <= 0:
         return 0 * values
-    # Beyond two thirds of the limit it bends towards it, with a slope that does not jump.
+    # Beyond two thirds of the limit the sequence approaches it, with a continuous slope.
     soft = limit / 3
     beyond = np.maximum(np.abs(values) - 2 * soft, 0.0)
     return np.sign(values) * (np.abs(values) - beyond + soft * np.tanh(beyond / soft))
@@ -163,7 +163,7 @@ def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Ro
 def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
     """Return the record (n, 30) of a car on this road, from that on a flat road, (n, 21).
 
-    It has the suspension's part in roll and pitch, and the columns ROAD_ROLL to CLIMB_ACCEL.
+    Roll and pitch are those of the suspension; the columns ROAD_ROLL to CLIMB_ACCEL are added.
     """
     vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]
     # Along the body's own axes, which turn.
@@ -194,12 +194,12 @@ def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
 
 
 def _integral(values: Array) -> Array:
-    """Trapezoids over milliseconds, from 0."""
+    """Integrate by trapezoids over milliseconds, from 0."""
     return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2)]) * STEP
 
 
 def _swing(target: Array, frequency: float, damping: float) -> Array:
-    """Second-order response (n, 3), its rate and its acceleration, from rest at the first target.
+    """Return the second-order response (n, 3), its rate and its acceleration, from rest at the first target.
 
     The response is linear, so the road's addition to the target is added to the response (exact for a target that is
     linear between milliseconds).
