@@ -13,7 +13,7 @@ from sigmaswarm.tuning.config import RENAMED, TuneConfig
 from sigmaswarm.tuning.defaults import with_guards
 
 STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
-"""Options that the command names even at their defaults."""
+"""Options that the command states even at their defaults."""
 DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
 GUARDS = ("prior", "inflation")
 """Options whose default in `tune` depends on the objective."""
@@ -28,7 +28,7 @@ def tune_command(
     config = {RENAMED.get(name, name): value for name, value in config.items()}
     options = {name: config[name] for name in STATED if name in config}
     usual = _usual(config)
-    config = dict.fromkeys(GUARDS, 0.0) | config  # versions that had no guards tuned without them
+    config = dict.fromkeys(GUARDS, 0.0) | config  # older versions tuned without a prior and without inflation
     for name in DEFAULTS:
         value = config.get(name)
         if name not in STATED and value is not None:
@@ -62,7 +62,7 @@ def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
     with suppress(ValidationError, KeyError):  # of another version
         usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
     asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
-    with suppress(ValidationError, InputError):  # of another version with other objectives
+    with suppress(ValidationError, InputError):  # an objective of another version
         settled = with_guards(TuneConfig.model_validate(asked))
         usual |= {name: getattr(settled, name) for name in GUARDS}
     return usual

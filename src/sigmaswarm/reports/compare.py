@@ -74,7 +74,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
             )
             spent = rows["full_evaluations"].to_numpy()
-            end = comparison.budget * (comparison.frame["steps_share"][i] + 0.01)  # just after its last step
+            end = comparison.budget * (
+                comparison.frame["steps_share"][i] + 0.01
+            )  # just after the last evaluation
             costs = (rows[name].to_numpy() for name in ("median", "quartile_1", "quartile_3"))
             middle, low, high = (np.where(np.isfinite(c) & (spent <= end), c, np.nan) for c in costs)
             band(ax, spent, low, high, Look(look.color, opacity=0.12))
@@ -101,7 +103,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _frame(comparison: Comparison) -> tuple[float | None, float | None]:
-    """Return a range from the lowest cost to the median of the contenders at a tenth of the budget."""
+    """Return the range from the lowest cost to the median of the contenders at a tenth of the budget."""
     medians = comparison.curves["median"].to_numpy().reshape(len(comparison.contenders), -1)
     finite = medians[np.isfinite(medians)]
     if not len(finite):

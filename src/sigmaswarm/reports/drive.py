@@ -13,7 +13,7 @@ from sigmaswarm.reports.style import BLUE, GREY, PURPLE, VERMILION
 
 Array = NDArray[np.float64]
 Gaps = list[tuple[float, float]]
-"""Beginning and end of each time without fixes, s."""
+"""Start and end of each interval without fixes, s."""
 
 
 def drive_figure(drive: Drive) -> Figure:
@@ -25,7 +25,9 @@ def drive_figure(drive: Drive) -> Figure:
     after = np.flatnonzero(steps > 2.5 * np.median(steps)) if len(time) > 2 else []
     gaps: Gaps = [(float(time[i]), float(time[i + 1])) for i in after]
     first = float(imu.time[0])
-    origin = first if abs(first) > 1000 else 0.0  # seconds of a week or an epoch count from the beginning
+    origin = (
+        first if abs(first) > 1000 else 0.0
+    )  # large time stamps (seconds of a week, an epoch) count from the start of the drive
     _draw_path(figure.add_subplot(grid[:3, 0]), drive, gaps)
     _draw_figures(figure.add_subplot(grid[3, 0]), drive)
     top = figure.add_subplot(grid[0, 1])
@@ -81,7 +83,7 @@ def _draw_speed(axes: Axes, drive: Drive, origin: float) -> None:
 
 
 def _draw_lines(axes: Axes, when: Array, lines: dict[str, tuple[Array, str]]) -> None:
-    # The first line, which matters most, is drawn on top of the others.
+    # The first line is the most important one, and is drawn on top.
     for order, (name, (values, color)) in enumerate(lines.items()):
         axes.plot(when, values, color=color, lw=0.8, label=name, zorder=3 - 0.1 * order)
     _legend_above(axes)
@@ -92,14 +94,14 @@ def _legend_above(axes: Axes) -> None:
 
 
 def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
-    """Errors of the fixes where the truth is known, else the time from fix to fix."""
+    """Draw the errors of the fixes where the truth is known, else the time from fix to fix."""
     gps, truth = drive.gps, drive.truth
     if truth is None:
         axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=VERMILION, ms=3)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("time from fix\nto fix, s")
         return
-    # NaN where fixes are missing, so that no line pretends to know the error there.
+    # NaN where fixes are missing interrupts the line.
     after_gaps = np.searchsorted(gps.time, [end for _, end in gaps])
     when = np.insert(gps.time - origin, after_gaps, np.nan)
     for values, true, color, name in ((gps.x, truth.x, BLUE, "east"), (gps.y, truth.y, VERMILION, "north")):
@@ -111,7 +113,7 @@ def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
 
 
 def _draw_figures(axes: Axes, drive: Drive) -> None:
-    """Table of target and achieved figures of a simulated drive."""
+    """Draw the table of target and achieved figures of a simulated drive."""
     axes.axis("off")
     tables: list[Any] = [drive.metadata.get(key) for key in ("target", "achieved")]
     target, achieved = (

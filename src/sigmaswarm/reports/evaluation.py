@@ -52,7 +52,7 @@ from sigmaswarm.wording import names_shown
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 HEADING_SHOWN = (1.0, 30.0)
-"""deg: limits of half of the axis of heading errors; larger errors are those of a diverged filter."""
+"""deg: smallest and largest limit of the axis of heading errors; a diverged filter has larger errors."""
 
 
 def save_evaluation(
@@ -100,7 +100,7 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
 
 
 def comparison(evaluation: Evaluation) -> Figure:
-    """Bars of the mean scores of each method, if there are any."""
+    """Draw bars of the mean scores of each method, if there are any."""
     charts = method_bars(evaluation.view, titled=True)
     if not charts:
 
@@ -115,7 +115,7 @@ def comparison(evaluation: Evaluation) -> Figure:
 
 
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
-    """Bars of the means over the drives, a chart for each measure that any method has.
+    """Draw bars of the means over the drives, a chart for each measure that any method has.
 
     IMU only and fixes alone do not determine the scale: their bars end at the longest other bar, with an arrow at the
     text. ``titled``: the measure is the title, not the label of the axis.
@@ -143,7 +143,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
 
 
 def consistency(name: str, evaluated: Evaluated) -> Figure | None:
-    """NIS of the tuned filter over time and as a histogram, and the autocorrelation of its innovations.
+    """Draw the NIS of the tuned filter over time and as a histogram, and the autocorrelation of its innovations.
 
     None where the filter failed or had too few fixes.
     """
@@ -187,7 +187,7 @@ def consistency(name: str, evaluated: Evaluated) -> Figure | None:
 
 
 def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
-    """The whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
+    """Draw the whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
     half, (x, y) = CLOSE_UP / 2, picture.turn
 
     def paths(ax: Axes, series: Mapping[str, Columns]) -> None:
@@ -213,7 +213,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
 
 
 def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
-    """Position and heading error over time with the 3-sigma bounds of the tuned and the smoothed filter.
+    """Draw position and heading error over time with the 3-sigma bounds of the tuned and the smoothed filter.
 
     None without truth.
     """
@@ -250,7 +250,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Weights of the filters of a bank over time, stacked, and their distance from the tuning."""
+    """Draw the stacked weights of the filters of a bank over time, and their distance from the tuning."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

@@ -33,9 +33,9 @@ from sigmaswarm.wording import in_order
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, FIXES, "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
-"""Those that are visible when the page opens."""
+"""Series that are visible when the page opens."""
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
-"""Kinds of verdicts on the consistency that are warnings."""
+"""Verdicts on the consistency that are warnings."""
 BANK = (
     "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate "
     "depend on how well they predicted the last minute. Every 10 s while the vehicle moves, those with the lowest "
@@ -46,7 +46,7 @@ BANK = (
 
 
 def evaluation_report(folder: Path) -> Report:
-    """Read the folder of a `sigmaswarm evaluate --out`."""
+    """Read the folder that `sigmaswarm evaluate --out` wrote."""
     file = load_record(TuningRecord, folder / FILE)
     view = read_view(folder, file)
     scores, setup, nees = view.scores, view.setup, not view.blind
@@ -94,7 +94,7 @@ def evaluation_report(folder: Path) -> Report:
 
 
 def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
-    """Read the scores and the setup of an evaluation; ``file`` is its tuning."""
+    """Read the scores and the setup of an evaluation; ``file`` is the tuning that was evaluated."""
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
     setup = load_record(EvaluationRecord, folder / ASKED_FILE)
     require_sealed(folder, setup)

@@ -35,7 +35,7 @@ from sigmaswarm.wording import visible
 class Chart:
     """A plot: ``draw`` draws marks and labels on matplotlib's axes.
 
-    ``rows`` is the number of names along the vertical axis, which decides the height on a page. A page shows at most
+    ``rows`` is the number of names along the vertical axis, which determines the height on a page. A page shows at most
     two ``broad`` charts in a row.
     """
 
@@ -70,7 +70,7 @@ def logarithmic(axis: Axis) -> None:
 
 
 class _Between(Formatter):
-    """Format 2 and 5 times a power of ten, where an axis spans little more than one power."""
+    """Format 2 and 5 times a power of ten, for an axis that spans little more than one power."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         low, high = sorted(self.axis.get_view_interval())  # pyright: ignore
@@ -102,7 +102,7 @@ def figure_of(
     legend: Literal["none", "inside", "below"] = "inside",
     **shared: Any,
 ) -> Figure:
-    """Draw charts next to each other, or in so many columns, on a figure of that size in inches.
+    """Draw charts next to each other, or in a number of columns, on a figure of a size in inches.
 
     A legend below serves all charts and has the names of the first one. ``sharex`` and ``sharey`` are matplotlib's.
     """
@@ -144,11 +144,13 @@ def _plain(artist: Artist) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG, with nothing in it that changes from one run to the next."""
+    """Write a PNG whose bytes are the same in each run."""
     _plain(figure)
     with whole_file(path) as file, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name may have letters that the font lacks
-        figure.dpi = 130  # `savefig` would draw it twice, once for the layout, which a drawing makes anyway
+        warnings.filterwarnings(
+            "ignore", message="Glyph"
+        )  # a name may have letters that are missing in the font
+        figure.dpi = 130  # `savefig` would draw the figure twice: drawing includes the layout
         FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})  # pyright: ignore[reportArgumentType]
     return path
 
@@ -180,7 +182,7 @@ def svg(chart: Chart) -> str:
 
 
 def _svg(figure: Figure, **settings: str) -> str:
-    """Draw an SVG with no date in it; marks with a hover text get it as a title element."""
+    """Draw an SVG without a date; hover texts become title elements of their marks."""
     _plain(figure)
     file = StringIO()
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
@@ -196,7 +198,7 @@ def _svg(figure: Figure, **settings: str) -> str:
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:
-    """Raise `InputError` where a file of that type cannot be written, before any work is done."""
+    """Raise `InputError` if a file of that type cannot be written, before any work is done."""
     if path.suffix != suffix:
         raise InputError(f"{path}: unknown format; end the name in {suffix}")
     if path.is_dir():

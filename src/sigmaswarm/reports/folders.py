@@ -11,7 +11,7 @@ from sigmaswarm.reports.study_page import study_report
 from sigmaswarm.reports.tuning import tuning_report
 
 REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuning.toml": tuning_report}
-"""The file that identifies a type of folder, and its page; the first one found decides."""
+"""The file that identifies a type of folder, and its page; the first file found determines the type."""
 
 
 def read_report(folder: Path) -> Report:

@@ -1,4 +1,4 @@
-"""The Allan deviation of an IMU with the slopes of its noises."""
+"""Figure of the Allan deviation of an IMU with the slopes of its noise terms."""
 
 import math
 

@@ -63,7 +63,7 @@ MOST_NUMBERS = 250_000
 class TrackView:
     """Tracks to explore.
 
-    ``labels`` and ``looks`` are of each series, the one drawn on top first; those in ``shown`` are visible when it
+    ``labels`` and ``looks`` have an entry per series, the top one first; those in ``shown`` are visible when the page
     opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
     """
 
@@ -184,7 +184,7 @@ def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
 
 
 def _cell(cell: Cell, column: Column) -> dict[str, Any]:
-    """Text, style and sort key of a cell."""
+    """Return text, style and sort key of a cell."""
     if isinstance(cell, str):
         return {"text": cell, "style": "long" if len(cell) > LONG else "", "key": None}
     known = numbers_of(cell)

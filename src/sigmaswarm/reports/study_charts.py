@@ -48,7 +48,7 @@ COLORS = {
 }
 """Colors of the protocols."""
 REACH = 12
-"""The scale ends at this multiple of the lowest mean, so that the good ones can be distinguished."""
+"""The scale ends at this multiple of the lowest mean, so that good methods can be distinguished."""
 DRAWN: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
     f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
@@ -156,7 +156,7 @@ def convergence_chart(
 ) -> Chart | None:
     """Draw the best cost after each generation, of all methods or of some: the paper's Fig. 2."""
     mine = [c for c in results.convergence if c.protocol == protocol and c.method in (methods or [c.method])]
-    if any(c.group != ALL for c in mine):  # a line a condition: only one method finds room
+    if any(c.group != ALL for c in mine):  # one line per condition: there is room for one method only
         mine = [c for c in mine if c.method == mine[0].method]
     if not mine:
         return None
@@ -243,7 +243,9 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
             band(ax, time, -sigma if signed else np.zeros(len(time)), sigma, Look(MIST))
             curve(ax, time, error, look)
             known = np.abs(error[np.isfinite(error)])
-            reach = 1.5 * float(known.max()) + 1e-3 if len(known) else 1.5  # the error sets it, not the band
+            reach = (
+                1.5 * float(known.max()) + 1e-3 if len(known) else 1.5
+            )  # the error sets the scale, not the band
             ax.set(xlabel="time, s" if last else "", ylabel=f"{what}, {'deg' if signed else 'm'}")
             ax.set_ylim(-reach if signed else 0.0, reach)
 

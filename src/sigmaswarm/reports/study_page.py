@@ -17,7 +17,7 @@ RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT = 2.0
 """Mean NIS of a position with a consistent filter."""
 BEYOND_CHANCE = (1.0, 4.0)
-"""Mean NIS outside these bounds means wrong covariances, whatever the number of fixes."""
+"""Bounds outside of which a mean NIS means wrong covariances, for any number of fixes."""
 UNLUCKY = 1.2
 """Ratio to the lowest cost above which a trial's search was unlucky."""
 IN_CONDITIONS = (

@@ -38,7 +38,7 @@ AWAY = {
     DRIFT: "drift over 5 s, m",
     "outage_drift_30_s_m": "drift over 30 s, m",
 }
-"""The measures of drives elsewhere and of learning curves."""
+"""Measures of other drives and of learning curves."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
     "One value per drive, the mean over its trials; drives on which one of the two failed are left out; 95% "
@@ -63,7 +63,7 @@ Row = tuple[Cell, ...]
 
 
 def _decimals(digits: int, value: float) -> str:
-    """Print a figure as the paper does: with decimals below 100 only."""
+    """Format a figure as in the paper: decimals only below 100."""
     return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
 
 
@@ -407,12 +407,12 @@ def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Tabl
 
 
 def curve_points(rivals: RivalResults, method: str, measure: str) -> list[CurvePoint]:
-    """Return the known points of a learning curve."""
+    """Return the points of a learning curve that have values."""
     return [p for p in rivals.curve if (p.method, p.measure) == (method, measure) and p.n_drives]
 
 
 def _curve_table(results: Results, rivals: RivalResults) -> Table:
-    """Tabulate errors over the minutes that a network learned from."""
+    """Tabulate errors over the minutes of training data of a network."""
     columns = [Column("method"), _digits("minutes", 3), *_with_intervals(AWAY.values())]
     rows: list[Row] = []
     for method, minutes in dict.fromkeys((p.method, p.minutes) for p in rivals.curve):

@@ -1,4 +1,4 @@
-"""One look for all pictures: colors that color-blind readers can distinguish, and lines that stay legible in grey."""
+"""Style of all pictures: colors that color-blind readers can distinguish, and lines that stay legible in grey."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +9,7 @@ from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
 
 @dataclass(frozen=True)
 class Look:
-    """How a line is drawn: line style and marker of matplotlib, width and marker size in points."""
+    """Style of a line: line style and marker of matplotlib, width and marker size in points."""
 
     color: str
     width: float = 1.2
@@ -20,7 +20,7 @@ class Look:
 
     @property
     def line(self) -> dict[str, Any]:
-        """Keywords of `Axes.plot`."""
+        """Return keywords of `Axes.plot`."""
         marker = {"marker": self.marker, "ms": self.size} if self.marker else {}
         return {"color": self.color, "lw": self.width, "ls": self.style, "alpha": self.opacity, **marker}
 

@@ -41,7 +41,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 
 
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
-    """Write convergence.csv and the figures of a tuning into its folder; the pictures' paths.
+    """Write convergence.csv and the figures of a tuning into its folder; return the pictures' paths.
 
     ``track`` is of a training drive: `scoring.tracks.picture_of`.
     """
@@ -59,15 +59,15 @@ def save_history(tuning: Tuning, folder: Path) -> None:
 
 
 def convergence(tuning: Tuning) -> Figure:
-    """Best cost so far and median cost of the generations (the paper's Fig. 2)."""
+    """Draw the best cost so far and the median cost of the generations (the paper's Fig. 2)."""
     chart = _convergence_chart(History.of(tuning.trials), tuning.best_trial, tuning.config.objective)
     return figure_of(chart, size=(6.4, 4.0))
 
 
 def _convergence_chart(history: History, best_trial: int, objective: str) -> Chart:
-    """Best cost so far and median cost of each generation; the best trial is bold.
+    """Draw the best cost so far and the median cost of each generation; the best trial is bold.
 
-    The scale is logarithmic if all costs are positive; a likelihood's may be negative.
+    The scale is logarithmic if all costs are positive; that of a likelihood may be negative.
     """
 
     def draw(ax: Axes) -> None:
@@ -93,7 +93,7 @@ def _convergence_chart(history: History, best_trial: int, objective: str) -> Cha
 
 
 def tuning_report(folder: Path) -> Report:
-    """Read the folder of a `sigmaswarm tune`."""
+    """Read the folder that `sigmaswarm tune` wrote."""
     file = load_record(TuningRecord, folder / FILE)
     result = file.result
     if result is None:
@@ -131,7 +131,7 @@ def tuning_report(folder: Path) -> Report:
 
 
 def filter_name(file: TuningRecord) -> str:
-    """Model and kind, for a title."""
+    """Return model and filter type, for a title."""
     model = file.config.get("model", file.filter.get("model", "a filter"))
     if isinstance(model, dict):
         return str(model.get("name", "a model of your own"))  # pyright: ignore
@@ -139,7 +139,7 @@ def filter_name(file: TuningRecord) -> str:
 
 
 def what_was_tuned(file: TuningRecord) -> str:
-    """The filter, the drives and the objective, in a sentence."""
+    """Return a sentence on the filter, the drives and the objective."""
     if file.result is None:
         return f"The filter is {filter_name(file)}; its file has no record of a tuning."
     length = sum(d.duration_s or 0 for d in file.data)
@@ -149,7 +149,7 @@ def what_was_tuned(file: TuningRecord) -> str:
 
 
 def parameters_section(file: TuningRecord) -> Section:
-    """Every parameter with its unit, its range, and a remark."""
+    """List every parameter with its unit, its range, and a remark."""
     ranges = file.within_1_percent_of_the_cost
     touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
@@ -178,14 +178,14 @@ def _end(end: End | None) -> Cell:
 
 
 def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
-    """Return the name in the search, which several may share: q_x and q_y are q_xy, q_roll is q_tilt."""
+    """Return the name of a parameter in the search, which several may share: q_x and q_y are q_xy, q_roll is q_tilt."""
     model = MODELS.get(str(file.filter.get("model")))
     shared = {f"q_{state.name}": f"q_{state.shared}" for state in (model.states if model else ())}
     return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)
 
 
 def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
-    """Name in the search, value, unit and density of every number of the filter."""
+    """Return the name in the search, value, unit and density of every number of the filter."""
     names = {
         "process_noise": [f"q_{state}" for state in file.units.get("states", [])],
         "measurement_noise": ["r_x", "r_y"],
@@ -204,7 +204,7 @@ def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
 
 
 def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]:
-    """Best and median cost over generations, every trial; nothing where the folder has no history."""
+    """Show best and median cost over generations for every trial; nothing if the folder has no history."""
     path = folder / HISTORY_FILE
     if not path.exists() or file.result is None:
         return ()
@@ -224,7 +224,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
-    """The drives; for evaluated ones whether they were held out, if that is known."""
+    """List the drives; for evaluated ones state whether they were held out, if that is known."""
 
     def held_out(drive: DriveRecord) -> Cell:
         if drive.seen_s:
@@ -253,7 +253,7 @@ def shown_config(config: dict[str, Any]) -> dict[str, Any]:
 
     A model of the user's own is shown by its name and fingerprint.
     """
-    if config.get("optimizer", "pso") != "pso":  # old files do not name the optimizer, which was pso
+    if config.get("optimizer", "pso") != "pso":  # old files do not state the optimizer, which was pso
         config = {key: value for key, value in config.items() if key not in SWARM}
     model = config.get("model")
     if isinstance(model, dict):
