@@ -18,7 +18,7 @@ Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
 Agreements = dict[str, Agreement]
 Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
-"""The drive after each step, the steps, and what the last one of the drives shows."""
+"""The drive after each step, the steps, and the diagnosis and agreements of the last drive."""
 
 
 class CheckPage(Page):
@@ -72,7 +72,7 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._taken)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Do all steps; those done already are taken from memory."""
+        """Do all steps; those done before come from memory."""
         self.start(waiting, self._checked, self._opened, steps, then=self._taken)
         self.refresh()
 
@@ -81,7 +81,7 @@ class CheckPage(Page):
         self._do("repairing and checking" if "repair" in step else "cutting", [*self.steps, step])
 
     def leave_out(self, start: float, end: float) -> None:
-        """Make two drives, without what lies between two times."""
+        """Make two drives that leave out the part between two times."""
         self.start("cutting", self._parted, self.stages[-1], (start, end), then=self._was_parted)
         self.refresh()
 
@@ -130,7 +130,7 @@ class CheckPage(Page):
         return stages, steps, sigmaswarm.diagnose(stages[-1]), _agreements(stages[-1])
 
     def _steps(self) -> None:
-        """The applied steps, each with a button to undo it."""
+        """Show the applied steps, each with a button to undo it."""
         for number, step in enumerate(self.steps):
             if "repair" in step:
                 said = "repaired: " + ", ".join(step["repair"])
@@ -181,7 +181,7 @@ class CheckPage(Page):
                 agreement_plot(shown, finding.span, after.get(shown.key))
 
     def _ways(self, finding: Finding) -> None:
-        """The buttons that repair a finding."""
+        """Show the buttons that repair a finding."""
         first, last = (float(t) for t in self.stages[-1].imu.time[[0, -1]])
         steps: dict[str, Step] = {"Mend": {"repair": [finding.code]}} if finding.repair else {}
         if (at := finding.cut) is not None:

@@ -63,7 +63,7 @@ class Frame:
         self.runs.stop_all()
 
     def _first(self) -> str:
-        """The step to continue with: the last one with content."""
+        """Return the step to continue with: the last one with content."""
         if self.bench.log or not self.bench.drives:
             return "log"
         return "tune" if self.bench.finished or self.bench.unfinished else "check"
@@ -91,7 +91,7 @@ class Frame:
             self.pages[step].show()
 
     def _report(self, kind: str, name: str) -> Response:
-        """The page of `sigmaswarm.report`, which loads nothing else."""
+        """Return the page of `sigmaswarm.report`, which loads nothing else."""
         page, wrong = attempt(self._page_of, kind, name)
         return PlainTextResponse(wrong, 404) if page is None else HTMLResponse(page)
 
@@ -104,7 +104,7 @@ class Frame:
         return sigmaswarm.report(folder, file)
 
     def _download(self, kind: str, name: str) -> Response:
-        """The folder of a result as a zip."""
+        """Return the folder of a result as a zip."""
         path, wrong = attempt(self.bench.path, kind, name)
         if path is None or not path.is_dir():
             return PlainTextResponse(wrong or f"no {kind} {name}", 404)

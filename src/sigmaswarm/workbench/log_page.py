@@ -17,7 +17,7 @@ from sigmaswarm.workbench.table_panel import TablePanel
 
 
 class LogPage(OpenLog):
-    """The open log, as it is shown and made a drive."""
+    """The open log: its tables, and its conversion to a drive."""
 
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
@@ -25,7 +25,7 @@ class LogPage(OpenLog):
         self.mounting = MountingPanel(self)
 
     def content(self) -> None:
-        """Show the step; its parts are brought up to date one by one."""
+        """Show the step; its parts are updated one by one."""
         if self.opened != self.bench.log:
             self.reread()
         self._pick()
@@ -37,7 +37,7 @@ class LogPage(OpenLog):
         self._finish()
 
     def refresh(self) -> None:
-        """Show changes; a row of a table that stays keeps its place and focus."""
+        """Show changes; remaining rows of a table keep their place and focus."""
         shown = [panel.glance.table for panel in self.panels]
         if self.look and shown == [glance.table for glance in self.look.tables]:
             uses = columns.uses_of(self.look)
@@ -112,7 +112,7 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _notes(self) -> None:
-        """Assumptions of the import, and a proposal for the rest."""
+        """Show the assumptions of the import, and a proposal for the rest."""
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
@@ -173,7 +173,7 @@ class LogPage(OpenLog):
                 link("Next: check it", "check")
 
     def _make(self, name: str, *, again: bool) -> None:
-        """Write the drive; one that was made of this log before is replaced, and its repairs with it."""
+        """Write the drive; it replaces an earlier one of this log, and its repairs."""
         if self.drive is None:
             return
         path, wrong = attempt(self.bench.path, "drives", name)

@@ -30,7 +30,7 @@ DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 
 
 class MountingPanel:
-    """The choice of the mounting. The sketch follows at once, the plots after a pause."""
+    """The choice of the mounting. The sketch is updated at once, the plots after a pause."""
 
     def __init__(self, page: OpenLog) -> None:
         self.page = page
@@ -82,7 +82,7 @@ class MountingPanel:
 
         def rested(changed: int, event: GenericEventArguments) -> None:
             values = [slider.value for slider in sliders]
-            values[changed] = float(event.args)  # the slider itself may learn of it later
+            values[changed] = float(event.args)  # the slider itself may be updated later
             turned = ",".join(f"{value:g}" for value in values)
             field.value = "" if turned == "0,0,0" else turned
             self.shown = True, field.value
@@ -98,7 +98,7 @@ class MountingPanel:
                 sliders.append(slider)
 
     def _settings(self) -> None:
-        """Settings for few logs."""
+        """Show settings that few logs need."""
         chosen = self.page.bench.log_choices.get
         offset = ui.number(
             "Added to the times of the fixes, s (--gps-offset)", value=chosen("gps_offset_s"), step=0.01
@@ -175,6 +175,6 @@ def _arrow(start: Array, end: Array, color: str, name: str) -> str:
 
 
 def _direction(axis: Array) -> str:
-    """The vehicle's direction that an axis is nearest to."""
+    """Return the direction of the vehicle nearest to an axis."""
     k = int(np.argmax(np.abs(axis)))
     return DIRECTIONS[k][int(axis[k] < 0)]

@@ -29,7 +29,7 @@ class OpenLog(Page):
 
     @ui.refreshable_method
     def status(self) -> None:
-        """Show what the page waits for, and the last result."""
+        """Show the work in progress, and the last result."""
         self.messages()
         if self.wrong and self.look and self.look.tables:
             text(

@@ -12,11 +12,11 @@ from sigmaswarm.workbench.state import Workbench, attempt
 
 T = TypeVar("T")
 SETTLED = 0.1
-"""s, in which a later request replaces an earlier one."""
+"""s within which a later request replaces an earlier one."""
 
 
 class Page:
-    """A step: its content, which all tabs show, what it waits for, and what went wrong."""
+    """A step: its content, which all tabs show, the work in progress, and the last error."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -55,7 +55,7 @@ class Page:
             then(result)
 
     def messages(self) -> None:
-        """Show what the page waits for, and what went wrong."""
+        """Show the work in progress, and the last error."""
         message(self.waiting, "wait")
         message(self.wrong, "bad")
 
@@ -133,7 +133,7 @@ def link(label: str, href: str, *, download: bool = False) -> None:
 
 
 def number(value: float | None) -> str:
-    """A number for people."""
+    """Format a number for display."""
     if value is None:
         return ""
     return f"{value:.10g}" if abs(value) >= 1e6 else f"{value:.5g}"

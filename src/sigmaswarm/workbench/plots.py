@@ -16,7 +16,7 @@ PIXELS = 600
 EAST = "east, m"
 """Label of the axis of a map, whose axes have one scale."""
 MOST_PLACES, MOST_POINTS = 3000, 600
-"""Places of a line on a map, and points, each of which is an element of the page."""
+"""Largest numbers of points of a line on a map, and of markers, each of which is an element of the page."""
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
 """Times (n,) and values (n,), or places east and north (n,), m."""

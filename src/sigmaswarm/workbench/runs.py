@@ -64,7 +64,7 @@ class Run:
         self.stopping, self.version = True, self.version + 1
 
     def tune(self, drives: Sequence[Drive], options: Mapping[str, Any]) -> None:
-        """Tune until it is done, stopped or wrong."""
+        """Tune to the end, to a stop or to an error."""
         try:
             sigmaswarm.tune(drives, progress=self.advance, **options)
         except TuningStopped:

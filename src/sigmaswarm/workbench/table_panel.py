@@ -36,7 +36,7 @@ class TablePanel:
 
     @property
     def heading(self) -> str:
-        """The table's name, and the columns of a drive that come from it."""
+        """Return the table's name, and the columns of a drive that come from it."""
         roles: dict[str, set[str]] = {}
         for (table_, _), found in self.uses.items():
             for target, _ in found if table_ == self.glance.table else ():
@@ -88,7 +88,7 @@ class ColumnRow:
         self.shown: Any = None
 
     def state(self) -> tuple[list[tuple[str, str]], list[str]]:
-        """The use of the column, and its faults."""
+        """Return the use of the column, and its faults."""
         found = self.panel.uses.get((self.panel.glance.table, self.about.column), [])
         return found, self._faults(found[0][0] if found else "")
 

@@ -46,7 +46,7 @@ class TakePage(Page):
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
         self.outcomes: dict[str, tuple[str, str]] = {}
-        """By target: what was written, and the sentence of an error."""
+        """By target: a sentence on the written files, and that of an error."""
 
     def content(self) -> None:
         """Make the content of the step."""
@@ -103,7 +103,7 @@ class TakePage(Page):
         self._outcome("track", "")
 
     def _outcome(self, target: str, then: str) -> None:
-        """The written files, the download, and the next command."""
+        """Show the written files, the download, and the next command."""
         good, wrong = self.outcomes.get(target, ("", ""))
         message(wrong, "bad")
         message(good, "good")

@@ -31,7 +31,7 @@ MODELS = {
     "tilted12": "tilted12",
 }
 STARTING = "reading the drives, to tune on them"
-"""Status that a changed choice must not replace."""
+"""Work in progress that a changed choice must not replace."""
 COMPARED = 6
 """Tunings, the newest, whose convergence is shown."""
 Update = Callable[[], None]
@@ -46,7 +46,7 @@ class TunePage(Page):
         self.why: list[str] = []
 
     def content(self) -> None:
-        """Show the step; a timer of each tab looks at the running tunings."""
+        """Show the step; a timer of each tab checks the running tunings."""
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
@@ -76,7 +76,7 @@ class TunePage(Page):
 
     @property
     def plan(self) -> dict[str, str]:
-        """The use of each drive: as chosen, or one to tune on and one to hold back."""
+        """Return the use of each drive: as chosen, or by default the last one is held back."""
         names = [n for n in self.bench.drives if not n.endswith(("-train", "-test"))] or self.bench.drives
         chosen = self.bench.choices.get("plan", {})
         used = [name for name in names if chosen.get(name) != LEFT_OUT]
@@ -169,7 +169,7 @@ class TunePage(Page):
         return drives, held
 
     def _cards(self) -> dict[str, Update]:
-        """Show tunings that run or failed, and those to be resumed; return what updates the former."""
+        """Show running, failed and interrupted tunings; return functions that update the cards."""
         updates = {r.name: self._run_card(r) for r in self.runs.runs.values() if not r.ended or r.error}
         for name in self.bench.unfinished:
             if name not in updates:
@@ -228,7 +228,7 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _finished(self) -> None:
-        """The results, side by side."""
+        """Show the results side by side."""
         names = self.bench.finished
         if not names:
             return
@@ -270,7 +270,7 @@ def _row(tuning: Tuning[Any]) -> list[str]:
 
 
 def _parameters(parameters: Any) -> None:
-    """Numbers of the filter as it would be saved; of own models nothing."""
+    """Return the numbers of the filter in its file; none for models of the user's own."""
     if isinstance(parameters, FilterParameters):
         rows: list[list[str]] = []
         for name, value in parameters.to_dict().items():
