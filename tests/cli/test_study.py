@@ -58,8 +58,8 @@ def test_a_missing_library_is_told_in_one_line_before_any_work(
 def test_mistakes_about_rivals_take_one_line(sigmaswarm: Command, here: Path):
     (here / "study.toml").write_text('maneuvers = ["turns"]\nenvironments = ["clear"]\n')
     for arguments, said in (
-        (("--learn-minutes", "5"), "add rivals"),
-        (("--elsewhere", "x"), "add rivals"),
+        (("--learn-minutes", "5"), "set rivals"),
+        (("--elsewhere", "x"), "set rivals"),
         (("--rivals", "--learn-minutes", "1"), "learn-minutes"),
         (("--rivals", "--per-condition"), "leave per_condition out"),
         (("--rivals", "--cluster", "local:1"), "leave the cluster out"),
