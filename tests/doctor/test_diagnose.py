@@ -332,16 +332,19 @@ def test_the_options_follow_from_the_log():
     assert found_of(varied, "use").startswith(
         "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated deviations"
     )
-    velocity = simulated("icm-20602")  # its receiver gives speed and course
+    velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
+    lasting = "; without truth also fix-error, since the fixes differ by less than the receiver errs"
     may = "; you may add velocity to --use: the receiver gives speed and course"
-    assert found_of(velocity, "use") == six + tilts + may
+    assert found_of(velocity, "use") == six + tilts + lasting + may
     assert velocity.gps.speed is not None
     knots = replace(velocity, gps=replace(velocity.gps, speed=velocity.gps.speed / 0.514444))
-    assert found_of(knots, "use") == six + tilts
+    assert found_of(knots, "use") == six + tilts + lasting
     x = drive.gps.x.copy()
     x[200] += 40.0
     outlier = replace(drive, gps=replace(drive.gps, x=x))
     assert found_of(outlier, "use") == f"{six}1 fix lies far off the path; {tilts}"
+    for std in (8.0, 12.0, 30.0):
+        assert found_of(states(drive, np.full(n, std)), "use") == six + tilts + lasting
 
 
 @needs_shared
