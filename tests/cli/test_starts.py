@@ -34,16 +34,17 @@ def test_import_writes_a_heading_from_north(
     assert read_drive(tmp_path / "new").metadata["heading_deg"] == heading
 
 
-@pytest.mark.parametrize("unit", ["rad from east", "deg from north"])
+@pytest.mark.parametrize("unit", ["rad from east", "deg from north", "signed deg from north"])
 def test_a_heading_column_starts_a_filter_without_travel(sigmaswarm: Command, tmp_path, unit: str) -> None:
     log = write_drive(still(), tmp_path / "log")
-    heading = {"rad from east": 2.0, "deg from north": np.degrees(np.pi / 2 - 2.0) % 360}[unit]
+    heading = {"rad from east": 2.0, "deg from north": np.degrees(np.pi / 2 - 2.0) % 360,
+               "signed deg from north": np.degrees(np.pi / 2 - 2.0)}[unit]  # fmt: skip
     gps = pl.read_csv(log / "gps.csv").with_columns(pl.lit(heading).alias("yaw of antennas"))
     gps.write_csv(log / "gps.csv")
     source = ("import", log / "imu.csv", "--gps", log / "gps.csv", "--out", tmp_path / "new")
     ended = sigmaswarm(*source, "--map", "heading=`yaw of antennas`")
     assert ended.code == 0, ended.err
-    assert ("degrees clockwise from north" in ended.out) == (unit == "deg from north")
+    assert ("degrees clockwise from north" in ended.out) == ("deg" in unit)
     drive = read_drive(tmp_path / "new")
     for part in (drive, *split_time(drive)):
         start = initial_state(part)

@@ -30,7 +30,7 @@ def test_an_offset_of_seconds_is_found_and_mended(offset: float):
     assert not sigmaswarm.diagnose(mended).serious
 
 
-@pytest.mark.parametrize("offset", quickly([(60.0,), (120.0,)], lambda s: s == 60.0))
+@pytest.mark.parametrize("offset", quickly([(60.0,), (-90.0,), (120.0,)], lambda s: s == 60.0))
 def test_beyond_the_search_no_axis_is_blamed(offset: float):
     late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))
     found = sigmaswarm.diagnose(late)

@@ -248,7 +248,8 @@ def test_fixes_with_coarse_stamps_are_spread_evenly(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "uneven", [lambda t: int(t + 0.9 * np.sin(1.7 * int(t)) ** 2), lambda t: int(t**1.3)]
+    "uneven",
+    [lambda t: int(t + 0.9 * np.sin(1.7 * int(t)) ** 2), lambda t: int(t**1.3), lambda t: int(t**0.9)],
 )
 def test_coarse_stamps_of_an_uneven_count_are_refused_and_the_remedy_helps(
     tmp_path: Path, uneven: Callable[[float], int]

@@ -128,7 +128,7 @@ def _remarks(tuning: "Tuning[Any]", look: "FirstLook") -> Iterable[str]:
     for remark in tuning.remarks[:MOST_SENTENCES]:
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
     if (left := len(tuning.remarks) - MOST_SENTENCES) > 0:
-        yield f"note: {left} more remarks in tuning.toml"
+        yield f"note: {counted(left, 'more remark')} in tuning.toml"
 
 
 def _is_part(drive: "Drive") -> bool:

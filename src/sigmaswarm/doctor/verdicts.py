@@ -148,6 +148,13 @@ class ClockOffset:
         offset = self.least + 1.65 * self.std
         return offset if offset < self.searched else None
 
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Bounds, s, that contain the offset with a probability of 95% or more; None beyond the search."""
+        half = max(LEAST_OFFSET, 2 * self.std)
+        low, high = self.late - half, self.late + half
+        return (low, high) if max(-low, high) < self.searched else None
+
 
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None

@@ -65,6 +65,8 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             else f"below {visible:.2f} s can't be detected in this drive"
         )
         what = f"an offset between the clocks of IMU and GPS {how}"
+        if interval := evidence.clock.interval:
+            what += "; the fixes' delay lies between {:.2f} and {:.2f} s (95%)".format(*interval)
         remedy = (
             "use a drive with turns, starts and stops to see smaller offsets, or let the tuning find the offset "
             "(--use latency)"
