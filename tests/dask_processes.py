@@ -1,7 +1,6 @@
 """A Dask scheduler and workers as processes of their own on 127.0.0.1, each ended by its own id."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -9,26 +8,34 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
-WORKER = """
-import sys
-from distributed.cli.dask_worker import main
-main(sys.argv[1:], standalone_mode=True)
+from processes import Process
+
+SCHEDULER = "from distributed.cli.dask_scheduler import main; main()"
+WORKER = "from distributed.cli.dask_worker import main; main()"
+LOGGED = """
+import os, sys
+log = os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT)
+os.dup2(log, 1), os.dup2(log, 2)
+sys.path = [place for place in sys.path if not place.endswith("tests")]
 """
+"""What precedes the program of a fork, which else knows the tests and writes to a pipe."""
 OTHER_VERSION = "import sigmaswarm.versions; sigmaswarm.versions.__version__ = '0.0.1'\n" + WORKER
 
 
 class Processes:
     """A scheduler, and workers that can be killed and that can come, in a folder for their files and logs."""
 
-    def __init__(self, folder: Path, workers: int = 2, *, threads: int = 1, memory: str = "0") -> None:
-        self.folder, self._threads, self._memory = folder, threads, memory
+    def __init__(
+        self, folder: Path, workers: int = 2, *, threads: int = 1, memory: str = "0", forked: bool = False
+    ) -> None:
+        """``forked``: they have imported what they need when they start; their memory is then not their own alone."""
+        self.folder, self._threads, self._memory, self._forked = folder, threads, memory, forked
         folder.mkdir(parents=True, exist_ok=True)
-        self._started: dict[str, subprocess.Popen[bytes]] = {}
+        self._started: dict[str, subprocess.Popen[bytes] | Process] = {}
         self.file = folder / "scheduler.json"
-        command = ["-c", "from distributed.cli.dask_scheduler import main; main()"]
         options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(self.file)]
         options += ["--idle-timeout", "3600"]  # should nobody be left to end it
-        self._start("scheduler", [*command, *options])
+        self._start("scheduler", SCHEDULER, options)
         self._wait(self.file.exists)
         for _ in range(workers):
             self.add()
@@ -67,13 +74,13 @@ class Processes:
         ]
         usual += ["--death-timeout", "60"]
         place = ["--host", "127.0.0.1", "--name", name, "--local-directory", str(self.folder / "scratch")]
-        self._start(name, ["-c", program, str(self.address), *usual, *place, *options])
+        self._start(name, program, [self.address, *usual, *place, *options])
         return name
 
     def kill(self, name: str) -> None:
         """End one process at once, by its own id."""
         process = self._started.pop(name)
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait()
 
     def memory(self, name: str) -> int:
@@ -90,12 +97,16 @@ class Processes:
         """What all of them wrote."""
         return "".join(file.read_text() for file in sorted(self.folder.glob("*.log")))
 
-    def _start(self, name: str, arguments: Sequence[str]) -> None:
+    def _start(self, name: str, program: str, arguments: Sequence[str]) -> None:
         one_thread = {"OMP_NUM_THREADS": "1", "POLARS_MAX_THREADS": "1", "MALLOC_TRIM_THRESHOLD_": "65536"}
         with (self.folder / f"{name}.log").open("wb") as log:
-            self._started[name] = subprocess.Popen(
-                [sys.executable, *arguments], stdout=log, stderr=log, env=os.environ | one_thread
-            )
+            if self._forked:
+                self._started[name] = Process(LOGGED + program, [log.name, *arguments])
+            else:
+                command = [sys.executable, "-c", program, *arguments]
+                self._started[name] = subprocess.Popen(
+                    command, stdout=log, stderr=log, env=os.environ | one_thread
+                )
 
     @staticmethod
     def _wait(done, seconds: float = 60.0) -> None:

@@ -1,6 +1,7 @@
 """Numbers that are finite and absurd: refused with row and column; a live filter says that it failed."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from sigmaswarm import Drive, FilterParameters, LiveFilter, LiveFilterBank, read
 from sigmaswarm.errors import DriveWarning, InputError
 from sigmaswarm.filters.compiled.layout import at
 from sigmaswarm.filters.compiled.live import is_definite
-from support import make_drive
+from support import make_drive, quickly
 
 CELLS = {
     "imu": ("ax", "ay", "gz", "az", "gx", "gy"),
@@ -145,9 +146,13 @@ def test_definiteness_of_special_matrices(matrix: np.ndarray, definite: bool):
     assert is_definite(packed(matrix), 5, np.zeros(15), 0) == definite
 
 
-@pytest.mark.parametrize("bank", [False, True])
-@pytest.mark.parametrize("seed", range(5))
-def test_hostile_sequences(seed: int, bank: bool):
+@pytest.mark.parametrize(
+    ("bank", "seed"),
+    quickly(
+        product([False, True], range(5)), lambda bank, seed: (bank, seed) != (True, 3)
+    ),  # compiles a filter
+)
+def test_hostile_sequences(bank: bool, seed: int):
     feed(np.random.default_rng([seed, int(bank)]), bank=bank, events=150)
 
 

@@ -51,7 +51,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
-    with Processes(tmp_path_factory.mktemp("dask")) as running:
+    with Processes(tmp_path_factory.mktemp("dask"), forked=True) as running:
         yield running
 
 
@@ -94,7 +94,7 @@ def test_a_race_and_an_evaluation_are_those_of_threads(client, folders):
 
 
 def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_threads, tmp_path):
-    with Processes(tmp_path / "dask") as running, connected(running.address) as client:
+    with Processes(tmp_path / "dask", forked=True) as running, connected(running.address) as client:
         client.wait_for_workers(2, timeout=60)
 
         def disturb(progress) -> None:

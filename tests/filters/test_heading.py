@@ -74,6 +74,11 @@ def hilly() -> Drive:
     return replace(with_heading(drive), metadata={"gps_lever_arm_m": list(grade.lever_arm)})
 
 
+def thinned(drive: Drive, model: str, kind: str) -> Drive:
+    """The drive with less IMU; the textbook takes 25 sigma points through each step of tilted12."""
+    return sparse(drive, 16 if (model, kind) == ("tilted12", "ukf") else 4)
+
+
 def relative(a: Any, b: Any) -> float:
     """The largest difference, of means (headings wrapped) and of covariances relative to their largest element."""
     off = a.mean - b.mean
@@ -110,7 +115,7 @@ def test_jacobian_of_the_yaw_of_an_attitude_is_its_derivative():
 
 @pytest.mark.parametrize(("model", "kind", "option"), CASES)
 def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option: str):
-    drive = sparse(hilly() if model == "tilted12" and option == "all" else driven(option))
+    drive = thinned(hilly() if model == "tilted12" and option == "all" else driven(option), model, kind)
     p = filter_of(model, kind, option)
     start = initial_state(replace(drive, gps=replace(drive.gps, heading=None)))
     compiled = run_filter(drive, p, initial=start, recover=False)
@@ -123,7 +128,7 @@ def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option:
 
 @pytest.mark.parametrize(("model", "kind", "option"), CASES[::3])
 def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
-    drive, p = sparse(driven(option)), filter_of(model, kind, option)
+    drive, p = thinned(driven(option), model, kind), filter_of(model, kind, option)
     assert relative(smooth(drive, p, recover=False), smooth_textbook(drive, p)) < 1e-7
 
 

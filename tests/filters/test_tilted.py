@@ -60,7 +60,7 @@ def town() -> Drive:
 
 def by_kind(kind: str) -> Drive:
     """The town; with less IMU for sigma points, 25 of which the textbook takes through each step in Python."""
-    return town() if kind == "ekf" else sparse(town(), 8)
+    return town() if kind == "ekf" else sparse(town(), 16)
 
 
 def some_state(seed: int = 0, tilt: float = 0.2) -> np.ndarray:
@@ -253,7 +253,7 @@ def test_kinds_in_one_batch_change_no_bit():
 @compiled
 def test_points_far_from_the_centre_change_no_bit_of_other_filters():
     # Series hold near the centre; a filter with a poor start needs more, and leaves the others as they are.
-    drive, p = sparse(town()), parameters(kind="ukf", **ALL)
+    drive, p = sparse(town(), 16), parameters(kind="ukf", **ALL)
     far = replace(p, alpha=1.0, kappa=300.0)
     together, alone = run_replays([replay_of(drive)], [p, far]), run_replays([replay_of(drive)], [p])
     assert together.nis[0, 0] == alone.nis[0, 0]

@@ -38,6 +38,8 @@ class Car:
         What `sigmaswarm.simulation.dynamics` records, at the last three ticks.
     motion : Motion
         Of the car's origin, at the last three ticks.
+    seen, felt : tuple
+        See `_seen` and `_felt`, at the last tick.
     """
 
     def __init__(self, x: float, y: float, yaw: float, grip: float = 0.85) -> None:
@@ -47,18 +49,23 @@ class Car:
         self.control = [0.0, 0.0, 1.0, False, False, False, 0]
         self.state = dynamics.start_state(x, -y, -math.radians(yaw), 0.0, MODEL_3_CARLA)
         self._stages = np.zeros((5, dynamics.STATES))
-        self.rows = 3 * [self._look(self.state.copy(), 0.0, -1.0)]
-        self.seconds, self.motion = 0.05, motion_at(np.array(self.rows), MODEL_3_CARLA, _ORIGIN)
+        self._see(3 * [self._drive(0, 0.0, -1.0)], 0.05)
 
-    def _look(self, state: np.ndarray, steer: float, pedal: float) -> np.ndarray:
-        """Advance a state in place by one step; return the row recorded before it."""
+    def _drive(self, steps: int, steer: float, pedal: float) -> np.ndarray:
+        """Advance the state by some steps; return the row that the next one would record."""
         wheels = self.physics[-2]
         friction = self.grip * wheels[0][0] / STOCK_FRICTION
         brakes = MODEL_3_CARLA.full_brake * (wheels[0][4] / STOCK_BRAKE)
-        car = MODEL_3_CARLA._replace(full_brake=brakes)
-        row = np.empty(dynamics.RECORDED)
-        dynamics._advance(state, self._stages, row, steer, pedal, friction, car)
+        car, row = MODEL_3_CARLA._replace(full_brake=brakes), np.empty(dynamics.RECORDED)
+        for state in [*steps * [self.state], self.state.copy()]:
+            dynamics._advance(state, self._stages, row, steer, pedal, friction, car)
         return row
+
+    def _see(self, rows: list[np.ndarray], seconds: float) -> None:
+        """Compute, once for a tick, what is seen and felt."""
+        self.rows, self.seconds = rows, seconds
+        self.motion = motion_at(np.array(rows), MODEL_3_CARLA, _ORIGIN)
+        self.seen, self.felt = self._seen(), self._felt()
 
     def tick(self, seconds: float) -> None:
         """Drive on."""
@@ -68,10 +75,7 @@ class Car:
         curve = np.array(self.physics[-3])
         share = np.interp(3.6 * self.state[dynamics.VX], curve[:, 0], curve[:, 1])
         angle = -steer * share * MODEL_3_CARLA.steer_max
-        for _ in range(round(seconds / STEP)):
-            self._look(self.state, angle, pedal)
-        self.rows = [*self.rows[1:], self._look(self.state.copy(), angle, pedal)]
-        self.seconds, self.motion = seconds, motion_at(np.array(self.rows), MODEL_3_CARLA, _ORIGIN)
+        self._see([*self.rows[1:], self._drive(round(seconds / STEP), angle, pedal)], seconds)
 
     def told_physics(self) -> list[Any]:
         """Its physics, with the wheels where they are in the world, cm."""
@@ -89,7 +93,7 @@ class Car:
         now = self.motion
         return [*now.position[-1, :2], *now.velocity[-1, :2], now.yaw[-1]]
 
-    def seen(self) -> tuple[Any, Any, Any, Any]:
+    def _seen(self) -> tuple[Any, Any, Any, Any]:
         """Place, rotation (pitch, yaw, roll), velocity and angular velocity, deg/s, in CARLA's axes."""
         now = self.motion
         (x, y, z), (vx, vy, vz), rotation = now.position[-1], now.velocity[-1], now.rotation[-1]
@@ -99,7 +103,7 @@ class Car:
         p, q, r = np.degrees(rotation @ now.angular_rate[-1])
         return (x, -y, z), (pitch, -yaw, roll), (vx, -vy, vz), (-p, q, -r)
 
-    def felt(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def _felt(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Specific force m/s2 and angular rate rad/s without noise, in CARLA's axes."""
         now = self.motion
         fx, fy, fz = carla_force(self.seconds * np.arange(3), now)[0]

@@ -259,7 +259,7 @@ class World:
         for actor in self.actors.values():
             if actor.car is not None:
                 actor.car.tick(seconds)
-                self.truth.append([self.frame, *actor.car.truth(), *sum(actor.car.felt(), ())])
+                self.truth.append([self.frame, *actor.car.truth(), *sum(actor.car.felt, ())])
         states = [self._state(actor) for actor in self.actors.values()]
         message = wire.snapshot(self.version, self.episode, self.frame, self.elapsed, seconds, states)
         self.streams.send(1, message)
@@ -282,7 +282,7 @@ class World:
     def _state(self, actor: Actor) -> bytes:
         car = self.actors.get(actor.parent, actor).car
         nothing = (0.0, 0.0, 0.0)
-        return wire.actor_state(actor.number, *(car.seen() if car else 4 * (nothing,)))
+        return wire.actor_state(actor.number, *(car.seen if car else 4 * (nothing,)))
 
     def _measure(self, actor: Actor) -> bytes:
         car = self._car(actor.parent)
@@ -291,14 +291,14 @@ class World:
             return value + actor.deviation(bias) + actor.deviation(name) * actor.noise.gauss(0.0, 1.0)
 
         if actor.blueprint.endswith("gnss"):
-            (x, y, _), *_ = car.seen()
+            (x, y, _), *_ = car.seen
             version = "0.9.16" if self.version == "0.9.16" else "0.9.14"
             y = -y if self.faults.get("mirror_gnss") else y
             lat, lon = (float(v) for v in to_geolocation(x, y, *ORIGIN, version))
             lat = noisy(lat, "noise_lat_stddev", "noise_lat_bias")
             lon = noisy(lon, "noise_lon_stddev", "noise_lon_bias")
             return wire.gnss(self.frame, self.elapsed, lat, lon)
-        force, rate = car.felt()
+        force, rate = car.felt
         axes = ("x", "y", "z")
         force = tuple(noisy(v, f"noise_accel_stddev_{a}", "") for v, a in zip(force, axes, strict=True))
         rate = tuple(

@@ -182,10 +182,10 @@ def test_road(write: Any, prepare: Any, whole: bool, tmp_path: Path, serve: Any,
 
 def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     """Both tabs see one tuning; after a kill it is resumed with the bits of one that was never interrupted."""
-    options = {"model": "planar5", "particles": 8, "generations": 150}
+    options = {"model": "planar5", "particles": 8, "generations": 40}
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     sigmaswarm.write_drive(drive, tmp_path / "bench" / "drives" / "monday")
-    first = serve(tmp_path / "bench", pause=0.2, options=options, plan={"monday": "tune on it"})
+    first = serve(tmp_path / "bench", pause=1.0, options=options, plan={"monday": "tune on it"})
     one, two = tab(first.url + "tune"), tab(first.url + "tune")
     one.get_by_text("Filter: planar5").wait_for()
     one.get_by_role("button", name="Start").click()
@@ -193,7 +193,7 @@ def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
     for page in (one, two):
         page.get_by_text("monday: not finished").wait_for()
     one.get_by_role("button", name="Resume").click()
-    two.get_by_text("of 150").wait_for()
+    two.get_by_text("of 40").wait_for()
     saved = tmp_path / "bench" / "tunings" / "monday"
     first.end(signal.SIGKILL)
     assert not (saved / "tuning.toml").exists()
