@@ -57,8 +57,9 @@ class Car:
         friction = self.grip * wheels[0][0] / STOCK_FRICTION
         brakes = MODEL_3_CARLA.full_brake * (wheels[0][4] / STOCK_BRAKE)
         car, row = MODEL_3_CARLA._replace(full_brake=brakes), np.empty(dynamics.RECORDED)
-        for state in [*steps * [self.state], self.state.copy()]:
-            dynamics._advance(state, self._stages, row, steer, pedal, friction, car)
+        for _ in range(steps):
+            dynamics._advance(self.state, self._stages, row, steer, pedal, friction, car)
+        dynamics._advance(self.state.copy(), self._stages, row, steer, pedal, friction, car)
         return row
 
     def _see(self, rows: list[np.ndarray], seconds: float) -> None:
