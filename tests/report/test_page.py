@@ -314,15 +314,24 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     assert "NaN" not in unpacked(html_page(report))
 
 
+@pytest.mark.parametrize(
+    ("code", "columns", "factor"),
+    [
+        ("gyro-sign", "gz", -1.0),
+        ("gyro-unit", "gx gy gz", 180 / np.pi),
+        ("accelerometer-unit", "ax ay az", 1 / 9.80665),
+    ],
+)
 def test_faults_that_the_doctor_finds_and_an_offset_of_truth_are_on_the_page(
-    tmp_path: Path, folders: tuple[Path, Path, Evaluation]
+    tmp_path: Path, folders: tuple[Path, Path, Evaluation], code: str, columns: str, factor: float
 ):
     drive = simulate("urban", duration=60.0, gps="white-1m")
-    imu, truth = replace(drive.imu, gz=-drive.imu.gz), replace(drive.truth, x=drive.truth.x + 3.0)
+    imu = replace(drive.imu, **{n: factor * getattr(drive.imu, n) for n in columns.split()})
+    truth = replace(drive.truth, x=drive.truth.x + 3.0)
     found = evaluate(replace(drive, imu=imu, truth=truth, name="friday"), FilterParameters.load(folders[0]))
     save(found, folders[0], tmp_path / "e")
     remarks = read_report(tmp_path / "e").remarks
-    assert any(r.startswith("The doctor finds a SERIOUS fault in friday [gyro-sign]") for r in remarks)
+    assert any(r.startswith(f"The doctor finds a SERIOUS fault in friday [{code}]") for r in remarks)
     assert any("m from the truth on average" in r and "--origin" in r for r in remarks)
     assert any("m from the truth on average" in r for r in found.view.sentences())
 

@@ -23,7 +23,8 @@ from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive, Imu
 
-ROUNDS = 6
+ROUNDS = 12
+"""Most rounds: few need more than six, but those would end up to a degree before their limit."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """rad: largest total deviation of a mounting that is sure, and of one that is likely."""
 LEAST_TURN = 0.05
