@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.sensors import has_white_errors, suggest_filter
+from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind
@@ -154,6 +155,9 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
     assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")
     assert chosen_for([stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used  # they show
     assert chosen_for([smoothing(0.02)]) == used  # less than motion between fixes
+    short = clip(lasting, 0.0, 40.0)  # 200 fixes
+    assert chosen_for([short]) == used
+    assert chosen_for([short, short]) == (*used, "fix-error")
     assert chosen_for([lasting, stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used
     assert chosen_for([smoothing(2.0, 1.1)]) == (*CAR, "fix-error")
     assert chosen_for([noisy(make_drive(duration=60.0), 0.05)]) == (*CAR, "fix-error")  # unstated: 2.1 m

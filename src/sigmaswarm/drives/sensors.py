@@ -27,6 +27,12 @@ SHOWN = 0.25 * UNSTATED_GPS_STD
 
 Its fixes show its error. The error of a receiver whose fixes differ by less is unknown.
 """
+FEWEST_FIXES = 250
+"""Number of fixes of all logs from which a tuning without truth models correlated errors.
+
+Of eight simulated M8 logs of 142 s at 1 Hz, the states made the drift over 30 s worse in six, and one filter diverged
+(1319 m); with 300 and 600 fixes the drift was the same on average, and the position 3 to 6% better.
+"""
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,7 @@ class Sensors:
     odometer, accuracy, velocity, heading : True if the log has wheel speed, and the receiver's standard deviations,
         speed and course, and heading
     driven : time from 20 m of distance to the end of the log, s
+    fixes : number of fixes
     """
 
     name: str
@@ -72,6 +79,7 @@ class Sensors:
     receiver_std: tuple[float, float]
     heading: bool = False
     lasting: bool = False
+    fixes: int = 0
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
@@ -95,6 +103,7 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
         receiver_std=receiver_std(drive),
         heading=gps.heading is not None,
         lasting=has_lasting_errors(drive),
+        fixes=len(gps),
     )
 
 
