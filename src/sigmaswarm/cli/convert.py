@@ -39,7 +39,7 @@ def convert(
     from sigmaswarm.drives.urls import is_url
 
     if len(drives) < 2:
-        raise InputError("convert needs drives and, as the last argument, a folder for the converted drives")
+        raise InputError("give the drives and, as the last argument, a folder for the converted drives")
     *given, last = drives
     if is_url(last):
         raise InputError(f"{last}: is a URL; name a folder for the converted drives")

@@ -49,7 +49,7 @@ class Timeline:
         length of the gap in the IMU's samples that contains the step, 0 outside of gaps
     sample : (k,) int, index of the IMU sample that drives each step
     driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, that drive the steps up to each of its samples; all
-        time lines of a drive share it
+        shared by all time lines of a drive
     absorbs : (k,) bool, True if a fix updates the filter at the step's end
     hides : (k,) bool, True if a fix at the step's end is hidden from the filter; its forecast is scored
     sampled : (k,) bool, True if the step ends at the time of an IMU sample

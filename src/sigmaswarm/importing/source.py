@@ -20,7 +20,7 @@ ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 """Rows of a batch, where they are decoded one by one."""
 FILES = "columns"
-"""The kind of tables that are files and have their names."""
+"""Kind of a table that is a file; its name is that of the file."""
 Progress = Callable[[float], None]
 """Called with the share of the log that is read, 0 to 1."""
 Wanted = Mapping[str, Collection[str]]

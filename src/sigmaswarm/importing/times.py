@@ -34,7 +34,7 @@ DATE_FORMATS = (
 """Formats of dates in text, in the order of trial; the first is ISO 8601."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
-"""Units of times, s; those that clocks count in come first."""
+"""Units of times, s; the usual units of clock counters come first."""
 _DATES_S = (3e8, 4e9)
 """s since 1970, from 1979 to 2096."""
 

@@ -41,7 +41,7 @@ class Forecast(NamedTuple):
     Attributes
     ----------
     begin, first : int
-        Numbers of the IMU samples at the begin of the displacement, and after the last fix.
+        Numbers of the IMU samples at the start of the displacement, and after the last fix.
     age : float
         Time from ``first`` to the end of the displacement, s.
     moved, variance : ndarray, shape (2,)

@@ -31,7 +31,7 @@ GATE = 13.8
 
 
 class Begin(NamedTuple):
-    """Filter at the begin of a displacement: its rows (N_KEPT, lanes), and the place of its run (5,)."""
+    """Filter at the start of a displacement: its rows (N_KEPT, lanes), and the place of its run (5,)."""
 
     rows: Array
     place: Array
@@ -64,7 +64,7 @@ class Displacements:
             State of the filter, changed in place.
         stop : int
         moved : ndarray, shape (2,)
-            Displacement, m forward and left, in the body frame at the begin.
+            Displacement, m forward and left, in the body frame at the start.
         noise : ndarray, shape (2, 2)
             Covariance of the displacement, m2.
 
@@ -126,7 +126,7 @@ class Displacements:
 
 
 def body_displacement(begin: Array, end: Array) -> Array:
-    """Return the displacement between states (..., n), m forward and left at the begin, (..., 2)."""
+    """Return the displacement between states (..., n), m forward and left at the start, (..., 2)."""
     return in_body(end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1], begin[..., THETA])
 
 

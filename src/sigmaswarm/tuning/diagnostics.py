@@ -1,7 +1,7 @@
 """Faults of a tuned filter that its objective hardly shows.
 
 Divergence and drift: during a tuning a diverged filter is not reset, so its cost is that of a wrong track. A likelihood
-that tolerates outliers can still give it a low cost. Errors of one-step forecasts hardly show the next minute: if
+that tolerates outliers can still give it a low cost. Errors of one-step forecasts hardly show long drifts: if
 the search ends too early, its filter may forecast nearly as well as the best one, but drift by a kilometer.
 
 Scale of the covariance: if all noises and the initial covariance are multiplied by one factor, the gains and estimates

@@ -26,7 +26,7 @@ from sigmaswarm.wording import to_do
 DECADES = 0.5
 """Prior standard deviation of log10 R below the receiver's variance."""
 DECADES_ABOVE = 0.25
-"""The same above the variance; applies only to filters with fix-error, whose states a large R would make useless."""
+"""Prior standard deviation of log10 R above the receiver's variance; only for fix-error, which needs a small R."""
 FAR_BELOW = 3.0
 """Ratio of the receiver's standard deviation to that of R above which a warning is given."""
 NO_PART = 0.05

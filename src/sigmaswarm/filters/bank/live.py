@@ -145,9 +145,9 @@ class LiveFilterBank(LiveFilter):
     Attributes
     ----------
     spread : Spread
-        The offsets that the lanes can have.
+        Offsets of the parameters from which the filters are chosen.
     offsets : ndarray, shape (16, d)
-        Offsets of the lanes in decades; the rear axle's in m.
+        Offsets of the filters in decades; that of the rear axle in m.
     n_searches : int
         Number of searches with a result.
     restarts : list of float

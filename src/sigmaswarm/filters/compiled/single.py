@@ -1,4 +1,4 @@
-"""One step of one filter, as other compiled code calls it: by its address.
+"""One step of one filter; other compiled code calls it by its address.
 
 Numba inlines called functions and compiles them again; but the bookkeeping of a live filter is the same for each model,
 without the model's arithmetic. So a step is a separate compiled function, and the loop over steps gets its address.
