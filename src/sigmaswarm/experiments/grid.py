@@ -89,14 +89,16 @@ def run_grid(
         return {task: futures[k].result() for k, task in enumerate(tasks)}
     except BaseException as error:
         stop[0] = 1
-        for future in futures.values():
-            future.cancel()
+        if not processes:
+            for future in futures.values():
+                future.cancel()
         if isinstance(error, BrokenProcessPool):
             raise SigmaswarmError(KILLED) from None
         raise
     finally:
         if processes:
-            pool.shutdown()
+            # Before Python 3.12 the thread of a broken pool fails on a future that another thread has cancelled.
+            pool.shutdown(cancel_futures=True)
 
 
 def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: Any, stop: Any, k: int) -> R:
