@@ -16,7 +16,7 @@ import numpy as np
 from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.travel import direction_of_travel
-from sigmaswarm.doctor.verdicts import CLEARLY, DEGREE, FAMILIAR, SCALE
+from sigmaswarm.doctor.verdicts import CLEARLY, DEGREE, FAMILIAR, LEAST_TURN, SCALE
 from sigmaswarm.doctor.windows import integral, smoothed, windows_of
 from sigmaswarm.doctor.yaw_fit import LATENESS as YAW_LATENESS
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
@@ -27,8 +27,6 @@ ROUNDS = 12
 """Most rounds: few need more than six, but those would end up to a degree before their limit."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """rad: largest total deviation of a mounting that is sure, and of one that is likely."""
-LEAST_TURN = 0.05
-"""rad: smallest RMS change of the course within 20 s that determines the yaw of the mounting."""
 LEAST_SHARE = 0.5
 """Smallest share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
@@ -43,6 +41,8 @@ ALIKE = 0.025
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
 """s: window over which the axis of turning is fitted."""
+LEANS = 0.5
+"""Smallest agreement of the body's leaning with springs at which accelerometers count as reversed."""
 WANDERS = math.radians(8.0)
 """rad: change of gravity between windows from which the mounting is not constant."""
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
@@ -149,9 +149,29 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
         return None
     rotation, seen = _converged(drive, course, imu)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
-        # The levelled IMU is upside down: its accelerometers report the opposite of specific force.
-        rotation, seen = _converged(drive, course, _scaled(imu, "a", -1.0))
+        # The levelled IMU is upside down: its accelerometers report the opposite of specific force, or only some do.
+        opposite = _scaled(imu, "a", -1.0)
+        upright = _converged(drive, course, opposite)
+        if np.min(_leaning(turned(opposite, upright[0]))) > LEANS:
+            rotation, seen = upright
     return Mounting(rotation, seen.std, *_confidence(seen)) if seen else None
+
+
+def _leaning(imu: Imu) -> Array:
+    """Return how clearly the body leans out of turns, and back while the car gains speed, each from -1 to 1.
+
+    Springs do both. With a reversed axis one is negative, although turns and accelerations agree with the fixes.
+    """
+    time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
+
+    def swift(values: Array) -> Array:
+        return smoothed(imu.time, values, time, 0.4) - smoothed(imu.time, values, time, 4.0)
+
+    angles = [swift(integral(imu.time, rate)) for rate in (imu.gx, -imu.gy)]
+    forces = [swift(force) for force in (imu.ay, imu.ax)]
+    starts = np.arange(0, max(len(time) - 49, 1), 50)  # of windows of 10 s
+    agreement = np.add.reduceat(np.multiply(angles, forces), starts, axis=1)
+    return np.sum(agreement, axis=1) / np.maximum(np.sum(np.abs(agreement), axis=1), 1e-12)
 
 
 def _scaled(imu: Imu, sensor: Literal["a", "g"], factor: float) -> Imu:

@@ -17,6 +17,11 @@ FAMILIAR = 1.35
 """Largest deviation of a factor from a known one (1, -1, deg/s) that counts as the known one."""
 LEAST_SHARE = 0.2
 """Smallest share of the course's changes that a gyro's column must explain, unless the gain is CERTAIN."""
+LEAST_TURN = 0.05
+"""rad: smallest RMS change of the course within 20 s that shows a mounting, or a yaw rate other than as recorded.
+
+On a straight road a car only sways, and the course is mostly noise.
+"""
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
@@ -54,7 +59,10 @@ def yaw_of(fit: YawFit | None) -> Yaw:
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
     fitting = [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FAMILIAR < fit.gain / f < FAMILIAR]
-    return Yaw(fit.column, fitting[0], known=True) if fitting else Yaw()
+    as_recorded = (fit.column, fitting[:1]) == ("gz", [1.0])
+    if not fitting or not (as_recorded or fit.course_change > LEAST_TURN):
+        return Yaw()
+    return Yaw(fit.column, fitting[0], known=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
-from sigmaswarm.doctor.mounting import LEAST_SHARE, LEAST_TURN
-from sigmaswarm.doctor.verdicts import CLEAR_OFFSET
+from sigmaswarm.doctor.mounting import LEAST_SHARE
+from sigmaswarm.doctor.verdicts import CLEAR_OFFSET, LEAST_TURN
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in
 from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
