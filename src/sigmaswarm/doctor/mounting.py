@@ -144,10 +144,11 @@ def about_z(angle: float) -> Array:
 
 def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     """Estimate the mounting; None where the log lacks an axis, gravity, or a course."""
-    imu = _in_si_units(drive, course)
-    if imu is None:
+    found = _in_si_units(drive, course)
+    if found is None:
         return None
-    rotation, seen = _converged(drive, course, imu)
+    imu, yaw_fit = found
+    rotation, seen = _converged(drive, course, imu, yaw_fit)
     if seen and seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
         # The levelled IMU is upside down: its accelerometers report the opposite of specific force, or only some do.
         opposite = _scaled(imu, "a", -1.0)
@@ -184,8 +185,11 @@ def level(imu: Imu) -> Array:
     return levelling(np.array([np.median(getattr(imu, name)) for name in ("ax", "ay", "az")]))
 
 
-def _in_si_units(drive: Drive, course: Course) -> Imu | None:
-    """Convert the IMU to m/s2 and rad/s, by the size of gravity and the turns of the course; None without six axes."""
+def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
+    """Convert the IMU to m/s2 and rad/s, by the size of gravity and the turns of the course; None without six axes.
+
+    Also return the fit of the levelled yaw rate.
+    """
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
         return None
@@ -195,15 +199,21 @@ def _in_si_units(drive: Drive, course: Course) -> Imu | None:
         return None
     imu = _scaled(imu, "a", unit)
     fit = fit_column(replace(drive, imu=turned(imu, level(imu))), course, "gz", rows)
-    degrees = DEGREE / FAMILIAR < abs(fit.gain) < DEGREE * FAMILIAR and abs(fit.gain) > 6 * fit.std
-    return _scaled(imu, "g", DEGREE) if degrees else imu
+    if DEGREE / FAMILIAR < abs(fit.gain) < DEGREE * FAMILIAR and abs(fit.gain) > 6 * fit.std:
+        return _scaled(imu, "g", DEGREE), replace(fit, gain=fit.gain / DEGREE, std=fit.std / DEGREE)
+    return imu, fit
 
 
-def _converged(drive: Drive, course: Course, imu: Imu) -> tuple[Array, _Round | None]:
-    """Rotate the levelled axes in rounds until the rotation is zero; return the rotation and the last round."""
+def _converged(
+    drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
+) -> tuple[Array, _Round | None]:
+    """Rotate the levelled axes in rounds until the rotation is zero; return the rotation and the last round.
+
+    ``yaw_fit``: that of the levelled yaw rate, if it is known.
+    """
     rotation, seen = level(imu), None
     for _ in range(ROUNDS):
-        seen = _round(replace(drive, imu=turned(imu, rotation)), course, seen)
+        seen = _round(replace(drive, imu=turned(imu, rotation)), course, seen, None if seen else yaw_fit)
         if seen is None:
             break
         turn = levelling(np.append(seen.tilt, 1.0)) @ about_z(seen.yaw)
@@ -213,13 +223,13 @@ def _converged(drive: Drive, course: Course, imu: Imu) -> tuple[Array, _Round | 
     return rotation, seen
 
 
-def _round(drive: Drive, course: Course, last: _Round | None) -> _Round | None:
+def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | None) -> _Round | None:
     """Run one round: yaw from the accelerations, then roll and pitch from the remaining gravity and from the turns.
 
     The offset of the clocks is searched in the first round only.
     """
     tried = np.array([last.yaw_fit.late]) if last else YAW_LATENESS
-    yaw_fit = fit_column(drive, course, "gz", yaw_windows(course), tried)
+    yaw_fit = yaw_fit or fit_column(drive, course, "gz", yaw_windows(course), tried)
     rate = drive.imu.gz if yaw_fit.gain >= 0 else -drive.imu.gz
     tried = np.array([last.late]) if last else (yaw_fit.late if yaw_fit.share > 0.5 else 0.0) + LATENESS
     fit = fit_acceleration(drive, course, rate, tried)

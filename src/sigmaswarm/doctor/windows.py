@@ -98,13 +98,10 @@ def _solve(
     root = weight * np.sqrt(robust)
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
 
-    def rest(v: Complex) -> Array:
-        """Return the part of v (w, n) orthogonal to the window's own columns: real, then imaginary parts, (w, 2n)."""
-        v = root * v
-        v = v - np.einsum("wnk,wk->wn", q, np.einsum("wnk,wn->wk", q.conj(), v))
-        return np.concatenate([v.real, v.imag], axis=1, dtype=np.float64)
-
-    a, b = np.stack([rest(c) for c in columns], axis=-1), rest(y)
+    v = root[:, :, None] * np.stack([*columns, y], axis=-1)
+    v = v - q @ (q.conj().transpose(0, 2, 1) @ v)  # orthogonal to the window's own columns
+    a, b = np.split(np.concatenate([v.real, v.imag], axis=1, dtype=np.float64), [-1], axis=-1)
+    b = b[:, :, 0]
     solution = np.asarray(np.linalg.lstsq(a.reshape(-1, a.shape[-1]), b.ravel(), rcond=1e-10)[0], np.float64)
     left = b - a @ solution
     real, imaginary = np.split(left / np.tile(np.maximum(root, 1e-12), 2), 2, axis=1)

@@ -81,9 +81,25 @@ def fit_column(
             columns.append(-gain * delayed(rate, late) + 0j)
         return regress(angle, columns, own, weight, rounds)
 
+    q = np.linalg.qr(weight[:, :, None] * np.stack([np.ones_like(t), t], axis=-1))[0]
+
+    def rest(angles: Array) -> Array:
+        """Return the weighted angles (w, n) minus a straight line in each window."""
+        weighted = (weight * angles)[:, :, None]
+        return (weighted - q @ (q.transpose(0, 2, 1) @ weighted))[:, :, 0]
+
+    seen = rest(course.angle[rows])
+
+    def misfit(late: float) -> float:
+        """Return the mean residual of plain least squares."""
+        column = rest(delayed(turned, late))
+        return float(
+            np.mean(np.abs(seen - np.vdot(column, seen) / max(np.vdot(column, column), 1e-300) * column))
+        )
+
     late, late_std = float(tried[0]), 0.0
     if len(tried) > 1:
-        late = float(min(tried, key=lambda late: at(float(late), 1).cost))
+        late = float(min(tried, key=misfit))
     for _ in range(4):
         joint = at(late, gain=float(at(late).solution[0]))
         # A car that never turns does not show the delay: the column is zero, and so is its covariance.
