@@ -168,10 +168,10 @@ def _leaning(imu: Imu) -> Array:
     def swift(values: Array) -> Array:
         return smoothed(imu.time, values, time, 0.4) - smoothed(imu.time, values, time, 4.0)
 
-    angles = [swift(integral(imu.time, rate)) for rate in (imu.gx, -imu.gy)]
-    forces = [swift(force) for force in (imu.ay, imu.ax)]
+    roll, pitch = (swift(integral(imu.time, getattr(imu, name))) for name in ("gx", "gy"))
+    products = np.array([roll * swift(imu.ay), -pitch * swift(imu.ax)])
     starts = np.arange(0, max(len(time) - 49, 1), 50)  # of windows of 10 s
-    agreement = np.add.reduceat(np.multiply(angles, forces), starts, axis=1)
+    agreement = np.add.reduceat(products, starts, axis=1)
     return np.sum(agreement, axis=1) / np.maximum(np.sum(np.abs(agreement), axis=1), 1e-12)
 
 
