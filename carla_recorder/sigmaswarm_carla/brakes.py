@@ -55,5 +55,7 @@ def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Rando
         state = state_of(session, car, session.tick())
     session.clear()
     if not falling[1] > falling[0] > 0:
-        raise RecorderError(f"the sweep of the brakes found no stop with tire_friction {tire_friction:g}")
+        raise RecorderError(
+            f"--brake-sweep: the car did not stop with tire_friction {tire_friction:g}; leave the option out"
+        )
     return 0.6 * fast / ((falling[1] - falling[0]) * TICK) / GRAVITY

@@ -107,7 +107,7 @@ class Sensors:
     def _silence(self, sensor: str, frame: int) -> RecorderError:
         return RecorderError(
             f"the sensor {sensor} did not answer for frame {frame} within {self._timeout:g} s; restart the "
-            "server, or give it more time with --timeout"
+            "server, or increase --timeout"
         )
 
     def _get(self, sensor: str, frame: int, seconds: float) -> Any:
@@ -150,15 +150,15 @@ def drive(
         frame, now = frame + 1, session.tick()
         if now != frame:
             raise RecorderError(
-                f"frame {frame} of {name} is missing: the server went from {frame - 1} to {now}; let "
-                "no other client tick it"
+                f"frame {frame} of {name} is missing: the server went from {frame - 1} to {now}; disconnect "
+                "other clients"
             )
         t = round((frame - recording.first_frame) * TICK, 6)
         imu, fix = sensors.read(frame)
         force, rate = polar(imu.accelerometer), axial(imu.gyroscope)
         state = state_of(session, car, frame)._replace(t=t, force=force, rate=rate)
         if not all(map(math.isfinite, (*force, *rate))):
-            raise FailedRun(f"{name}: the IMU gave no finite number at t = {t} s")
+            raise FailedRun(f"{name}: a value of the IMU is not finite at t = {t} s")
         rows.append(state)
         if began is None and driver.way >= plan.start:
             began = t
@@ -185,14 +185,14 @@ def state_of(session: Session, car: Any, frame: int) -> Row:
     step, seen = snapshot.timestamp.delta_seconds, snapshot.find(car.id)
     if snapshot.frame != frame:
         raise RecorderError(
-            f"the world's snapshot is of frame {snapshot.frame}, not {frame}; let no other client tick the server"
+            f"the world's snapshot is of frame {snapshot.frame}, not {frame}; disconnect other clients"
         )
     if abs(step - TICK) > 1e-6:
         raise RecorderError(
-            f"the server's step is {step:g} s, not {TICK:g} s; restart it without other clients"
+            f"the server's time step is {step:g} s, not {TICK:g} s; restart it without other clients"
         )
     if seen is None:
-        raise RecorderError(f"the car is gone from frame {frame}; let no other client remove it")
+        raise RecorderError(f"the car is missing in frame {frame}; disconnect other clients")
     place = seen.get_transform()
     return Row(0.0, polar(place.location), polar(seen.get_velocity()), heading_of(place.rotation))
 
@@ -203,6 +203,6 @@ def check_fixes(recording: Recording, noise: float) -> None:
     off = sorted(math.hypot(x - places[t][0], y - places[t][1]) for t, x, y in recording.fixes)
     if off and off[len(off) // 2] > 3 * noise + 0.5:
         raise RecorderError(
-            f"the fixes of {recording.name} lie {off[len(off) // 2]:.1f} m beside the car: the server's geodesy "
-            "is not its client's; use client and server of one build"
+            f"the fixes of {recording.name} lie {off[len(off) // 2]:.1f} m from the car: server and client compute "
+            "different latitudes and longitudes; use a client and a server of the same build"
         )

@@ -22,7 +22,7 @@ class Journal:
         there = sorted(path.parent.name for path in options.out.glob("*/imu.csv"))
         if there and not options.resume:
             raise RecorderError(
-                f"{options.out}: contains {there[0]} already; name another folder, or keep what is there with --resume"
+                f"{options.out}: contains {there[0]} already; name another folder, or add missing drives with --resume"
             )
         if self._file.exists():
             self._read(options, there)
@@ -32,16 +32,17 @@ class Journal:
             held = json.loads(self._file.read_text(encoding="utf-8"))
             made = dict(held["options"])
         except (ValueError, KeyError, TypeError):
-            raise RecorderError(f"{self._file}: is no journal of a recording; name another folder") from None
+            raise RecorderError(f"{self._file}: is not a file of the recorder; name another folder") from None
         for key, value in options.figures().items():
             if there and made.get(key) != value:
                 raise RecorderError(
-                    f"{self._file}: the drives there were made with {key} {made.get(key)}, not {value}; name "
-                    "another folder, or the same options"
+                    f"{self._file}: the existing drives were recorded with {key} {made.get(key)}, not {value}; "
+                    "name another folder, or use the same options"
                 )
         if there and options.brake_sweep and not held.get("friction"):
             raise RecorderError(
-                f"{self._file}: the drives there were made without --brake-sweep; name another folder, or leave it out"
+                f"{self._file}: the existing drives were recorded without --brake-sweep; name another folder, or "
+                "leave the option out"
             )
         self._content = {**held, "options": options.figures()}
 

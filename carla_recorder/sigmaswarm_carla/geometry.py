@@ -66,8 +66,8 @@ class Geodesy:
         per_meter = 1 / METERS_PER_DEGREE
         if not 0.5 * per_meter**2 < abs(a * d - b * c) < 50 * per_meter**2:
             raise RecorderError(
-                f"the map's geodesy makes no sense: {self.origin}, {self.east}, {self.south} deg at (0, 0), "
-                "(100, 0), (0, 100) m; its OpenDRIVE needs a georeference"
+                f"the map has no usable latitudes and longitudes: {self.origin}, {self.east}, {self.south} deg at "
+                "(0, 0), (100, 0), (0, 100) m; add a georeference to its OpenDRIVE file"
             )
 
     @classmethod

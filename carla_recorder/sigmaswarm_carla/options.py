@@ -86,22 +86,26 @@ def _option(default: Any, text: str) -> Any:
 class Options:
     """Options of a recording; each field is an option of the command line."""
 
-    out: Path = field(metadata={"help": "folder in which to make the drive folders"})
+    out: Path = field(metadata={"help": "folder for the drive folders"})
     host: str = _option("127.0.0.1", "host of the CARLA server")
     port: int = _option(2000, "port of the CARLA server")
     maneuvers: tuple[str, ...] = _option(MANEUVERS, ", ".join(MANEUVERS))
     environments: tuple[str, ...] = _option(tuple(ENVIRONMENTS), ", ".join(ENVIRONMENTS))
-    runs: int = _option(20, "drives of each maneuver in each environment")
+    runs: int = _option(20, "number of drives of each maneuver in each environment")
     seed: int = _option(0, "seed of routes, driver and noise")
-    map: str = _option("", "town to load; empty keeps the loaded one")
-    accel_noise: float = _option(0.001, "m/s2, standard deviation of each sample")
-    gyro_noise: float = _option(0.001, "rad/s, standard deviation of each sample")
-    gyro_bias: float = _option(0.001, "rad/s; the constant bias of a run is uniform within +- this")
-    gps_noise: float = _option(0.56, "m per axis, standard deviation of each fix")
-    timeout: float = _option(20.0, "s to wait for an answer")
-    patience: float = _option(120.0, "s to wait for a lost server")
+    map: str = _option("", "town to load; if empty, the loaded town is used")
+    accel_noise: float = _option(0.001, "standard deviation of each acceleration sample, m/s2")
+    gyro_noise: float = _option(0.001, "standard deviation of each gyro sample, rad/s")
+    gyro_bias: float = _option(
+        0.001, "largest gyro bias, rad/s; each drive has a constant bias within +- this bound"
+    )
+    gps_noise: float = _option(0.56, "standard deviation of each fix, m per axis")
+    timeout: float = _option(20.0, "longest wait for an answer of the server, s")
+    patience: float = _option(120.0, "longest wait for a lost server, s")
     resume: bool = _option(False, "keep existing drives and record the missing ones")
-    brake_sweep: bool = _option(False, "first measure which tire_friction gives which friction, and use that")
+    brake_sweep: bool = _option(
+        False, "first measure the friction for several values of tire_friction, and use it"
+    )
 
     def figures(self) -> dict[str, Any]:
         """Return the options that all drives in one folder must share."""
@@ -145,5 +149,5 @@ def options_of(arguments: Sequence[str]) -> Options:
         if not 0 <= getattr(options, name) < math.inf:
             raise RecorderError(f"--{name.replace('_', '-')} is {getattr(options, name)}; choose 0 or more")
     if not (options.timeout > 0 and options.patience >= 0):
-        raise RecorderError("--timeout and --patience are in s and not negative")
+        raise RecorderError("--timeout must be above 0 s, and --patience 0 s or more")
     return options

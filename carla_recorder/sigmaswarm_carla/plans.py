@@ -93,7 +93,7 @@ def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any,
         return quarters and opposite and bends[1].end + 40.0 + RUN_OUT < path.length
 
     sharp = name == "turns"
-    what = "two turns of 90 degrees, one to each side" if sharp else "way with two turns of 90 degrees"
+    what = "path with two turns of 90 degrees, one to each side"
     path = find_path(town, Need(what, before + (240.0 if sharp else 320.0), False, fits), rng)
     first, second = path.turns[:2]
     grip = min(4.0 if sharp else 3.5, 0.7 * friction * GRAVITY)

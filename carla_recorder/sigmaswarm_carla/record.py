@@ -100,7 +100,7 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
             if lost > 3 or not _wait_for(options):
                 _put_in_order(options, before)
                 raise RecorderError(f"{error}; {here}; restart the server and repeat with --resume") from None
-            progress.say(f"warning: {error}; the server is back, going on")
+            progress.say(f"warning: {error}; the server answers again, and the recording continues")
 
 
 def check_routes(session: Session, wanted: Sequence[Condition]) -> None:

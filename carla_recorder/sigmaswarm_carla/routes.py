@@ -114,8 +114,8 @@ def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
                 return path
     longest_is = f"; the longest straight stretch is {longest:.0f} m" if need.straight else ""
     raise RecorderError(
-        f"the map {town.name} has no {need.what}{longest_is}; load another one, say --map Town06, or leave "
-        "this maneuver out"
+        f"the map {town.name} has no {need.what}{longest_is}; load another map, for example --map Town06, or "
+        "leave this maneuver out"
     )
 
 

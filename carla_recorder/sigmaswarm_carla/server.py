@@ -56,14 +56,14 @@ def connect(carla: Any, options: Options) -> Any:
         server = client.get_server_version()
     except RuntimeError as error:
         raise RecorderError(
-            f"what listens at {place} does not answer as CARLA does ({one_line(error)}); "
-            "name the server's --port, or give it time with --timeout"
+            f"the program at {place} does not answer like a CARLA server ({one_line(error)}); "
+            "name the server's --port, or increase --timeout"
         ) from None
     mine = client.get_client_version()
     if number_of(mine) != number_of(server):
         raise RecorderError(
-            f"the server at {place} is CARLA {server}, the client {mine}, and they would not understand each "
-            f"other; pip install carla=={number_of(server)}"
+            f"the server at {place} is CARLA {server}, but the client is {mine}; pip install "
+            f"carla=={number_of(server)}"
         )
     return client
 
@@ -165,7 +165,7 @@ class Session:
         if not all(_same(getattr(settings, name), value) for name, value in SETTINGS.items()):
             return settings
         print(
-            "warning: the server still has the settings of a recording that was killed; it gets CARLA's defaults",
+            "warning: the server still has the settings of a recording that was killed; CARLA's defaults replace them",
             file=sys.stderr,
         )
         return self.carla.WorldSettings()
@@ -179,8 +179,8 @@ class Session:
         for name, value in SETTINGS.items():
             if not _same(getattr(found, name), value):
                 raise RecorderError(
-                    f"the server did not take {name} = {value}, it has {getattr(found, name)}; restart it "
-                    "without other clients"
+                    f"the server has {name} = {getattr(found, name)} instead of {value}; restart it without "
+                    "other clients"
                 )
 
     def _remove_leftovers(self) -> None:
@@ -223,7 +223,7 @@ class Session:
         """Restore the world; return a message about the failures, empty if there are none."""
         if not reachable(self.options.host, self.options.port, 2.0):
             _KEEP.extend([self, *self.actors])
-            return "the server is gone: its settings and weather could not be restored"
+            return "the server does not answer: its settings and weather could not be restored"
         failed: list[str] = []
         for what, step in (
             ("actors", self.clear),

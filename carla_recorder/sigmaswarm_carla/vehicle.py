@@ -46,8 +46,8 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
         for name in ("tire_friction", "max_brake_torque"):
             if abs(getattr(got, name) - getattr(wanted, name)) > 1e-3 * getattr(wanted, name):
                 raise RecorderError(
-                    f"the server did not take {name} = {getattr(wanted, name):g} for a wheel, it has "
-                    f"{getattr(got, name):g}; this CARLA's physics can't be edited"
+                    f"a wheel has {name} = {getattr(got, name):g} instead of {getattr(wanted, name):g}: this "
+                    "build of CARLA ignores changes of the physics; use another one"
                 )
     wheelbase, ahead = axles(found.wheels, car.get_transform())
     steer = math.radians(found.wheels[0].max_steer_angle)
@@ -88,8 +88,8 @@ def place_car(session: Session, path: Path2D) -> Any:
         if "spawn" not in str(error).lower():
             raise
         raise FailedRun(
-            f"the car can't be spawned at {location.x:.0f}, {location.y:.0f} m ({one_line(error)}); remove what "
-            "is in the way"
+            f"the car can't be spawned at {location.x:.0f}, {location.y:.0f} m ({one_line(error)}); remove "
+            "the obstacle"
         ) from None
 
 
