@@ -180,7 +180,7 @@ def test_turns_that_the_fixes_do_not_show_are_not_denied(seconds: float):
     said = found["unseen-yaw"].what
     assert "hardly turns" not in said
     assert "where the car is faster than 3.0 m/s" in said
-    assert "slower turns don't show" in said
+    assert "slower turns are not visible" in said
 
 
 def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():

@@ -31,7 +31,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     if change := moved(evidence.drive):
         time, angle = change
         what = f"the IMU was moved at t = {time:.0f} s: gravity's direction changes by {math.degrees(angle):.0f} deg"
-        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has its own mounting"
+        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has another mounting"
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
     elif mounting is not None and mounting.needed:

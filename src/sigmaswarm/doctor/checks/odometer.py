@@ -57,7 +57,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
     if odometer is None or course is None or not course.moving.any() or len(odometer) < FEWEST:
         return
     for code, confidence, fault, find in (
-        ("stuck", 0.95, "the same reading again and again while the fixes move at another speed", _stuck),
+        ("stuck", 0.95, "the reading is constant while the fixes move at another speed", _stuck),
         (
             "slip",
             0.9,
