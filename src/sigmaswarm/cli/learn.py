@@ -56,7 +56,7 @@ def learn(
     *,
     options: Annotated[LearnOptions, FIELDS],
 ) -> None:
-    """Train a network that helps a tuned filter.
+    """Train a network that supports a tuned filter.
 
     outage-lstm forecasts displacements during outages. noise-gru scales Q and R by the latest innovations, and is
     trained through planar5 and planar8. OUT includes the filter: `sigmaswarm run` and `evaluate` read it as a tuning.

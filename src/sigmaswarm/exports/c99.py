@@ -60,7 +60,7 @@ def c99(
     Raises
     ------
     InputError
-        If a number of the filter cannot be written in C, or the IMU is too fast.
+        If a parameter cannot be written as a C constant, or the IMU's sampling rate is too high.
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(

@@ -1,4 +1,7 @@
-"""MATLAB files, ``.mat`` up to version 7, through SciPy: structs, and other vectors of one length, are tables."""
+"""MATLAB files, ``.mat`` up to version 7, through SciPy.
+
+Each struct is read as a table, and so are the remaining vectors of equal length.
+"""
 
 import io
 import math
