@@ -48,7 +48,9 @@ class OdometerGrade:
 ODOMETER_GRADES = {
     grade.name: grade
     for grade in (
-        OdometerGrade("ideal", 100.0, 0.002, 1_000_000, 0.0, source="exact wheel speed; the only error is slip"),
+        OdometerGrade(
+            "ideal", 100.0, 0.002, 1_000_000, 0.0, source="exact wheel speed; the only error is slip"
+        ),
         OdometerGrade(
             "pulses",
             50.0,
