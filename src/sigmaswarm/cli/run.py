@@ -36,7 +36,7 @@ class RunOptions:
     as_recorded
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
-        Write smoothed estimates: each uses all fixes, also later ones.
+        Write smoothed estimates, which also use later fixes.
     bank
         Estimate with a bank of sixteen filters with different parameters. --swarm is the deprecated name.
     json
