@@ -236,8 +236,8 @@ def test_what_is_there_is_not_overwritten_nor_mixed(tmp_path: Path):
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (("--maneuver", "fly"), "no maneuver is called 'fly'; there are cruise, turns"),
-        (("--environment", "snow"), "no environment is called 'snow'; there are clear"),
+        (("--maneuver", "fly"), "no maneuver is called 'fly'; choose from cruise, turns"),
+        (("--environment", "snow"), "no environment is called 'snow'; choose from clear"),
         (("--runs", 0), "--runs is 0; choose 1 or more"),
         (("--gps-noise", -1), "--gps-noise is -1.0; choose 0 or more"),
     ],

@@ -141,7 +141,7 @@ def options_of(arguments: Sequence[str]) -> Options:
         given[key] = tuple(dict.fromkeys(given[key]))
         for name in given[key]:
             if name not in known:
-                raise RecorderError(f"no {key[:-1]} is called {name!r}; there are {', '.join(known)}")
+                raise RecorderError(f"no {key[:-1]} is called {name!r}; choose from {', '.join(known)}")
     options = Options(**given)
     if options.runs < 1:
         raise RecorderError(f"--runs is {options.runs}; choose 1 or more")

@@ -461,7 +461,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert plain in Path("g/page.html").read_text()
     ended = sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "no", "--validation", first)
     assert (ended.code, ended.err.count("\n")) == (2, 1)
-    assert "32 s of it are in the training drives, too (urban-clear-00-train)" in ended.err
+    assert "32 s of this drive are also in the training drives (urban-clear-00-train)" in ended.err
     assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning did not use")
 
 

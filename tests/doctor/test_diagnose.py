@@ -337,7 +337,7 @@ def test_the_options_follow_from_the_log():
         "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
-    lasting = "; without truth also fix-error, since the fixes differ by less than the receiver errs"
+    lasting = "; without truth also fix-error, since the fixes differ by less than the receiver's error"
     may = "; you may add velocity to --use: the receiver gives speed and course"
     assert found_of(velocity, "use") == six + tilts + lasting + may
     assert velocity.gps.speed is not None

@@ -223,7 +223,7 @@ class _Compiler:
     def _use(self, name: str) -> pl.Expr:
         if name not in self.columns:
             near = difflib.get_close_matches(name, self.columns, 1, 0.5)
-            hint = f"perhaps `{shown(near[0])}`" if near else f"there are {names_shown(self.columns, '`')}"
+            hint = f"perhaps `{shown(near[0])}`" if near else f"choose from {names_shown(self.columns, '`')}"
             raise InputError(
                 f"{quoted(self.text)} names the column {quoted(name)}, which is not there; {hint}"
             )

@@ -162,7 +162,7 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
             return [replace(part, table=name)]
     if part.table:
         there = names_shown(log.tables)
-        raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; there are {there}")
+        raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; choose from {there}")
     homes = {
         name: [n for n, table in log.tables.items() if fits(text, table.columns)]
         for name, text in part.columns.items()

@@ -186,4 +186,6 @@ def _entry(text: str) -> tuple[Role, str, str]:
         if column in COLUMNS[role]:
             return role, column, expression.strip()
     there = dict.fromkeys(c for role in roles for c in COLUMNS[role])
-    raise InputError(f"--map {text!r}: there is no column {column!r} to map to; there are {', '.join(there)}")
+    raise InputError(
+        f"--map {text!r}: there is no column {column!r} to map to; choose from {', '.join(there)}"
+    )

@@ -95,7 +95,7 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
     """Draw the tracks of all methods on one drive."""
     found = evaluation.drives.get(drive)
     if found is None or found.picture is None:
-        raise InputError(f"no track of {drive!r}; there are {names_shown(evaluation.drives)}")
+        raise InputError(f"no track of {drive!r}; choose from {names_shown(evaluation.drives)}")
     return tracks(found.picture, LABELS | dict(evaluation.names))
 
 

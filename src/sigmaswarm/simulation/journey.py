@@ -29,9 +29,9 @@ from sigmaswarm.simulation.planning import LOOK, SPACING, draw_sway, lay_path, p
 Array = NDArray[np.float64]
 
 STAND = 1.0
-"""s of standstill at the beginning."""
+"""Duration of the standstill at the beginning, s."""
 URBAN_DURATION = 180.0
-"""s, default duration of "urban"."""
+"""Default duration of "urban", s."""
 
 
 @dataclass(frozen=True)

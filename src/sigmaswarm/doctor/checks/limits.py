@@ -87,7 +87,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         may.append("heading to --use: the fixes have one")
     what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
     if has_lasting_errors(drive) and len(drive.gps) >= FEWEST_FIXES:
-        what += "; without truth also fix-error, since the fixes differ by less than the receiver errs"
+        what += "; without truth also fix-error, since the fixes differ by less than the receiver's error"
     what += f"; you may add {'; and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

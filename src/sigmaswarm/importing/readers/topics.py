@@ -113,7 +113,7 @@ class Topics:
             if not near:
                 there = names_shown(self.tables)
                 raise InputError(
-                    f"{self.path}: has no topic {chosen!r} for --{role}-topic; there are {there}"
+                    f"{self.path}: has no topic {chosen!r} for --{role}-topic; choose from {there}"
                 )
             return near.pop()
         ranked = sorted(candidates, key=lambda t: (-(self.tables[t].rows or 0), t))
