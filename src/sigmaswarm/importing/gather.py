@@ -20,7 +20,7 @@ from sigmaswarm.wording import names_shown, quoted, shown
 ROW = "row"
 """Column with the number of the row, from 0, which each table gets unless it has one of this name."""
 FAR = 10
-"""A placeholder is no value if it is farther from the others than this many times their spread."""
+"""Distance of a placeholder from the values, in units of their spread, above which it means a missing value."""
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 """Texts that mean a cell is empty."""
 

@@ -129,7 +129,7 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
         table = columns.pop("table", "")
         if unknown := sorted(c for c in columns if c.removeprefix("+") not in COLUMNS[role]):
             raise InputError(
-                f"{path}: {quoted(unknown[0])} under [[{role}]] is unknown; it can hold {', '.join(COLUMNS[role])}"
+                f"{path}: {quoted(unknown[0])} under [[{role}]] is unknown; use {', '.join(COLUMNS[role])}"
             )
         yield Part(table, columns)
 

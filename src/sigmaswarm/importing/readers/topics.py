@@ -217,5 +217,5 @@ class Topics:
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):
             self.notes.append(
-                f"{topic} is in the frame {name!r}, axes as in REP-103 unless --mount gives others"
+                f"{topic} is in the frame {name!r}, axes as in REP-103; state other axes with --mount"
             )
