@@ -78,7 +78,7 @@ def export(
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:
         raise sigmaswarm.InputError(
-            f"--check is for --to c99 and for tunings of robot-localization, not for {to}; leave it out"
+            f"--check is for --to c99 and for tunings of robot-localization, not for {to}; leave --check out"
         )
     if options.against and not (options.check and ros):
         raise sigmaswarm.InputError(
