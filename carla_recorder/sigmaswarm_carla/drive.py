@@ -21,7 +21,7 @@ from .vehicle import Physics, control
 GARBAGE = 3
 """Number of samples to discard after listen() (carla#8970)."""
 STUCK = 20.0
-"""s: time without 1 m of progress, after which the car counts as stuck."""
+"""Time without 1 m of progress after which the car counts as stuck, s."""
 
 
 class Row(NamedTuple):

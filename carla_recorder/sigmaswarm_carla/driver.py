@@ -13,7 +13,7 @@ from .plans import Plan, allowed_speed
 from .routes import SPACING
 
 _THROTTLE = 6.5
-"""m/s2: acceleration at full throttle; measurements in CARLA give 6.3 to 7.0."""
+"""Acceleration at full throttle, m/s2; measurements in CARLA give 6.3 to 7.0."""
 _FULL_BRAKE = ((0.0, 4.4), (4.5, 4.4), (10.0, 6.1), (14.0, 7.4))
 """Speed, m/s, and deceleration of the stock brakes, m/s2, as measured in CARLA."""
 

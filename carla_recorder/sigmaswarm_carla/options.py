@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 RATE = 100
-"""Hz: rate of the server's ticks and of the IMU."""
+"""Rate of the server's ticks and of the IMU, Hz."""
 TICK = 1.0 / RATE
 GPS_EVERY = 20
 """Ticks from fix to fix: 5 Hz. CARLA's sensor_tick does not stay synchronous with the frames (carla#3653)."""
 STAND = 1.0
-"""s: standstill at the beginning of a drive."""
+"""Duration of the standstill at the beginning of a drive, s."""
 GRAVITY = 9.81
 KMH = 1 / 3.6
 DRY = 0.85

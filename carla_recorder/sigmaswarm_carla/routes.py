@@ -12,11 +12,11 @@ from .geometry import heading_of, polar, wrap
 from .options import RecorderError
 
 SPACING = 0.5
-"""m: distance between two points of a path."""
+"""Distance between two points of a path, m."""
 RUN_OUT = 30.0
-"""m: road beyond the end of a maneuver, for the driver's preview and for longer braking."""
+"""Length of road beyond the end of a maneuver, m, for the driver's preview and for longer braking."""
 STRAIGHT = math.radians(3.0)
-"""rad: largest change of heading on a straight stretch."""
+"""Largest change of heading on a straight stretch, rad."""
 WALKS = 4000
 """Number of random walks after which a search for a path fails."""
 

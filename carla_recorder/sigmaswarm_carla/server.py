@@ -76,7 +76,7 @@ def one_line(error: BaseException) -> str:
 ROLE = "sigmaswarm"
 """Role name of the recorder's actors, by which the next call finds the actors that a crashed call left."""
 SUBSTEP = 0.001
-"""s: step of the physics; with CARLA's default the gyro is wrong."""
+"""Step of the physics, s; with CARLA's default the gyro is wrong."""
 SETTINGS: dict[str, Any] = {
     "synchronous_mode": True,
     "no_rendering_mode": True,

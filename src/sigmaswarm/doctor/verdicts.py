@@ -31,11 +31,11 @@ SCALE = 0.12
 SHOWN = 0.25
 """Largest deviation of an entry of M that the drive shows."""
 LEAST_OFFSET = 0.1
-"""s between the clocks: a receiver's noise hides smaller offsets."""
+"""Offset between the clocks, s, below which a receiver's noise hides it."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
 """Standard deviations from which an offset is a note, a warning with a repair, and serious."""
 MOUNTED = math.radians(40)
-"""rad: larger rotations count as exchanged axes."""
+"""Rotation above which axes count as exchanged, rad."""
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 

@@ -14,9 +14,9 @@ from sigmaswarm.noise.static import Stretches, step_of
 from sigmaswarm.wording import counted
 
 LONG = 1800.0
-"""s: shortest stretch that shows more than white noise."""
+"""Shortest stretch that shows more than white noise, s."""
 LONG_TREND = 300.0
-"""s: shortest stretch whose trend is tested."""
+"""Shortest stretch whose trend is tested, s."""
 STATIC = 0.95
 """Share of a static log that is at rest."""
 UNLIKELY = 0.1

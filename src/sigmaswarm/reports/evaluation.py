@@ -52,7 +52,7 @@ from sigmaswarm.wording import names_shown
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 HEADING_SHOWN = (1.0, 30.0)
-"""deg: smallest and largest limit of the axis of heading errors; a diverged filter has larger errors."""
+"""Smallest and largest limit of the axis of heading errors, deg; a diverged filter has larger errors."""
 
 
 def save_evaluation(

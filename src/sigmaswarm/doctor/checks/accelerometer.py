@@ -15,11 +15,11 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""rad: rotations about z from which a finding is a warning, and serious."""
+"""Rotations about z, rad, from which a finding is a warning, and serious."""
 TILT = (0.5, 1.2)
-"""m/s2: the same for the residual of ax, ay. Roads and cheap sensors' biases stay below the second."""
+"""The same limits for the residual of ax, ay, m/s2. Roads and cheap sensors' biases stay below the second limit."""
 SIZE = (0.3, 1.0)
-"""m/s2: differences of the usual specific force from gravity from which a finding is a note, and a warning.
+"""Differences of the usual specific force from gravity, m/s2, from which a finding is a note, and a warning.
 
 Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050).
 """
@@ -27,7 +27,7 @@ LIKELY, CLEAR = 2.5, 3.5
 """Standard deviations from which a rotation is a note, and from which it is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
-"""m/s2: acceleration below which the scale is unknown."""
+"""Acceleration below which the scale is unknown, m/s2."""
 WHERE = "imu.csv, ax, ay"
 
 

@@ -21,12 +21,12 @@ from sigmaswarm.drives.drive import Array
 WRONG = 0.1
 """Deviation of a gain from 1 from which it is a warning."""
 LEAST_TURN = np.radians(1.0)
-"""rad within some seconds: a smaller change of course is swaying, not a turn."""
+"""Smallest change of course within some seconds that is a turn, not swaying, rad."""
 BIAS = (np.radians(0.1), np.radians(1.0))
 """rad/s: biases from which a finding is a note, and a warning."""
 
 SMOOTHED, LAG = 0.3, 0.5
-"""s: windows over which the force is averaged, and over which its direction changes.
+"""Windows, s, over which the force is averaged, and over which its direction changes.
 
 Longer ones contain more of the car's own acceleration, shorter ones more vibration. On seven recordings every correct
 sign is significant by 9.5 standard deviations or more.

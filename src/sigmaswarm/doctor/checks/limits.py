@@ -16,7 +16,7 @@ MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
 """RMS change of the course within windows, in standard deviations, from which the car certainly turns."""
 LEAST_TURN = np.radians(5.0)
-"""rad: a smaller change is the swaying of a car."""
+"""Smallest change that is not the swaying of a car, rad."""
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:

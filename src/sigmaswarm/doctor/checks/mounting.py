@@ -18,9 +18,9 @@ STANDS_OUT = 6.0
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 STANDS = 1.0
-"""m/s: at lower speeds a car may change between forward and reverse."""
+"""Speed below which a car may change between forward and reverse, m/s."""
 STEP = 2.0
-"""s: interval over which changes of speed are compared with ax."""
+"""Interval over which changes of speed are compared with ax, s."""
 CLEAR, LEAST = 3.0, 0.4
 """Smallest slope of the changes of speed on ax that shows a direction: in deviations, and its size."""
 

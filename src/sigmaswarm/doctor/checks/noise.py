@@ -16,7 +16,7 @@ TOO_LARGE = 6.5
 LASTS = 2.5
 """Ratio of the stated deviation to the scatter about a path of 10 s, from which most of the error lasts longer."""
 FAR_FIRST = 1000.0
-"""m from the first fix to the next good one: such a first fix, as the origin, displaces the whole drive."""
+"""Distance from the first fix to the next good one, m, from which the first fix, as the origin, displaces the drive."""
 WHITE = 0.7
 """Ratio of the noise from fix to fix to the scatter about a path of 10 s; white noise has 1."""
 

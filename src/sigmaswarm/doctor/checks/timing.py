@@ -13,20 +13,20 @@ from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 GRAVE = 0.3
-"""s between the clocks: a larger offset causes errors of meters."""
+"""Offset between the clocks above which errors are meters, s."""
 SLOW_IMU = 8.0
-"""Hz: at lower rates turns are lost between samples."""
+"""Rate below which turns are lost between samples, Hz."""
 UNEVEN = 0.5
 """Spread of the middle 90% of the intervals, as a share of the median, from which they are uneven."""
 HELD = 0.2
 """Share of IMU samples that repeat the previous one, from which a slower sensor was logged too often."""
 LONG_GAP = 0.5
-"""s without IMU samples, from which a filter's step is inaccurate."""
+"""Time without IMU samples from which a filter's step is inaccurate, s."""
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
 """An interval of fixes is longer by this many usual intervals if fixes are missing in a gap of the IMU."""
 AROUND = 2.0
-"""s on each side of a gap in which the speed is measured."""
+"""Time on each side of a gap in which the speed is measured, s."""
 SIGMAS = 3.0
 """Standard deviations by which the time that passed must be nearer to a pause than to a jump, or the reverse."""
 

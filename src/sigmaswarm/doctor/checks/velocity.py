@@ -21,7 +21,7 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
 """Conventions of a course other than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
 LATE = 0.2
-"""s of delay that causes a warning."""
+"""Delay that causes a warning, s."""
 FEWEST = 30
 REMEDY = (
     "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
