@@ -58,18 +58,18 @@ def test_something_else_than_a_server(tmp_path: Path):
         mute.listen()
         done = record(mute.getsockname()[1], tmp_path / "d", *BRAKE, "--timeout", 0.5)
     assert done.returncode == 2
-    check_one_line(done.stderr, "does not answer as CARLA does", "--port")
+    check_one_line(done.stderr, "does not answer like a CARLA server", "--port")
 
 
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        ({"say_version": "0.9.13"}, "CARLA 0.9.13, the client 0.9.16.*pip install carla==0.9.13"),
-        ({"ignore_settings": True}, "did not take fixed_delta_seconds = 0.01, it has 0.05"),
-        ({"ignore_physics": True}, "did not take max_brake_torque = 1400 for a wheel, it has 700"),
+        ({"say_version": "0.9.13"}, "CARLA 0.9.13, but the client is 0.9.16.*pip install carla==0.9.13"),
+        ({"ignore_settings": True}, "the server has fixed_delta_seconds = 0.05 instead of 0.01"),
+        ({"ignore_physics": True}, "a wheel has max_brake_torque = 700 instead of 1400"),
         ({"fail_spawn": 99}, r"can't be spawned at .*collision at spawn position.*four routes tried"),
         ({"silent": ["gnss", 0]}, "the sensor gnss did not answer for frame .* within 3 s"),
-        ({"mirror_gnss": True}, "fixes of brake-clear-00 lie .* m beside the car"),
+        ({"mirror_gnss": True}, "fixes of brake-clear-00 lie .* m from the car"),
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
 )
@@ -170,7 +170,7 @@ def test_a_lost_connection_is_taken_up_again(tmp_path: Path):
     with stand_in(tmp_path, hang_up=MID_DRIVE) as server:
         done = record(server.port, out, *BRAKE, "--runs", 1, "--patience", 20)
     assert done.returncode == 0, done.stderr
-    assert "the server is back, going on" in done.stderr
+    assert "the server answers again" in done.stderr
     check_world(server.log)
     assert len(sigmaswarm.read_drive(out / "brake-clear-00").imu) > 1000
     assert len(sigmaswarm.read_drive(out / "incomplete" / "brake-clear-00-0").imu) > 200
@@ -180,7 +180,7 @@ def test_a_connection_that_is_lost_again_and_again_is_given_up(tmp_path: Path):
     with stand_in(tmp_path, hang_up=200, always=True) as server:
         done = record(server.port, tmp_path / "d", *BRAKE, "--runs", 1, "--timeout", 1)
     assert done.returncode == 2
-    assert done.stderr.count("the server is back, going on") == 3
+    assert done.stderr.count("the server answers again") == 3
     check_one_line(done.stderr, "stopped answering: .*0 drives of this call are complete in .*--resume")
     check_world(server.log)
 
@@ -224,20 +224,20 @@ def test_what_is_there_is_not_overwritten_nor_mixed(tmp_path: Path):
     check_one_line(done.stderr, "contains brake-clear-00 already.*--resume")
     (out / "recording.json").write_text('{"options": {"seed": 3}}')
     done = record(1, out, *BRAKE, "--resume")
-    check_one_line(done.stderr, "made with seed 3, not 0")
+    check_one_line(done.stderr, "recorded with seed 3, not 0")
     done = record(1, out, *BRAKE, "--resume", "--seed", 3, "--accel-noise", 0)
-    check_one_line(done.stderr, "made with accel_noise None, not 0.0")
+    check_one_line(done.stderr, "recorded with accel_noise None, not 0.0")
     figures = dataclasses.replace(Options(out), seed=3).figures()
     (out / "recording.json").write_text(json.dumps({"options": figures}))
     done = record(1, out, *BRAKE, "--resume", "--seed", 3, "--brake-sweep")
-    check_one_line(done.stderr, "made without --brake-sweep")
+    check_one_line(done.stderr, "recorded without --brake-sweep")
 
 
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (("--maneuver", "fly"), "no maneuver is called 'fly'; there are cruise, turns"),
-        (("--environment", "snow"), "no environment is called 'snow'; there are clear"),
+        (("--maneuver", "fly"), "no maneuver is called 'fly'; choose from cruise, turns"),
+        (("--environment", "snow"), "no environment is called 'snow'; choose from clear"),
         (("--runs", 0), "--runs is 0; choose 1 or more"),
         (("--gps-noise", -1), "--gps-noise is -1.0; choose 0 or more"),
     ],

@@ -6,6 +6,6 @@ A Tesla Model 3 drives in synchronous mode at 100 Hz, with an IMU at 100 Hz and 
 world's snapshots. The package needs Python 3.8 or later and the `carla` client of the server's version. ``python -m
 sigmaswarm_carla.pack carla_recorder.pyz`` writes it as one file for machines with an old CARLA.
 
-`record` runs all drives and `drive` one of them; `routes` finds a path in the map, `plans` plans a maneuver on it,
-`driver` follows the plan, and `server` prepares and restores the server.
+`record` runs all drives, and `drive` runs one of them. `routes` finds a path in the map, `plans` plans a maneuver on
+it, and `driver` follows the plan. `server` prepares the server, and restores it at the end.
 """

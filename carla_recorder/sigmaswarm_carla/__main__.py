@@ -13,7 +13,7 @@ from .record import record
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command line; returns the exit code: 0 done, 2 an error stated in one line, 130 interrupted."""
+    """Run the command line; return the exit code: 0 for success, 2 for an error, 130 for an interruption."""
 
     def end(*_: Any) -> None:
         raise KeyboardInterrupt
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run() -> None:
-    """Run the command line and exit at once: the 0.9.16 client may abort during the interpreter's shutdown."""
+    """Run the command line, and exit without the interpreter's shutdown, in which the 0.9.16 client may abort."""
     code = main(sys.argv[1:])
     sys.stdout.flush()
     sys.stderr.flush()

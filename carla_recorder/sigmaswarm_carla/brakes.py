@@ -1,4 +1,4 @@
-"""Sweep the brakes: measure which tire_friction gives which friction."""
+"""Measure the friction of the road for several values of CARLA's tire_friction, by braking."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .server import Session
 from .vehicle import control, edit_physics, place_car, settle
 
 SWEEP = (3.5, 2.0, 1.0, 0.5, 0.25)
-"""tire_friction of all wheels; the friction that it gives depends on CARLA's road and version."""
+"""Values of tire_friction, the same for all wheels. The resulting friction depends on CARLA's road and version."""
 
 
 def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[float]]:
-    """Brake hard with each tire_friction; return pairs of tire_friction and friction."""
+    """Brake hard with each tire_friction; return pairs of tire_friction and measured friction."""
     found: list[list[float]] = []
     guess = 0.4
     for tire_friction in SWEEP:
@@ -37,7 +37,7 @@ def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[floa
 
 
 def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Random) -> float:
-    """Return the friction that the fall of speed from 90% to 30% under full brakes gives."""
+    """Measure the friction: the deceleration under full brakes, from 90% to 30% of the speed, divided by gravity."""
     car = place_car(session, plan.path)
     settle(session, car)
     physics = edit_physics(session, car, tire_friction)
@@ -55,5 +55,7 @@ def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Rando
         state = state_of(session, car, session.tick())
     session.clear()
     if not falling[1] > falling[0] > 0:
-        raise RecorderError(f"the sweep of the brakes found no stop with tire_friction {tire_friction:g}")
+        raise RecorderError(
+            f"--brake-sweep: the car did not stop with tire_friction {tire_friction:g}; leave the option out"
+        )
     return 0.6 * fast / ((falling[1] - falling[0]) * TICK) / GRAVITY

@@ -19,13 +19,13 @@ from .server import Session
 from .vehicle import Physics, control
 
 GARBAGE = 3
-"""Samples after listen() to discard (carla#8970)."""
+"""Number of samples to discard after listen() (carla#8970)."""
 STUCK = 20.0
-"""s without a meter gained, after which the car counts as stuck."""
+"""Time without 1 m of progress after which the car counts as stuck, s."""
 
 
 class Row(NamedTuple):
-    """One tick: time s; position m, velocity m/s and heading rad; specific force m/s2 and angular rate rad/s."""
+    """One tick: time, s; position, m; velocity, m/s; heading, rad; specific force, m/s2; angular rate, rad/s."""
 
     t: float
     place: tuple[float, float, float]
@@ -36,13 +36,13 @@ class Row(NamedTuple):
 
     @property
     def speed(self) -> float:
-        """In the plane, m/s."""
+        """Horizontal speed, m/s."""
         return math.hypot(*self.velocity[:2])
 
 
 @dataclass
 class Recording:
-    """The data recorded of a drive so far."""
+    """Samples and fixes of a drive, up to the latest frame."""
 
     name: str
     rows: list[Row] = field(default_factory=list)
@@ -56,7 +56,7 @@ def seed_of(*names: object) -> int:
 
 
 class Sensors:
-    """IMU and GNSS on a car, read frame by frame."""
+    """IMU and GNSS receiver of the car, read frame by frame."""
 
     def __init__(self, session: Session, car: Any, name: str, rng: random.Random) -> None:
         o = session.options
@@ -80,7 +80,7 @@ class Sensors:
             actor.listen(self._queues[sensor].put)
 
     def awake(self, tick: Callable[[], int]) -> int:
-        """Tick until both answer, which may take some frames after listen(), and skip the first samples."""
+        """Tick until both sensors answer, some frames after listen(); skip their first samples; return the frame."""
         end, wait = time.monotonic() + self._timeout, 0.05
         while True:
             frame = tick()
@@ -96,7 +96,7 @@ class Sensors:
         return frame
 
     def read(self, frame: int) -> list[Any]:
-        """Wait for the data of a frame: of IMU and GNSS."""
+        """Wait for the IMU's and the GNSS receiver's data of a frame, and return both."""
         found: list[Any] = []
         for sensor in self._queues:
             found.append(self._get(sensor, frame, self._timeout))
@@ -107,7 +107,7 @@ class Sensors:
     def _silence(self, sensor: str, frame: int) -> RecorderError:
         return RecorderError(
             f"the sensor {sensor} did not answer for frame {frame} within {self._timeout:g} s; restart the "
-            "server, or give it more time with --timeout"
+            "server, or increase --timeout"
         )
 
     def _get(self, sensor: str, frame: int, seconds: float) -> Any:
@@ -135,7 +135,7 @@ def drive(
     rng: random.Random,
     show: Callable[[float], None],
 ) -> Sensors:
-    """Drive a plan and record it into `recording`, which keeps its data if the drive fails."""
+    """Drive a plan, and append its data to `recording`; they remain there if the drive fails."""
     name, rows = recording.name, recording.rows
     sensors = Sensors(session, car, name, rng)
     driver = Driver(plan, physics.wheelbase, rng)
@@ -150,15 +150,15 @@ def drive(
         frame, now = frame + 1, session.tick()
         if now != frame:
             raise RecorderError(
-                f"frame {frame} of {name} is missing: the server went from {frame - 1} to {now}; let "
-                "no other client tick it"
+                f"frame {frame} of {name} is missing: the server went from {frame - 1} to {now}; disconnect "
+                "other clients"
             )
         t = round((frame - recording.first_frame) * TICK, 6)
         imu, fix = sensors.read(frame)
         force, rate = polar(imu.accelerometer), axial(imu.gyroscope)
         state = state_of(session, car, frame)._replace(t=t, force=force, rate=rate)
         if not all(map(math.isfinite, (*force, *rate))):
-            raise FailedRun(f"{name}: the IMU gave no finite number at t = {t} s")
+            raise FailedRun(f"{name}: a value of the IMU is not finite at t = {t} s")
         rows.append(state)
         if began is None and driver.way >= plan.start:
             began = t
@@ -185,24 +185,24 @@ def state_of(session: Session, car: Any, frame: int) -> Row:
     step, seen = snapshot.timestamp.delta_seconds, snapshot.find(car.id)
     if snapshot.frame != frame:
         raise RecorderError(
-            f"the world's snapshot is of frame {snapshot.frame}, not {frame}; let no other client tick the server"
+            f"the world's snapshot is of frame {snapshot.frame}, not {frame}; disconnect other clients"
         )
     if abs(step - TICK) > 1e-6:
         raise RecorderError(
-            f"the server's step is {step:g} s, not {TICK:g} s; restart it without other clients"
+            f"the server's time step is {step:g} s, not {TICK:g} s; restart it without other clients"
         )
     if seen is None:
-        raise RecorderError(f"the car is gone from frame {frame}; let no other client remove it")
+        raise RecorderError(f"the car is missing in frame {frame}; disconnect other clients")
     place = seen.get_transform()
     return Row(0.0, polar(place.location), polar(seen.get_velocity()), heading_of(place.rotation))
 
 
 def check_fixes(recording: Recording, noise: float) -> None:
-    """Refuse fixes far from the car: then the server's geodesy is not the client's."""
+    """Raise RecorderError for fixes far from the car: server and client then use different geodesies."""
     places = {row.t: row.place for row in recording.rows}
     off = sorted(math.hypot(x - places[t][0], y - places[t][1]) for t, x, y in recording.fixes)
     if off and off[len(off) // 2] > 3 * noise + 0.5:
         raise RecorderError(
-            f"the fixes of {recording.name} lie {off[len(off) // 2]:.1f} m beside the car: the server's geodesy "
-            "is not its client's; use client and server of one build"
+            f"the fixes of {recording.name} lie {off[len(off) // 2]:.1f} m from the car: server and client compute "
+            "different latitudes and longitudes; use a client and a server of the same build"
         )

@@ -1,4 +1,4 @@
-"""Write the journal and the drive folders."""
+"""Write recording.json and the drive folders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .options import Options, RecorderError
 
 
 class Journal:
-    """The file recording.json of an output folder: options, versions, geodesy, physics, measured friction."""
+    """The file recording.json of an output folder: options, versions, geodesy, physics and measured friction."""
 
     def __init__(self, options: Options) -> None:
         self._file = options.out / "recording.json"
@@ -22,7 +22,7 @@ class Journal:
         there = sorted(path.parent.name for path in options.out.glob("*/imu.csv"))
         if there and not options.resume:
             raise RecorderError(
-                f"{options.out}: contains {there[0]} already; name another folder, or keep what is there with --resume"
+                f"{options.out}: contains {there[0]} already; name another folder, or add missing drives with --resume"
             )
         if self._file.exists():
             self._read(options, there)
@@ -32,33 +32,34 @@ class Journal:
             held = json.loads(self._file.read_text(encoding="utf-8"))
             made = dict(held["options"])
         except (ValueError, KeyError, TypeError):
-            raise RecorderError(f"{self._file}: is no journal of a recording; name another folder") from None
+            raise RecorderError(f"{self._file}: is not a file of the recorder; name another folder") from None
         for key, value in options.figures().items():
             if there and made.get(key) != value:
                 raise RecorderError(
-                    f"{self._file}: the drives there were made with {key} {made.get(key)}, not {value}; name "
-                    "another folder, or the same options"
+                    f"{self._file}: the existing drives were recorded with {key} {made.get(key)}, not {value}; "
+                    "name another folder, or use the same options"
                 )
         if there and options.brake_sweep and not held.get("friction"):
             raise RecorderError(
-                f"{self._file}: the drives there were made without --brake-sweep; name another folder, or leave it out"
+                f"{self._file}: the existing drives were recorded without --brake-sweep; name another folder, or "
+                "leave the option out"
             )
         self._content = {**held, "options": options.figures()}
 
     @property
     def friction(self) -> list[list[float]]:
-        """Pairs of tire_friction and measured friction; empty without a sweep."""
+        """Pairs of tire_friction and measured friction; empty without --brake-sweep."""
         return self._content.get("friction", [])
 
     def tire_friction(self, friction: float) -> float | None:
-        """Return the tire_friction that gives a friction; None without a sweep."""
+        """Return the tire_friction for a friction of the road; None without --brake-sweep."""
         if not self.friction:
             return None
         table = sorted((measured, tire) for tire, measured in self.friction)
         return interpolate(table, friction)
 
     def note(self, **entries: Any) -> None:
-        """Save entries; dictionaries are merged."""
+        """Save entries; merge dictionaries with the saved ones."""
         for key, value in entries.items():
             old = self._content.get(key)
             self._content[key] = (
@@ -71,7 +72,7 @@ class Journal:
 
 
 def write_drive(folder: Path, recording: Recording, about: dict[str, Any], options: Options) -> None:
-    """Write a drive's folder, whole or not at all."""
+    """Write a drive's folder under a temporary name, and rename it when it is complete."""
     new = folder.parent / f".{folder.name}.new"
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)
@@ -95,7 +96,7 @@ def _write_csv(path: Path, header: str, rows: Any) -> None:
 
 
 def keep_incomplete(recording: Recording, options: Options) -> None:
-    """Save the data of an incomplete drive in a folder that no command reads."""
+    """Save the data of an incomplete drive in the folder ``incomplete``, which no command reads."""
     if not recording.rows:
         return
     parent = options.out / "incomplete"
@@ -106,7 +107,7 @@ def keep_incomplete(recording: Recording, options: Options) -> None:
 
 def toml(content: dict[str, Any], table: str = "") -> str:
     """Return a dictionary of scalars, lists and tables as TOML."""
-    # The numbers, strings and lists of JSON are TOML's as well.
+    # JSON's numbers, strings and lists are valid TOML.
     values = ((key, v) for key, v in content.items() if not isinstance(v, dict))
     text = "\n".join(f"{key} = {json.dumps(v, ensure_ascii=False)}" for key, v in values) + "\n"
     for key, value in content.items():

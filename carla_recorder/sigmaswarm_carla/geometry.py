@@ -1,7 +1,7 @@
-"""Axes, angles, interpolation, and the map's latitudes and longitudes.
+"""Conversions of axes, angles, latitudes and longitudes, and interpolation.
 
-CARLA's axes are left-handed (x east, y south; body x forward, y right). They become sigmaswarm's (east-north-up;
-forward-left-up) in `polar` and `axial`, and nowhere else.
+CARLA's axes are left-handed (x east, y south; body x forward, y right). Only `polar` and `axial` convert them to
+sigmaswarm's axes (east-north-up; forward-left-up).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from .options import RecorderError
 
 METERS_PER_DEGREE = math.pi * 6378137.0 / 180.0
-"""Of latitude, on CARLA's sphere."""
+"""m per degree of latitude on CARLA's sphere."""
 
 
 def polar(v: Any) -> tuple[float, float, float]:
@@ -28,7 +28,7 @@ def axial(v: Any) -> tuple[float, float, float]:
 
 
 def heading_of(rotation: Any) -> float:
-    """Heading of a CARLA rotation, rad counter-clockwise from east, in (-pi, pi]."""
+    """Return the heading of a CARLA rotation, rad counter-clockwise from east, in (-pi, pi]."""
     return wrap(-math.radians(rotation.yaw))
 
 
@@ -38,7 +38,7 @@ def wrap(angle: float) -> float:
 
 
 def interpolate(table: Sequence[tuple[float, float]], x: float) -> float:
-    """Interpolate linearly in a table of (x, y), constant beyond both ends."""
+    """Interpolate linearly in a table of (x, y); beyond its ends, return the first or the last y."""
     if x <= table[0][0]:
         return table[0][1]
     for (x0, y0), (x1, y1) in zip(table, table[1:]):
@@ -48,14 +48,14 @@ def interpolate(table: Sequence[tuple[float, float]], x: float) -> float:
 
 
 class Geodesy:
-    """Convert CARLA's latitudes and longitudes to m: invert the map's own formula by Newton's method.
+    """Conversion of CARLA's latitudes and longitudes to m: Newton's method inverts the formula of the map.
 
-    The formula is not WGS-84 and differs between versions (0.9.16 even mirrors north and south, carla#9389), so the
-    client evaluates it.
+    The client evaluates the formula, because it is not WGS-84 and differs between versions: 0.9.16 even mirrors north
+    and south (carla#9389).
     """
 
     def __init__(self, locate: Callable[[float, float], tuple[float, float]]) -> None:
-        """`locate` gives (lat, lon), deg, of CARLA's x, y, m."""
+        """Store `locate`, which converts CARLA's x and y, m, to latitude and longitude, deg."""
         self._locate = locate
         self.origin = locate(0.0, 0.0)
         self.east = locate(100.0, 0.0)
@@ -66,13 +66,13 @@ class Geodesy:
         per_meter = 1 / METERS_PER_DEGREE
         if not 0.5 * per_meter**2 < abs(a * d - b * c) < 50 * per_meter**2:
             raise RecorderError(
-                f"the map's geodesy makes no sense: {self.origin}, {self.east}, {self.south} deg at (0, 0), "
-                "(100, 0), (0, 100) m; its OpenDRIVE needs a georeference"
+                f"the map has no usable latitudes and longitudes: {self.origin}, {self.east}, {self.south} deg at "
+                "(0, 0), (100, 0), (0, 100) m; add a georeference to its OpenDRIVE file"
             )
 
     @classmethod
     def probe(cls, carla: Any, town: Any) -> Geodesy:
-        """Probe a `carla.Map`."""
+        """Return the geodesy of a `carla.Map`."""
 
         def locate(x: float, y: float) -> tuple[float, float]:
             found = town.transform_to_geolocation(carla.Location(x=x, y=y, z=0.0))
@@ -86,7 +86,7 @@ class Geodesy:
         determinant = a * d - b * c
         x = y = 0.0
         for _ in range(6):
-            x, y = c_float(x).value, c_float(y).value  # as the client's positions
+            x, y = c_float(x).value, c_float(y).value  # the client's positions have single precision
             at = self._locate(x, y)
             e, f = lat - at[0], lon - at[1]
             dx, dy = (d * e - b * f) / determinant, (a * f - c * e) / determinant
@@ -94,12 +94,12 @@ class Geodesy:
         return x, -y
 
     def degrees(self, meters: float) -> tuple[float, float]:
-        """Convert a standard deviation, m, to those of latitude and longitude, deg."""
+        """Convert a standard deviation, m, to the standard deviations of latitude and longitude, deg."""
         (a, b), (c, d) = self._rows
         return meters * math.hypot(a, b), meters * math.hypot(c, d)
 
     def report(self) -> dict[str, Any]:
-        """Return the probed (lat, lon), deg."""
+        """Return latitude and longitude, deg, of three points of the map, for recording.json."""
         return {
             "at_0_0": self.origin,
             "at_100_0": self.east,

@@ -1,4 +1,4 @@
-"""Constants of a recording, its options and their command line."""
+"""Constants and options of a recording, and the parser of its command line."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 RATE = 100
-"""Hz, of ticks and IMU."""
+"""Rate of the server's ticks and of the IMU, Hz."""
 TICK = 1.0 / RATE
 GPS_EVERY = 20
-"""Ticks from fix to fix: 5 Hz. CARLA's own sensor_tick does not keep in step with the frames (carla#3653)."""
+"""Ticks from fix to fix: 5 Hz. CARLA's sensor_tick does not stay synchronous with the frames (carla#3653)."""
 STAND = 1.0
-"""s of standstill at the beginning of a drive."""
+"""Duration of the standstill at the beginning of a drive, s."""
 GRAVITY = 9.81
 KMH = 1 / 3.6
 DRY = 0.85
-"""Assumed friction of stock tires, unless a sweep of the brakes has measured it."""
+"""Friction assumed for stock tires, unless --brake-sweep measures it."""
 BRAKE_GAIN = 2.0
-"""Factor on max_brake_torque: stock brakes need 2.7 s from 50 km/h, the paper 2 s."""
+"""Factor for max_brake_torque: stock brakes stop from 50 km/h in 2.7 s, the paper's car in 2 s."""
 
 
 class Environment(NamedTuple):
-    """Friction of tire on road (sources: sigmaswarm.simulation.environments), and CARLA's weather parameters."""
+    """Friction between tires and road (sources: sigmaswarm.simulation.environments), and CARLA's weather."""
 
     friction: float
     physics: str
@@ -54,15 +54,15 @@ NOISE = ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
 
 
 class RecorderError(Exception):
-    """Recording can't go on; the message states the cause and the remedy."""
+    """Error that ends the recording; its message states the cause and the remedy."""
 
 
 class LostConnection(RecorderError):
-    """The server stopped answering."""
+    """Error of a server that does not answer any more."""
 
 
 class FailedRun(RecorderError):
-    """This drive failed; another route may succeed."""
+    """Error of one drive, which may succeed on another route."""
 
 
 class Condition(NamedTuple):
@@ -84,24 +84,28 @@ def _option(default: Any, text: str) -> Any:
 
 @dataclass(frozen=True)
 class Options:
-    """What to record; each field is an option of the command line."""
+    """Options of a recording; each field is an option of the command line."""
 
-    out: Path = field(metadata={"help": "folder in which to make the drive folders"})
+    out: Path = field(metadata={"help": "folder for the drive folders"})
     host: str = _option("127.0.0.1", "host of the CARLA server")
     port: int = _option(2000, "port of the CARLA server")
     maneuvers: tuple[str, ...] = _option(MANEUVERS, ", ".join(MANEUVERS))
     environments: tuple[str, ...] = _option(tuple(ENVIRONMENTS), ", ".join(ENVIRONMENTS))
-    runs: int = _option(20, "drives of each maneuver in each environment")
+    runs: int = _option(20, "number of drives of each maneuver in each environment")
     seed: int = _option(0, "seed of routes, driver and noise")
-    map: str = _option("", "town to load; empty keeps the loaded one")
-    accel_noise: float = _option(0.001, "m/s2, standard deviation of each sample")
-    gyro_noise: float = _option(0.001, "rad/s, standard deviation of each sample")
-    gyro_bias: float = _option(0.001, "rad/s; the constant bias of a run is uniform within +- this")
-    gps_noise: float = _option(0.56, "m per axis, standard deviation of each fix")
-    timeout: float = _option(20.0, "s to wait for an answer")
-    patience: float = _option(120.0, "s to wait for a lost server")
+    map: str = _option("", "town to load; if empty, the loaded town is used")
+    accel_noise: float = _option(0.001, "standard deviation of each acceleration sample, m/s2")
+    gyro_noise: float = _option(0.001, "standard deviation of each gyro sample, rad/s")
+    gyro_bias: float = _option(
+        0.001, "largest gyro bias, rad/s; each drive has a constant bias within +- this bound"
+    )
+    gps_noise: float = _option(0.56, "standard deviation of each fix, m per axis")
+    timeout: float = _option(20.0, "longest wait for an answer of the server, s")
+    patience: float = _option(120.0, "longest wait for a lost server, s")
     resume: bool = _option(False, "keep existing drives and record the missing ones")
-    brake_sweep: bool = _option(False, "first measure which tire_friction gives which friction, and use that")
+    brake_sweep: bool = _option(
+        False, "first measure the friction for several values of tire_friction, and use it"
+    )
 
     def figures(self) -> dict[str, Any]:
         """Return the options that all drives in one folder must share."""
@@ -137,7 +141,7 @@ def options_of(arguments: Sequence[str]) -> Options:
         given[key] = tuple(dict.fromkeys(given[key]))
         for name in given[key]:
             if name not in known:
-                raise RecorderError(f"no {key[:-1]} is called {name!r}; there are {', '.join(known)}")
+                raise RecorderError(f"no {key[:-1]} is called {name!r}; choose from {', '.join(known)}")
     options = Options(**given)
     if options.runs < 1:
         raise RecorderError(f"--runs is {options.runs}; choose 1 or more")
@@ -145,5 +149,5 @@ def options_of(arguments: Sequence[str]) -> Options:
         if not 0 <= getattr(options, name) < math.inf:
             raise RecorderError(f"--{name.replace('_', '-')} is {getattr(options, name)}; choose 0 or more")
     if not (options.timeout > 0 and options.patience >= 0):
-        raise RecorderError("--timeout and --patience are in s and not negative")
+        raise RecorderError("--timeout must be above 0 s, and --patience 0 s or more")
     return options

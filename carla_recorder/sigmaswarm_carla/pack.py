@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def pack(file: Path) -> None:
-    """Write this package as a zipapp, which any Python from 3.8 on runs."""
+    """Write this package as a zipapp, which Python 3.8 and later run."""
     with tempfile.TemporaryDirectory() as folder:
         package = Path(__file__).parent
         ignore = shutil.ignore_patterns("__pycache__")

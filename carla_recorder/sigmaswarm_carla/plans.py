@@ -1,4 +1,4 @@
-"""Plan the paper's maneuvers: a path, the legs along it, and the speeds allowed on them."""
+"""Plans of the paper's maneuvers: a path, its legs, and the allowed speeds."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from .routes import RUN_OUT, SPACING, Need, Path2D, find_path, straight
 
 
 class Leg(NamedTuple):
-    """A part of a route."""
+    """A part of a path with its speed and accelerations."""
 
     length: float  # m
-    speed: float  # m/s, the fastest allowed
+    speed: float  # m/s, the speed limit
     acceleration: float  # m/s2
     braking: float  # m/s2, positive
     lateral: float = 3.0  # m/s2, in bends
-    wait: float = 0.0  # s of standstill at its end; 0 drives on
-    ease: float = 0.6  # s, over which accelerations build up
+    wait: float = 0.0  # s of standstill at its end; with 0 the car does not stop
+    ease: float = 0.6  # s in which the acceleration may change by 8 m/s2
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A route and how to drive it."""
+    """A path, its legs and GPS outages."""
 
     path: Path2D
     legs: list[Leg]
-    target: dict[str, float]  # the paper's figures, units in the names
-    start: float = 0.0  # m, where the maneuver itself begins, after the warm-up
-    outages: list[tuple[float, float]] = field(default_factory=list)  # (start after that, length) s
+    target: dict[str, float]  # the paper's figures, with their units in the names
+    start: float = 0.0  # m along the path at which the maneuver begins, after the warm-up
+    outages: list[tuple[float, float]] = field(default_factory=list)  # (s after the start, length in s)
 
     @property
     def length(self) -> float:
-        """Of all legs, m."""
+        """Length of all legs, m."""
         return sum(leg.length for leg in self.legs)
 
 
 def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> Plan:
-    """Draw one of the paper's maneuvers and find a route for it.
+    """Draw the random figures of one of the paper's maneuvers, and find a path for it.
 
-    The figures are those of `sigmaswarm.simulation.maneuvers`: the paper's, or as much as the friction allows. A
-    maneuver begins with at least 30 m at 5 m/s or more, so that a filter can align.
+    The figures are those of `sigmaswarm.simulation.maneuvers`: the paper's, or the largest that the friction allows.
+    Each maneuver begins with at least 30 m at 5 m/s or more, so that a filter can find its heading.
     """
     hard = 0.9 * friction * GRAVITY
     easy = min(2.5, 0.5 * friction * GRAVITY)
@@ -82,7 +82,7 @@ def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> 
 def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any, rng: random.Random) -> Plan:
     """Plan the maneuvers that turn at junctions: `turns` and `outages`."""
     side = 1.0 if rng.random() < 0.5 else -1.0
-    before = 35.0 + 1.15 * (34 * KMH) ** 2 / 2 / easy  # m, to pull away and align
+    before = 35.0 + 1.15 * (34 * KMH) ** 2 / 2 / easy  # m, to accelerate and to find the heading
 
     def fits(path: Path2D) -> bool:
         bends = path.turns
@@ -93,7 +93,7 @@ def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any,
         return quarters and opposite and bends[1].end + 40.0 + RUN_OUT < path.length
 
     sharp = name == "turns"
-    what = "two turns of 90 degrees, one to each side" if sharp else "way with two turns of 90 degrees"
+    what = "path with two turns of 90 degrees, one to each side"
     path = find_path(town, Need(what, before + (240.0 if sharp else 320.0), False, fits), rng)
     first, second = path.turns[:2]
     grip = min(4.0 if sharp else 3.5, 0.7 * friction * GRAVITY)
@@ -112,7 +112,7 @@ def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any,
 
 
 def allowed_speed(plan: Plan, sway: Callable[[float], float]) -> list[list[float]]:
-    """Fastest speed at each point of each leg, m/s, from which the car can slow down in time."""
+    """Return the highest speed, m/s, at each point of each leg, from which the car can slow down in time."""
     profiles: list[list[float]] = []
     end, after = plan.length, math.inf
     for leg in reversed(plan.legs):

@@ -1,4 +1,4 @@
-"""Record all drives, through as many sessions as it takes."""
+"""Record all drives; connect again after the server was lost."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Progress:
         self._live = sys.stderr.isatty()
 
     def show(self, name: str, t: float) -> None:
-        """Show that `t` s of a drive are recorded."""
+        """Show the name of a drive and its recorded time, s."""
         now = time.monotonic()
         if now - self._shown < 0.5 and name == self._name:
             return
@@ -46,7 +46,7 @@ class Progress:
         self._shown, self._name = now, name
 
     def say(self, text: str) -> None:
-        """Print a line."""
+        """Print a line instead of the changing one."""
         self.clear()
         print(text, file=sys.stderr, flush=True)
 
@@ -62,7 +62,8 @@ def record(options: Options) -> int:
     Raises
     ------
     RecorderError
-        Complete drives are in `options.out` then, and the data of an incomplete one in its folder ``incomplete``.
+        If the recording can't continue. Complete drives are then in `options.out`, and the data of an incomplete one
+        in its folder ``incomplete``.
     """
     journal = Journal(options)
     conditions = starmap(Condition, product(options.maneuvers, options.environments, range(options.runs)))
@@ -76,7 +77,7 @@ def record(options: Options) -> int:
 
 
 def _record(options: Options, journal: Journal, wanted: list[Condition], progress: Progress) -> None:
-    """Record drives, through as many sessions as it takes."""
+    """Record drives; after a lost connection open a new session, at most three times in a row."""
     checked, lost = False, 0
     before: dict[str, Any] = {}
     while wanted or (options.brake_sweep and not journal.friction):
@@ -99,7 +100,7 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
             if lost > 3 or not _wait_for(options):
                 _put_in_order(options, before)
                 raise RecorderError(f"{error}; {here}; restart the server and repeat with --resume") from None
-            progress.say(f"warning: {error}; the server is back, going on")
+            progress.say(f"warning: {error}; the server answers again, and the recording continues")
 
 
 def check_routes(session: Session, wanted: Sequence[Condition]) -> None:
@@ -121,14 +122,14 @@ def _wait_for(options: Options) -> bool:
 
 
 def _put_in_order(options: Options, before: dict[str, Any]) -> None:
-    """Restore a server that still answers, before giving up on it."""
+    """Restore the settings of a server that still answers."""
     if reachable(options.host, options.port, 1.0):
         with suppress(RecorderError), Session(options, before):
             pass
 
 
 def record_one(session: Session, journal: Journal, progress: Progress, condition: Condition) -> None:
-    """Record one drive; try other routes where a route fails."""
+    """Record one drive; if it fails, try up to three other routes."""
     options, name, where = session.options, condition.name, ENVIRONMENTS[condition.environment]
     session.show_weather(condition.environment)
     for attempt in range(4):

@@ -1,4 +1,4 @@
-"""Find a path in CARLA's map that fits a maneuver."""
+"""Search for a path in CARLA's map that fits a maneuver."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from .geometry import heading_of, polar, wrap
 from .options import RecorderError
 
 SPACING = 0.5
-"""m, between two points of a path."""
+"""Distance between two points of a path, m."""
 RUN_OUT = 30.0
-"""m of road beyond a maneuver's end, for the driver's preview and for longer stops."""
+"""Length of road beyond the end of a maneuver, m, for the driver's preview and for longer braking."""
 STRAIGHT = math.radians(3.0)
-"""Largest change of heading on a straight stretch."""
+"""Largest change of heading on a straight stretch, rad."""
 WALKS = 4000
-"""Walks after which a search for a path fails."""
+"""Number of random walks after which a search for a path fails."""
 
 
 class Turn(NamedTuple):
@@ -31,7 +31,7 @@ class Turn(NamedTuple):
 
 @dataclass(frozen=True)
 class Path2D:
-    """A path along lanes: m east and north, heading rad (not wrapped), curvature 1/m, every `SPACING` m."""
+    """A path along lanes, every `SPACING` m: m east and north, heading (rad, not wrapped), curvature (1/m)."""
 
     x: list[float]
     y: list[float]
@@ -42,12 +42,12 @@ class Path2D:
 
     @property
     def length(self) -> float:
-        """In m."""
+        """Length, m."""
         return (len(self.x) - 1) * SPACING
 
     @property
     def turns(self) -> list[Turn]:
-        """All bends tighter than 40 m of radius that turn by more than 30 degrees."""
+        """Bends of more than 30 degrees with a radius below 40 m."""
         bends: list[list[int]] = []  # first and last point
         for i, curvature in enumerate(self.curvature):
             if abs(curvature) <= 1 / 40:
@@ -68,12 +68,12 @@ class Path2D:
 
     @property
     def bend(self) -> float:
-        """Largest change of heading from the beginning, rad."""
+        """Largest difference of the heading from the first one, rad."""
         return max(abs(h - self.heading[0]) for h in self.heading)
 
 
 class Need(NamedTuple):
-    """What a maneuver needs of a path: its length (m), straight or not, and a test of a path."""
+    """Requirements of a maneuver for its path: description, length (m), straight or not, and a test."""
 
     what: str
     length: float
@@ -82,7 +82,7 @@ class Need(NamedTuple):
 
 
 def straight(length: float) -> Need:
-    """Need a straight stretch of a length, m, and the run-out."""
+    """Require a straight stretch of a length, m, plus `RUN_OUT`."""
 
     def fits(path: Path2D) -> bool:
         return path.bend < STRAIGHT
@@ -92,10 +92,15 @@ def straight(length: float) -> Need:
 
 
 def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
-    """Find a random path in a `carla.Map` that fits.
+    """Find a random path in a `carla.Map` that meets the requirements.
 
-    Walks from all waypoints of the map, in random order: straight on for a straight need, else six times with a
-    random choice at each junction.
+    Walk from the waypoints of the map, in random order: straight ahead if the path must be straight, otherwise six
+    times with a random choice at each junction.
+
+    Raises
+    ------
+    RecorderError
+        If `WALKS` walks find no such path.
     """
     starts = [w for w in town.generate_waypoints(10.0) if not w.is_junction]
     rng.shuffle(starts)
@@ -109,13 +114,13 @@ def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
                 return path
     longest_is = f"; the longest straight stretch is {longest:.0f} m" if need.straight else ""
     raise RecorderError(
-        f"the map {town.name} has no {need.what}{longest_is}; load another one, say --map Town06, or leave "
-        "this maneuver out"
+        f"the map {town.name} has no {need.what}{longest_is}; load another map, for example --map Town06, or "
+        "leave this maneuver out"
     )
 
 
 def _walk(start: Any, need: Need, rng: random.Random) -> Path2D:
-    """Walk from a waypoint until the path is long enough, ends, or a straight one bends."""
+    """Walk from a waypoint until the path is long enough, the lane ends, or a path that must be straight bends."""
     points, gone, here = [start], 0.0, start
     heading = heading_of(start.transform.rotation)
     while gone < need.length + 2.0:
@@ -135,7 +140,7 @@ def _walk(start: Any, need: Need, rng: random.Random) -> Path2D:
 
 
 def _turning(way: Any) -> float:
-    """Change of heading, rad, over the first 15 m of a branch."""
+    """Return the change of heading, rad, over the first 15 m of a branch."""
     there = way
     for _ in range(15):
         there = (there.next(1.0) or [there])[0]
@@ -143,7 +148,7 @@ def _turning(way: Any) -> float:
 
 
 def _resample(points: Sequence[Any]) -> Path2D:
-    """Resample waypoints, about 1 m apart, to equal spacing."""
+    """Resample waypoints, which are about 1 m apart, to `SPACING`."""
     places = [polar(p.transform.location) for p in points]
     headings = [heading_of(points[0].transform.rotation)]
     for p in points[1:]:
@@ -162,7 +167,7 @@ def _resample(points: Sequence[Any]) -> Path2D:
         w = (k * SPACING - way[i]) / (way[i + 1] - way[i])
         resampled.append(tuple(a * (1 - w) + b * w for a, b in zip(rows[i], rows[i + 1])))
     x, y, heading = (list(column) for column in zip(*resampled))
-    # The mean curvature over 3 m: lanes in junctions often begin with a kink.
+    # Average the curvature over 3 m, since lanes in junctions often begin with a kink.
     spans = [(max(k - 3, 0), min(k + 3, len(x) - 1)) for k in range(len(x))]
     curvature = [(heading[b] - heading[a]) / max((b - a) * SPACING, SPACING) for a, b in spans]
     return Path2D(x, y, heading, curvature, climb, points[0])

@@ -18,7 +18,7 @@ _KEEP: list[Any] = []
 
 
 def reachable(host: str, port: int, seconds: float) -> bool:
-    """Return true if something accepts connections there within some seconds."""
+    """Return true if a program accepts connections at the port within some seconds."""
     try:
         socket.create_connection((host, port), seconds).close()
     except OSError:
@@ -27,7 +27,7 @@ def reachable(host: str, port: int, seconds: float) -> bool:
 
 
 def number_of(version: str) -> str:
-    """Return the numbers of a version such as 0.9.14-2-gabc, which client and server must share."""
+    """Return the numbers of a version such as 0.9.14-2-gabc; client and server must have the same."""
     found = re.match(r"\d+\.\d+\.\d+", version)
     return found.group() if found else version
 
@@ -44,7 +44,7 @@ def import_carla() -> Any:
 
 
 def connect(carla: Any, options: Options) -> Any:
-    """Connect a client of the server's version: another one can kill this process in its next call."""
+    """Connect to the server; raise RecorderError for another version, whose calls may crash this process."""
     place = f"{options.host}:{options.port}"
     if not reachable(options.host, options.port, options.timeout):
         raise RecorderError(
@@ -56,14 +56,14 @@ def connect(carla: Any, options: Options) -> Any:
         server = client.get_server_version()
     except RuntimeError as error:
         raise RecorderError(
-            f"what listens at {place} does not answer as CARLA does ({one_line(error)}); "
-            "name the server's --port, or give it time with --timeout"
+            f"the program at {place} does not answer like a CARLA server ({one_line(error)}); "
+            "name the server's --port, or increase --timeout"
         ) from None
     mine = client.get_client_version()
     if number_of(mine) != number_of(server):
         raise RecorderError(
-            f"the server at {place} is CARLA {server}, the client {mine}, and they would not understand each "
-            f"other; pip install carla=={number_of(server)}"
+            f"the server at {place} is CARLA {server}, but the client is {mine}; pip install "
+            f"carla=={number_of(server)}"
         )
     return client
 
@@ -74,9 +74,9 @@ def one_line(error: BaseException) -> str:
 
 
 ROLE = "sigmaswarm"
-"""Role name of our actors, by which a later call finds those that a broken one left."""
+"""Role name of the recorder's actors, by which the next call finds the actors that a crashed call left."""
 SUBSTEP = 0.001
-"""s, of the physics; with CARLA's default the gyro is wrong."""
+"""Step of the physics, s; with CARLA's default the gyro is wrong."""
 SETTINGS: dict[str, Any] = {
     "synchronous_mode": True,
     "no_rendering_mode": True,
@@ -93,17 +93,17 @@ def _same(found: Any, wanted: Any) -> bool:
 
 
 class Session:
-    """A server prepared for a recording, and restored when the `with` block ends, whatever happens in it.
+    """A server prepared for a recording, and restored at the end of the `with` block, also after an error.
 
     Attributes
     ----------
     world, town : CARLA's world and map
-    version : the server's
-    geodesy : converts the map's latitudes and longitudes to m
+    version : version of the server
+    geodesy : conversion of the map's latitudes and longitudes to m
     """
 
     def __init__(self, options: Options, before: dict[str, Any]) -> None:
-        """`before` carries the server's original settings and weather from one session to the next."""
+        """Connect; `before` keeps the server's original settings and weather from one session to the next."""
         self.options, self._before = options, before
         self.actors: list[Any] = []
         self.carla = import_carla()
@@ -117,7 +117,7 @@ class Session:
             self.town = self.world.get_map()
             self.geodesy = Geodesy.probe(self.carla, self.town)
             settings = self.world.get_settings()
-            if not self._before:  # else this session resumes after a lost connection
+            if not self._before:  # otherwise this session follows a lost connection
                 self._before.update(settings=self._as_before(settings), weather=self.world.get_weather())
         try:
             with self.trouble():
@@ -161,11 +161,11 @@ class Session:
             self.client.set_timeout(self.options.timeout)
 
     def _as_before(self, settings: Any) -> Any:
-        """Return the settings to restore: CARLA's defaults where a killed recorder has left ours."""
+        """Return the settings to restore: CARLA's defaults if a killed recorder has left its own."""
         if not all(_same(getattr(settings, name), value) for name, value in SETTINGS.items()):
             return settings
         print(
-            "warning: the server still has the settings of a recording that was killed; it gets CARLA's defaults",
+            "warning: the server still has the settings of a recording that was killed; CARLA's defaults replace them",
             file=sys.stderr,
         )
         return self.carla.WorldSettings()
@@ -179,18 +179,18 @@ class Session:
         for name, value in SETTINGS.items():
             if not _same(getattr(found, name), value):
                 raise RecorderError(
-                    f"the server did not take {name} = {value}, it has {getattr(found, name)}; restart it "
-                    "without other clients"
+                    f"the server has {name} = {getattr(found, name)} instead of {value}; restart it without "
+                    "other clients"
                 )
 
     def _remove_leftovers(self) -> None:
-        """Remove actors of an earlier, broken call, sensors first."""
+        """Remove the actors of an earlier call that crashed, sensors first."""
         left = [a for a in self.world.get_actors() if a.attributes.get("role_name") == ROLE]
         for actor in sorted(left, key=lambda a: not a.type_id.startswith("sensor")):
             actor.destroy()
 
     def show_weather(self, environment: str) -> None:
-        """Set the weather, which changes no physics (carla#655)."""
+        """Set the weather, which does not affect CARLA's physics (carla#655)."""
         self.world.set_weather(self.carla.WeatherParameters(**ENVIRONMENTS[environment].weather))
 
     def tick(self) -> int:
@@ -198,7 +198,7 @@ class Session:
         return int(self.world.tick(self.options.timeout))
 
     def spawn(self, blueprint: str, attributes: dict[str, str], transform: Any, parent: Any = None) -> Any:
-        """Spawn an actor; `clear` removes it."""
+        """Spawn an actor, which `clear` removes."""
         definition = self.world.get_blueprint_library().find(blueprint)
         for name, value in {"role_name": ROLE, **attributes}.items():
             if definition.has_attribute(name):
@@ -208,7 +208,7 @@ class Session:
         return actor
 
     def clear(self) -> None:
-        """Remove all actors. Unless sensors stop first and go before the car, the server may crash."""
+        """Remove all actors: stop and remove the sensors before the car, or the server may crash."""
         sensors = [a for a in self.actors if a.type_id.startswith("sensor")]
         for sensor in sensors:
             if sensor.is_listening:
@@ -220,10 +220,10 @@ class Session:
         self.actors.clear()
 
     def restore(self) -> str:
-        """Restore the world; return a message about what failed, or an empty one."""
+        """Restore the world; return a message about the failures, empty if there are none."""
         if not reachable(self.options.host, self.options.port, 2.0):
             _KEEP.extend([self, *self.actors])
-            return "the server is gone: its settings and weather could not be restored"
+            return "the server does not answer: its settings and weather could not be restored"
         failed: list[str] = []
         for what, step in (
             ("actors", self.clear),

@@ -1,4 +1,4 @@
-"""The car in CARLA: spawn it, edit its physics, control it."""
+"""Spawn the car in CARLA, edit its physics, and control it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from .server import Session, one_line
 
 CAR = "vehicle.tesla.model3"
 SETTLE = 100
-"""Ticks for the car to come to rest on its springs."""
+"""Number of ticks until the car is at rest on its springs."""
 
 
 class Physics(NamedTuple):
-    """The car's physics: the figures needed for driving, and a dump of all of it."""
+    """The car's physics: the figures for driving, and all of CARLA's record for recording.json."""
 
     wheelbase: float  # m
     ahead: float  # m, from the rear axle to the car's origin, where the IMU is
-    steer: float  # rad, at full lock
+    steer: float  # rad, largest angle of the front wheels
     tire_friction: float
     dump: dict[str, Any]
 
 
 def edit_physics(session: Session, car: Any, tire_friction: float | None, share: float = 1.0) -> Physics:
-    """Set the tires' friction (or a share of the stock's), stronger brakes and a flat steering curve; check them."""
+    """Set the friction of the tires, stronger brakes and a flat steering curve; check that the server took them.
+
+    Without `tire_friction`, the friction is `share` times that of the stock tires.
+    """
     physics = car.get_physics_control()
     wheels = list(physics.wheels)
     for wheel in wheels:
@@ -43,8 +46,8 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
         for name in ("tire_friction", "max_brake_torque"):
             if abs(getattr(got, name) - getattr(wanted, name)) > 1e-3 * getattr(wanted, name):
                 raise RecorderError(
-                    f"the server did not take {name} = {getattr(wanted, name):g} for a wheel, it has "
-                    f"{getattr(got, name):g}; this CARLA's physics can't be edited"
+                    f"a wheel has {name} = {getattr(got, name):g} instead of {getattr(wanted, name):g}: this "
+                    "build of CARLA ignores changes of the physics; use another one"
                 )
     wheelbase, ahead = axles(found.wheels, car.get_transform())
     steer = math.radians(found.wheels[0].max_steer_angle)
@@ -54,8 +57,8 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
 def axles(wheels: Sequence[Any], car: Any) -> tuple[float, float]:
     """Return the wheelbase, and the distance from the rear axle to the car's origin, m.
 
-    CARLA gives the wheels' positions in the world, in cm, front wheels first. Where those make no car, the real
-    car's figures are returned.
+    CARLA gives the wheels' positions in the world, in cm, front wheels first. If they do not have the proportions of a
+    car, the figures of the real car are returned.
     """
     heading, (x, y, _) = heading_of(car.rotation), polar(car.location)
     places = [polar(wheel.position) for wheel in wheels]
@@ -65,7 +68,7 @@ def axles(wheels: Sequence[Any], car: Any) -> tuple[float, float]:
 
 
 def plain(value: Any) -> Any:
-    """Convert a CARLA record to dictionaries and lists."""
+    """Convert a CARLA object to dictionaries and lists."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     found = {n: getattr(value, n) for n in dir(value) if not n.startswith("_")}
@@ -76,7 +79,7 @@ def plain(value: Any) -> Any:
 
 
 def place_car(session: Session, path: Path2D) -> Any:
-    """Spawn the car at the beginning of a path; raise FailedRun where something is in the way."""
+    """Spawn the car at the beginning of a path; raise FailedRun if an obstacle is there."""
     at = path.start.transform
     location = session.carla.Location(x=at.location.x, y=at.location.y, z=at.location.z + 0.5)
     try:
@@ -85,19 +88,19 @@ def place_car(session: Session, path: Path2D) -> Any:
         if "spawn" not in str(error).lower():
             raise
         raise FailedRun(
-            f"the car can't be spawned at {location.x:.0f}, {location.y:.0f} m ({one_line(error)}); remove what "
-            "is in the way"
+            f"the car can't be spawned at {location.x:.0f}, {location.y:.0f} m ({one_line(error)}); remove "
+            "the obstacle"
         ) from None
 
 
 def settle(session: Session, car: Any, ticks: int = SETTLE) -> None:
-    """Let the car come to rest."""
+    """Tick with full brakes until the car is at rest."""
     for _ in range(ticks):
         car.apply_control(session.carla.VehicleControl(brake=1.0))
         session.tick()
 
 
 def control(session: Session, car: Any, physics: Physics, wanted: Control) -> None:
-    """Apply the driver's controls; CARLA steers right with positive numbers."""
+    """Apply the driver's controls; in CARLA, positive steering is to the right."""
     steer = min(max(-wanted.angle / physics.steer, -1.0), 1.0)
     car.apply_control(session.carla.VehicleControl(throttle=wanted.throttle, steer=steer, brake=wanted.brake))

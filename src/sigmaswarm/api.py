@@ -155,7 +155,7 @@ def run(
 def evaluate(
     drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
 ) -> "Evaluation":
-    """Compare a filter with the baseline, raw GPS and IMU only on drives that its tuning never saw.
+    """Compare a filter with the baseline, raw GPS and IMU only on drives that its tuning did not use.
 
     Parameters
     ----------

@@ -254,7 +254,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert "raw GPS" in shown
     assert "\nurban-clear-03: without truth there are no errors of position and heading." in shown
     assert shown.count("Position error on") == 1, "where there is truth, it tells"
-    assert shown.endswith("next: the same with --out evaluation, for pictures and a page\n")
+    assert shown.endswith("next: run this command with --out evaluation, for pictures and a page\n")
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
@@ -461,8 +461,8 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert plain in Path("g/page.html").read_text()
     ended = sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "no", "--validation", first)
     assert (ended.code, ended.err.count("\n")) == (2, 1)
-    assert "32 s of it are in the training drives, too (urban-clear-00-train)" in ended.err
-    assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning never saw")
+    assert "32 s of this drive are also in the training drives (urban-clear-00-train)" in ended.err
+    assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning did not use")
 
 
 def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):

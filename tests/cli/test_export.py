@@ -122,7 +122,7 @@ def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):
         (["--to", "c99", "--out", "x", "--check", "nowhere"], "nowhere does not exist"),
         (
             ["--to", "filterpy", "--out", "x", "--check", "DRIVE"],
-            "--check is for --to c99, and for tunings of robot-localization",
+            "--check is for --to c99 and for tunings of robot-localization",
         ),
     ],
 )

@@ -27,7 +27,7 @@ def test_a_table_without_fixes(sigmaswarm, log: Path, here: Path):
         "velocity random walk",
         "deg/sqrt(h)",
         "mGal",
-        "note: the longest stretch has 60 s",
+        "note: the longest stretch at rest lasts 60 s",
         "imunoise:",
     ):
         assert expected in ended.out

@@ -406,7 +406,7 @@ def test_drives_of_one_s_own_and_drives_elsewhere(whole: Study, tmp_path: Path):
     alone = make_design(config.model_copy(update={"elsewhere": ()}))
     assert designs_elsewhere(alone) == {}
     twice = make_design(config.model_copy(update={"elsewhere": (str(tmp_path / "mine"),)}))
-    with pytest.raises(InputError, match="s of it are in outages-clear-00"):
+    with pytest.raises(InputError, match="s of this drive are also in outages-clear-00"):
         designs_elsewhere(twice)
 
 

@@ -237,5 +237,5 @@ def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: s
 
 @pytest.mark.parametrize("target", ["filterpy", "robot_localization"])
 def test_other_exports_refuse_it_in_one_line(target: str):
-    with pytest.raises(InputError, match=f"{target} has no fix-error; tune for it with --use"):
+    with pytest.raises(InputError, match=f"{target} does not support fix-error; tune without fix-error"):
         export_texts(filter_of(nominal_interval=0.01), target)

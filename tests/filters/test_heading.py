@@ -210,7 +210,7 @@ def test_headings_count_where_they_were_found():
 
 
 def test_filterpy_refuses_it_in_one_line():
-    with pytest.raises(InputError, match="filterpy has no heading; tune for it with --use"):
+    with pytest.raises(InputError, match="filterpy does not support heading; tune without heading"):
         export_texts(filter_of(nominal_interval=0.01, kind="ukf"), "filterpy")
 
 

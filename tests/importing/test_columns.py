@@ -257,7 +257,7 @@ def test_rows_out_of_order_twice_or_without_values_are_told(tmp_path: Path):
             acc_y=pl.when(pl.int_range(pl.len()) == 7).then(pl.lit("oops")).otherwise("acc_y")),
          "row 8 of the data, column acc_y: 'oops' is not a number"),
         (lambda t: t.head(0), "no"),
-        (lambda t: t.drop("gyro_z"), "'gyro_z', which is not there"),
+        (lambda t: t.drop("gyro_z"), "'gyro_z', which the table does not have"),
         (lambda t: t.with_columns(gyro_z=None), "gz"),
         (lambda t: t.head(50), "50 samples are too few"),
         (lambda t: t.with_columns(stamp=pl.col("stamp") - 10**15), "do not overlap"),

@@ -67,5 +67,5 @@ def test_it_changes_nothing_else_and_is_a_part_of_the_drive(tmp_path: Path):
     np.testing.assert_array_equal(bare.gps.x, wheeled.gps.x)
     again = read_drive(write_drive(wheeled, tmp_path / "drive"))
     assert fingerprint(again) == fingerprint(wheeled)
-    with pytest.raises(InputError, match="there are ideal, pulses, can"):
+    with pytest.raises(InputError, match="choose from ideal, pulses, can"):
         simulate("brake", odometer="radar")

@@ -41,5 +41,5 @@ def test_they_come_in_bursts_that_last():
     "more", [{"share": 0.6}, {"share": -0.1}, {"length": (2.0, 1.0)}, {"length": (-1.0, 1.0)}]
 )
 def test_what_can_not_be_is_refused(more):
-    with pytest.raises(InputError, match="at most half of the fixes"):
+    with pytest.raises(InputError, match="use a share of 0 to"):
         with_outliers(DRIVE, np.random.default_rng(0), **more)

@@ -167,7 +167,7 @@ def test_every_gps_grade_drives(gps):
         ({"imu": "golden"}, "no IMU grade"),
         ({"gps": "golden"}, "no GPS grade"),
         ({"vehicle": "trabant"}, "no vehicle"),
-        ({"terrain": "alps"}, "no terrain is called 'alps'; there are flat, rolling, hilly"),
+        ({"terrain": "alps"}, "no terrain is called 'alps'; choose from flat, rolling, hilly"),
         ({"imu_rate": 0.0}, "imu_rate is 0 Hz"),
         ({"gps_rate": 2000.0}, "gps_rate is 2000 Hz"),
         ({"jitter": -1.0}, "jitter"),

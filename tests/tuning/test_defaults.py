@@ -149,7 +149,7 @@ def test_without_truth_fix_errors_that_do_not_show_as_stated_are_states():
         return with_filter(options, drives)[0]["use"]
 
     assert chosen_for([lasting]) == (*used, "fix-error")
-    assert with_filter({}, [lasting])[1].endswith("fixes that differ by less than the receiver errs")
+    assert with_filter({}, [lasting])[1].endswith("fixes that differ by less than the receiver's error")
     assert chosen_for([lasting, replace(lasting, truth=truth)]) == (*used, "fix-error")
     assert chosen_for([replace(lasting, truth=truth)]) == used
     assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")

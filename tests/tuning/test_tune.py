@@ -418,7 +418,7 @@ def test_a_validation_drive_of_another_rate_is_run_with_the_same_noise_per_secon
 
 
 def test_what_was_tuned_on_validates_nothing():
-    with pytest.raises(InputError, match="d0 is among the training drives, too"):
+    with pytest.raises(InputError, match="d0 is also a training drive"):
         tune(DRIVES, validation=DRIVES[:1], **SMALL)
     with pytest.raises(InputError, match="got a str"):
         tune(DRIVES, validation=["drives/x"], **SMALL)

@@ -48,9 +48,9 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
 
 Another log format? `sigmaswarm import LOG --show` shows its content; `--out DRIVE` converts it to a drive.
 
-`sigmaswarm workbench LOG` does all of this in the browser.
+`sigmaswarm workbench LOG` runs all of these steps in the browser.
 
-No drives? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` runs a small form of the paper's experiment.
+No drives? `sigmaswarm simulate --out drives` simulates drives; `sigmaswarm demo` runs a small study of the paper.
 """,
     help_flags=("--help", "-h", HELP_ALL),
     help_format="markdown",
@@ -152,7 +152,7 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _missing_out(error: Exception) -> str | None:
-    """Explain that --out is missing; Cyclopts explains a missing value."""
+    """Report that --out is missing; a missing value is reported by Cyclopts."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sigmaswarm.errors import SigmaswarmWarning
 
 MOST_SENTENCES = 3
-"""Sentences of an evaluation or a tuning that the terminal shows by default."""
+"""Number of sentences of an evaluation or a tuning that the terminal shows by default."""
 
 
 def read_known(place: "Location") -> "Drive":
@@ -125,7 +125,7 @@ def say(*lines: object) -> None:
 
 
 def print_json(content: Any) -> None:
-    """Print for machines; NaN and inf, which JSON does not know, become null."""
+    """Print JSON; NaN and inf, which JSON does not have, become null."""
     print(json.dumps(finite(content), indent=2))
 
 

@@ -60,9 +60,9 @@ def compare(
     seeds
         Runs of each optimizer.
     validation
-        Drives that the search does not see, to measure the results on others.
+        Drives that the search does not use, to measure the result on other drives.
     workers
-        Threads, or with --cluster simultaneous tunings; all cores by default. The result does not depend on it.
+        Threads, or with --cluster simultaneous tunings; all cores by default. The result does not depend on the number.
     resume
         Continue an interrupted comparison; the result is the same, except for the times.
     """

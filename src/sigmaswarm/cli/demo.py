@@ -23,5 +23,5 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
         Seed of the drives, the splits and the swarms.
     """
     if out.is_dir() and any(out.iterdir()) and not (out / "study.toml").exists():
-        raise InputError(f"{out}: is not empty, and no earlier demo made it; choose another --out")
+        raise InputError(f"{out}: is not empty and was not made by an earlier demo; choose another --out")
     study(options=StudyOptions(out=out, quick=True, seed=seed, resume=True, json=json))

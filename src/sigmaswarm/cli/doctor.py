@@ -71,7 +71,7 @@ def doctor(
                 say(f"wrote {folder}, mended: {', '.join(mended)}. Remaining findings:\n")
                 print_diagnosis(diagnosis)
             elif not json:
-                say(f"wrote {folder}, a plain copy: the doctor can repair nothing\n")
+                say(f"wrote {folder}, an unchanged copy: the doctor has no repair for these findings\n")
         result.append(found)
         serious |= diagnosis.serious
     if json:
@@ -90,7 +90,7 @@ def _read(paths: list[Path]) -> "list[Drive]":
 
 
 def _lever_arm(drives: "list[Drive]", within: float, *, repaired: bool) -> "LeverArmEstimate | None":
-    """Estimate the lever arm of the drives, or of their repaired copies; None, with a warning, where no filter runs."""
+    """Estimate the lever arm of the drives, or of their repaired copies; None, with a warning, if no filter runs."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the repairs warn again when the copies are made

@@ -81,7 +81,7 @@ def evaluate(
     """Evaluate a tuned filter on drives.
 
     The filter is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that
-    the tuning never saw. All methods start at the same time from the same state. Without truth the scores are the
+    the tuning did not use. All methods start at the same time from the same state. Without truth the scores are the
     drift over outages, against the hidden fixes, and the consistency of the innovations.
 
     For example:
@@ -114,7 +114,11 @@ def evaluate(
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         say(f"wrote {names} to {out}")
-    page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
+    page = (
+        f"sigmaswarm report {out}"
+        if out
+        else "run this command with --out evaluation, for pictures and a page"
+    )
     say(f"next: {page}")
 
 
@@ -151,7 +155,7 @@ def _evaluated(
 
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
-    """Warn of drives that the tuning has seen: scores on them are too good."""
+    """Warn of drives that the tuning used: the errors on these drives are too small."""
     for name, found in evaluation.drives.items():
         drive = found.record
         if drive.seen_s:

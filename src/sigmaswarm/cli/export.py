@@ -78,11 +78,11 @@ def export(
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     if options.check and to != "c99" and not ros:
         raise sigmaswarm.InputError(
-            f"--check is for --to c99, and for tunings of robot-localization: {to} is not C code that can be compiled"
+            f"--check is for --to c99 and for tunings of robot-localization, not for {to}; leave --check out"
         )
     if options.against and not (options.check and ros):
         raise sigmaswarm.InputError(
-            "--against needs --check and a tuning of robot-localization; leave it out"
+            "--against needs --check and a tuning of robot-localization; leave --against out"
         )
     drive = read_known(options.replay) if options.replay else None
     drives = read_drives(options.check or [])

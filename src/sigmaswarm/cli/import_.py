@@ -50,7 +50,7 @@ class ImportOptions:
     time
         Expression of the time in SOURCE's tables, s, such as "stamp*1e-9" or "utc(date)".
     recipe
-        A saved recipe.
+        A recipe saved by --save-recipe.
     save_recipe
         File in which the recipe is saved.
     imu_topic
@@ -94,7 +94,7 @@ class ImportOptions:
     max_columns
         Largest number of columns of all tables; 100 000 by default.
     max_unpacked_mb
-        Largest unpacked size of a chunk or of a zip's files, MB; 1000 by default.
+        Largest unpacked size of a chunk or of a zip's files, MB; 500 by default.
     name
         The drive's name; the folder's by default.
     overwrite
@@ -144,7 +144,10 @@ class ImportOptions:
 def import_(
     source: Annotated[
         Path,
-        Parameter(name="SOURCE", help="The log, a file or a folder, with the IMU and often everything else."),
+        Parameter(
+            name="SOURCE",
+            help="The log, a file or a folder, that contains the IMU and may contain the other sensors.",
+        ),
     ],
     /,
     *,
@@ -272,7 +275,7 @@ def _told(imported: "Imported", out: Path) -> Iterator[str]:
     yield from (f"read: {shown(read, 1000)}" for read in imported.recipe.said())
     yield from (f"note: {shown(note, 1000)}" for note in imported.notes)
     if not imported.recipe.mount:
-        yield "note: the IMU's axes are assumed to be x forward, y left, z up; --mount states others"
+        yield "note: the IMU's axes are assumed to be x forward, y left, z up; state another mounting with --mount"
     rate = 1 / drive.nominal_interval
     yield (
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
@@ -311,7 +314,7 @@ def _print_look(seen: "Look", options: ImportOptions) -> None:
         title = "To read the rest, add to the command"
         console.print(f"\n{title}{'' if seen.works else ', with the missing parts'}:", style="bold")
         of_rows = re.search(r"\b(imu|gps)\.t=", seen.proposal)
-        times = "; imu.t and gps.t are the times of their rows" if of_rows else ""
+        times = "; imu.t and gps.t are the times of the IMU's and the fixes' rows" if of_rows else ""
         evidence = f"({shown(seen.evidence, 1000)}{times}; it is applied only on request)"
         say(shown(seen.proposal, 4000), evidence)
     if seen.unread:

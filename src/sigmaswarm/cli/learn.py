@@ -56,7 +56,7 @@ def learn(
     *,
     options: Annotated[LearnOptions, FIELDS],
 ) -> None:
-    """Train a network that helps a tuned filter.
+    """Train a network that supports a tuned filter.
 
     outage-lstm forecasts displacements during outages. noise-gru scales Q and R by the latest innovations, and is
     trained through planar5 and planar8. OUT includes the filter: `sigmaswarm run` and `evaluate` read it as a tuning.
@@ -105,7 +105,7 @@ def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
     yield f"loss on {training.held_back}: {training.loss:.4f}, untrained {training.loss_before:.4f}"
     if record.kind == "outage-lstm":
         yield (
-            f"calibration: factor {net.inflation:.3g} of its variances"
+            f"calibration: factor {net.inflation:.3g} on the predicted variances"
             if net.inflation
             else "note: the network lowers the likelihood of hidden fixes, so the filter does not use its forecasts"
         )

@@ -21,9 +21,9 @@ class NoiseOptions:
     Attributes
     ----------
     tuned
-        A tuning, whose Q is shown instead of a log's noise.
+        A tuning. Its Q is shown instead of the noise of a log.
     to
-        Packages in whose format and units the noise is printed or, with --out, written.
+        Packages whose format and units are used to print the noise or, with --out, to write it.
     out
         Folder to write to: the packages' files and, for a log, noise.png, noise.svg and noise.json.
     recipe
@@ -54,7 +54,7 @@ def noise(
     *,
     options: Annotated[NoiseOptions, FIELDS] = NoiseOptions(),
 ) -> None:
-    """Measure the noise of an IMU at rest, in the units of filters that need it.
+    """Measure the noise of an IMU at rest, in the units of filter packages.
 
     The log needs no fixes. An hour at rest determines all noise terms; the standstills of a drive determine the white
     noise only.

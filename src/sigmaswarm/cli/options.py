@@ -50,7 +50,7 @@ Places = Annotated[
 Workers = Annotated[
     int | None,
     AT_LEAST_1,
-    Parameter(help="Threads; all cores by default. The result does not depend on it."),
+    Parameter(help="Threads; all cores by default. The result does not depend on the number."),
 ]
 Cluster = Annotated[
     str | None,
@@ -70,7 +70,7 @@ def options_of(
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command with ``**options`` the fields of a model as options; it gets those that the user gave.
+    """Give a command with ``**options`` the fields of a model as options; the command gets those that the user gave.
 
     ``shown`` are the fields in the short help, ``apart`` those that are not options of the command, ``by_data`` those
     whose default is not a constant. ``renamed`` maps deprecated names to the current ones.
@@ -106,7 +106,7 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Type and `Parameter` of a field; of a union the first type, since others are for Python."""
+    """Type and `Parameter` of a field; for a union the first type, since the others are for Python."""
     kind, option = field.annotation, f"--{name.replace('_', '-')}"
     if get_origin(kind) in (Union, UnionType):
         kind = next(member for member in get_args(kind) if member is not NoneType)

@@ -32,7 +32,7 @@ class RecordCarlaOptions:
     seed
         Seed of routes, driver and noise.
     map
-        Town to load, such as Town06; by default the loaded one.
+        Town to load, such as Town06; by default the town that the server has loaded.
     accel_noise
         m/s2, standard deviation of each sample.
     gyro_noise

@@ -30,7 +30,7 @@ class ReferenceOptions:
     accuracy
         Largest standard deviation per axis of a row of truth, m; rows above it are left out.
     fix_std
-        Lower bound of a fix's standard deviation per axis, m; also used for fixes that state none.
+        Lower bound of a fix's standard deviation per axis, m; also used for fixes without a stated deviation.
     seed
         Seed of the tuning for the good receiver and of the hidden fixes.
     overwrite
@@ -59,7 +59,7 @@ def reference(
     """Compute truth from a good receiver (RTK) on the same vehicle.
 
     Its fixes are smoothed with the drive's IMU. The new drive gets a truth.csv at the IMU's times, with standard
-    deviations, with gaps where the solution is float or an outage is too long for the IMU.
+    deviations. The truth has gaps where the solution is float or an outage is too long for the IMU.
 
     For example:
 

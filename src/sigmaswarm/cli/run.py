@@ -36,7 +36,7 @@ class RunOptions:
     as_recorded
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
-        Write smoothed estimates: each uses all fixes, also later ones.
+        Write smoothed estimates, which also use later fixes.
     bank
         Estimate with a bank of sixteen filters with different parameters. --swarm is the deprecated name.
     json
@@ -59,7 +59,7 @@ def run(
         Path,
         Parameter(
             name="TUNING",
-            help="A tuning.toml or its folder. A network in it helps the filter, except with --smooth or --bank.",
+            help="A tuning.toml or its folder. Its network, if any, also runs, except with --smooth or --bank.",
         ),
     ],
     drive: Annotated[Path, Parameter(name="DRIVE", help="A drive folder.")],
@@ -177,7 +177,7 @@ def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:
-    """Files next to the estimates: the log of a filter bank, and the filter that it settled on."""
+    """Files next to the estimates: the log of a filter bank, and the filter that the bank converged to."""
     return out.with_name(f"{out.stem}.swarm.csv"), out.with_name(f"{out.stem}.swarm.toml")
 
 
@@ -192,7 +192,7 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
 
 
 def _save_bank(run: Any, out: Path) -> dict[str, Any]:
-    """Write the log of a filter bank, and the filter that it settled on; return their paths and its warnings."""
+    """Write a bank's log and the filter that the bank converged to; return both paths and warnings on that filter."""
     from sigmaswarm.files import write_whole
 
     log, spread = run.log, run.bank.spread

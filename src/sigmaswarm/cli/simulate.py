@@ -13,7 +13,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.wording import counted
 
 JITTER = 0.002
-"""s, standard deviation of a sample's time with --jitter."""
+"""Standard deviation of a sample's time with --jitter, s."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,7 +44,7 @@ def split(
         raise sigmaswarm.InputError("give --at or --train-fraction, not both")
     if at is not None and len(at) > 2:
         raise sigmaswarm.InputError(
-            f"--at has {len(at)} times; give one, or two to leave out what lies between"
+            f"--at has {len(at)} times; give one, or two to leave out the part between them"
         )
     times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     whole = read_known(drive)

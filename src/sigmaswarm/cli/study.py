@@ -42,7 +42,7 @@ class StudyOptions:
     per_condition
         Tune one filter for each condition instead of one for all.
     racing
-        Drop the worse candidates after a few drives: a fifth of the time. --no-racing as in the paper.
+        Drop the worse candidates after a few drives, which takes a fifth of the time. --no-racing: as in the paper.
     rivals
         Compare with fuzzy rules, Bayesian optimization and two networks, also on other sensors and another car.
     learn_minutes
@@ -84,15 +84,15 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
 
     Each trial tunes on another 70% of the simulated drives and scores all methods on the rest: IMU only, raw GPS,
     manual EKF, adaptive UKF and UKF, PSO-UKF as in the paper, EKF, adaptive UKF and planar8 tuned with the same
-    budget, and the default filter of `tune`. There are two protocols. paper: cost against the GPS, linear search.
-    honest: cost against truth, logarithmic search.
+    budget, and the default filter of `tune`. Filters are tuned under two protocols. paper: cost against the GPS,
+    linear search. honest: cost against truth, logarithmic search.
 
     Racing is the default with 96 training drives or more. --rivals tunes a fuzzy UKF, and a UKF by Bayesian
     optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8 in each trial. It adds
     drift over 15, 30 and 60 s, drives of another sensor grade and another car, and learning curves.
     It needs pip install 'sigmaswarm[learned,bo]'.
 
-    The tables show the paper's figures, too. A killed study continues with --resume and gives the same bytes, on any
+    The tables also have the paper's figures. A killed study continues with --resume and gives the same bytes, on any
     number of workers.
 
     For example:

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 LONGEST_LINE = 600
-"""Characters of an error or warning; a path or an expression may be any length."""
+"""Largest number of characters of an error or warning; a path or an expression may have any length."""
 NARROWEST = 20
-"""Columns that a table needs at least."""
+"""Smallest number of columns of a table."""
 
 
 def prepare() -> None:
@@ -89,7 +89,7 @@ def progress_bar(
 ) -> Generator[Callable[..., None]]:
     """Show a bar and the remaining time on stderr; yield the function that moves it: done, total, fields.
 
-    The bar appears with the first progress, so that an error stays one line. Until then a terminal shows ``waiting``.
+    The bar appears with the first progress, so that an error is one line. Until then a terminal shows ``waiting``.
     Without ``counted`` the bar shows percent.
     """
     from rich.console import Console

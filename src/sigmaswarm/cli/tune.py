@@ -42,8 +42,8 @@ def tune(
 ) -> None:
     """Tune a filter on drives.
 
-    The filter is written to OUT/tuning.toml. Without truth.csv it is tuned to forecast the fixes. Without --model and
-    --use the filter is chosen by the sensors in the logs. Hold some drives back for `sigmaswarm evaluate`.
+    The filter is written to OUT/tuning.toml. Without truth.csv the filter is tuned to predict the fixes. Without
+    --model and --use the sensors in the logs determine the filter. Hold some drives back for `sigmaswarm evaluate`.
 
     For example:
 
@@ -62,11 +62,11 @@ def tune(
     out
         Folder for tuning.toml, the convergence history and figures.
     validation
-        Drives that the search does not see, to measure the result on others.
+        Drives that the search does not use, to measure the result on other drives.
     start
         Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization; --use chooses the inputs.
     paper
-        Use the paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
+        Use the paper's settings: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
@@ -183,7 +183,7 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
-    """Suggest the next command after tuning on one log: split it, to evaluate on a part not seen."""
+    """Suggest the next command after tuning on one log: split it, to evaluate on a part that the tuning did not use."""
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.urls import is_url
 

@@ -20,7 +20,7 @@ def workbench(
     """Import, check, tune, evaluate and export in the browser.
 
     The page is served on this machine only, at an address with a secret token. OUT is an ordinary folder of drives,
-    tunings and evaluations, with which the other commands work, too. An interrupted tuning is resumed there.
+    tunings and evaluations, which the other commands can also read. An interrupted tuning is resumed in OUT.
 
     For example:
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 ANSWER_TIMEOUT = 30.0
-"""s: timeout of a request to the scheduler."""
+"""Timeout of a request to the scheduler, s."""
 CONNECT_TIMEOUT = 10.0
-"""s: timeout of the connection to the scheduler."""
+"""Timeout of the connection to the scheduler, s."""
 
 
 class ClusterError(SigmaswarmError):

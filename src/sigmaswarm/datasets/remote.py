@@ -29,7 +29,7 @@ Progress = Callable[[int, int], None]
 """Called with the number of drives read so far, and of all drives."""
 
 POLL_INTERVAL = 2.0
-"""s between two requests to the scheduler for its workers."""
+"""Time between two requests to the scheduler for its workers, s."""
 MOST_RETRIES = 3
 """Number of rounds that end without an answer by the loss of workers, after which the drives are the likely cause."""
 DRIVES_SHOWN = 10

@@ -21,19 +21,19 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0
-"""s: long enough for accelerations, short enough for constant tilt and slope."""
+"""Length of a window, s: long enough for accelerations, short enough for constant tilt and slope."""
 BIAS_SPREAD = (0.1, 0.5)
-"""m/s2: bounds of the spread of tilt, slope and bias between windows."""
+"""Bounds of the spread of tilt, slope and bias between windows, m/s2."""
 FEW = 8.0
 """Number of windows at which the few windows double the variances."""
 LEAST_NOISE = 0.03
-"""m: smallest standard deviation of the IMU's path over some seconds."""
+"""Smallest standard deviation of the IMU's path over some seconds, m."""
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)
-"""s: delays of the fixes to try."""
+"""Delays of the fixes to try, s."""
 DRIFT_SPAN = 6.0
 BIN = 3.0
-"""s: deviation of the Gaussian over which gyro and course are aligned, and length of its bins."""
+"""Deviation of the Gaussian over which gyro and course are aligned, and length of its bins, s."""
 
 
 @dataclass(frozen=True, eq=False)

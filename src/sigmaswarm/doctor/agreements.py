@@ -14,11 +14,11 @@ from sigmaswarm.drives.frozen import frozen_fixes
 FEWEST = 8
 """Number of fixes from which a course is computed."""
 SLOWEST = 1.0
-"""m/s: lowest speed at which a course is shown."""
+"""Lowest speed at which a course is shown, m/s."""
 SPAN = 2.0
-"""s over which the specific force is averaged, so that vibration does not hide gravity."""
+"""Time over which the specific force is averaged, s, so that vibration does not hide gravity."""
 RATE = 10.0
-"""Hz of the smoothed specific force."""
+"""Rate of the smoothed specific force, Hz."""
 FINDINGS = {
     "timing": ("imu-gap", "imu-rate", "imu-repeats", "gps-gap", "gps-rate", "clock-jump", "logger", "time"),
     "turning": ("gyro", "clock", "unseen-clock", "unseen-yaw", "reverse"),

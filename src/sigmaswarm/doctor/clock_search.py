@@ -9,19 +9,19 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Drive
 
 WIDEST = 40.0
-"""s: largest offset searched; GPS time minus UTC (18 s) and most receivers' start-up are shorter."""
+"""Largest offset searched, s; GPS time minus UTC (18 s) and most receivers' start-up are shorter."""
 STEP = 0.1
 NEAR = 4.0
-"""s: lags within this distance of a peak belong to it."""
+"""Largest distance of a lag from the peak that it belongs to, s."""
 SPAN = 5.0
-"""s: interval over which turns are compared."""
+"""Interval over which turns are compared, s."""
 LEAST, CLEARLY = 0.8, 0.15
 """Share of the turns that an offset must explain, and its smallest lead over any other offset."""
 FEWER = 4.0
 """An offset is also significant if every other one leaves this many times more unexplained: turns may repeat."""
 FEWEST = 20
 LEAST_TURN = 0.15
-"""rad RMS in `SPAN`: least change of a course that shows an offset."""
+"""Smallest RMS change of a course within `SPAN` that shows an offset, rad."""
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:

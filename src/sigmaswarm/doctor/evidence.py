@@ -18,9 +18,9 @@ from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
 
 SEARCHED = 2.3
-"""s: an offset this close to the bounds of the fit is not used."""
+"""Smallest distance of a usable offset from the bounds of the fit, s."""
 USUAL = 1.0
-"""s: largest usual delay of a receiver. A larger offset is accepted only where the search finds no other."""
+"""Largest usual delay of a receiver, s. A larger offset is accepted only where the search finds no other."""
 AS_RECORDED = Yaw(known=True)
 """The yaw rate as recorded. Another column, sign or unit is accepted only where no offset explains the data."""
 FEWEST = 20

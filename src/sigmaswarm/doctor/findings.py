@@ -63,7 +63,7 @@ class Finding:
     cut: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return a dictionary for JSON."""
         about: dict[str, Any] = {k: v for k, v in vars(self).items() if k not in ("repair", "cut")}
         return about | {"span": list(self.span), "repairable": self.repair is not None}
 
@@ -108,7 +108,7 @@ class Diagnosis:
         return frozenset(finding.code for finding in self.findings)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return a dictionary for JSON."""
         return {
             "drive": self.drive,
             "serious": self.serious,

@@ -14,13 +14,13 @@ Mask = NDArray[np.bool_]
 NEIGHBORS = 3
 """Fixes on each side that predict the one between them."""
 HARDEST = 8.0
-"""m/s2: largest acceleration of a car; its effect between fixes is not a jump."""
+"""Largest acceleration of a car, m/s2; its effect between fixes is not a jump."""
 SPAN = (3.0, 6.0)
-"""s: shortest and longest duration of the fixes for one velocity."""
+"""Shortest and longest duration of the fixes for one velocity, s."""
 SPEED_STD = 0.5
-"""m/s: the duration is chosen so that white noise of the fixes gives the velocity about this deviation."""
+"""Standard deviation of the velocity, m/s, that white noise of the fixes may cause; it sets the duration."""
 SLOWEST = 3.0
-"""m/s: lowest speed with a course; at lower speeds it is noise."""
+"""Lowest speed with a course, m/s; at lower speeds it is noise."""
 USUAL_SHARE = 0.5
 """Share of a slow vehicle's usual speed above which the course is used, if the fixes are accurate enough."""
 

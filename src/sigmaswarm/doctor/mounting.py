@@ -26,25 +26,25 @@ from sigmaswarm.drives.drive import Array, Drive, Imu
 ROUNDS = 12
 """Most rounds: few need more than six, but those would end up to a degree before their limit."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
-"""rad: largest total deviation of a mounting that is sure, and of one that is likely."""
+"""Largest total deviation, rad, of a mounting that is sure, and of one that is likely."""
 LEAST_SHARE = 0.5
 """Smallest share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
 """Smallest lead in chi-square over any mounting that is rotated by 90 degrees or more."""
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-"""rad: smallest uncertainty of the axis of turning (springs) and of gravity (roads, biases)."""
+"""Smallest uncertainty of the axis of turning (springs) and of gravity (roads, biases), rad."""
 YAW_FLOOR = math.radians(0.8)
 TRAVEL_FLOOR = math.radians(0.8)
-"""rad: smallest uncertainty of the direction of travel (slip, suspension)."""
+"""Smallest uncertainty of the direction of travel (slip, suspension), rad."""
 ALIKE = 0.025
 """Tolerance of an entry of M, for slip and for tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
-"""s: window over which the axis of turning is fitted."""
+"""Window over which the axis of turning is fitted, s."""
 LEANS = 0.5
 """Smallest agreement of the body's leaning with springs at which accelerometers count as reversed."""
 WANDERS = math.radians(8.0)
-"""rad: change of gravity between windows from which the mounting is not constant."""
+"""Change of gravity between windows from which the mounting is not constant, rad."""
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
 """Smallest rotation of the mounting that is used, rad, and in standard deviations."""
 SERIOUS = math.radians(7.0)

@@ -18,9 +18,9 @@ FAMILIAR = 1.35
 LEAST_SHARE = 0.2
 """Smallest share of the course's changes that a gyro's column must explain, unless the gain is CERTAIN."""
 LEAST_TURN = 0.05
-"""rad: smallest RMS change of the course within 20 s that shows a mounting, or a yaw rate other than as recorded.
+"""Smallest RMS change of the course within 20 s that shows a mounting, rad.
 
-On a straight road a car only sways, and the course is mostly noise.
+Below it a yaw rate other than as recorded must be CERTAIN: the course of a car that only sways is mostly noise.
 """
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
@@ -36,11 +36,11 @@ SCALE = 0.12
 SHOWN = 0.25
 """Largest deviation of an entry of M that the drive shows."""
 LEAST_OFFSET = 0.1
-"""s between the clocks: a receiver's noise hides smaller offsets."""
+"""Offset between the clocks, s, below which a receiver's noise hides it."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
 """Standard deviations from which an offset is a note, a warning with a repair, and serious."""
 MOUNTED = math.radians(40)
-"""rad: larger rotations count as exchanged axes."""
+"""Rotation above which axes count as exchanged, rad."""
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
@@ -60,7 +60,7 @@ def yaw_of(fit: YawFit | None) -> Yaw:
         return Yaw()
     fitting = [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FAMILIAR < fit.gain / f < FAMILIAR]
     as_recorded = (fit.column, fitting[:1]) == ("gz", [1.0])
-    if not fitting or not (as_recorded or fit.course_change > LEAST_TURN):
+    if not fitting or not (as_recorded or size > CERTAIN or fit.course_change > LEAST_TURN):
         return Yaw()
     return Yaw(fit.column, fitting[0], known=True)
 

@@ -11,19 +11,19 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0
-"""s: windows long enough for turns, and short enough that the integral of a gyro's bias is a straight line."""
+"""Windows, s, long enough for turns, and short enough that the integral of a gyro's bias is a straight line."""
 EXPLAINED = 0.7
 """Share of the course's changes from which a column is the right one, and others are not tried."""
 CLEARLY_BETTER = 0.3
 """Smallest share of the course's changes that another column must explain in addition."""
 AHEAD = (0.8, 0.8)
-"""m, mean and deviation of the distance of the antenna ahead of the rear axle.
+"""Mean and deviation of the distance of the antenna ahead of the rear axle, m.
 
 The rear axle does not slide sideways. At the antenna the course turns earlier than the car,
 by the distance between the two.
 """
 LATENESS = np.arange(-2.5, 2.51, 0.1)
-"""s: delays of the fixes to try."""
+"""Delays of the fixes to try, s."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,37 +23,37 @@ from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
 MIN_DURATION, MAX_DURATION = 4.0, 6.0
-"""s between the first and the last fix of an alignment; older fixes hardly help, since the gyro's bias accumulates."""
+"""Time from the first to the last fix of an alignment, s; the gyro's bias accumulates, so older fixes hardly help."""
 MIN_TRAVEL = 20.0
-"""m of forward travel in that time, for an accurate heading; it needs 12 km/h."""
+"""Forward travel in that time, m, for an accurate heading; it needs 12 km/h."""
 FEWEST_FIXES = 4
 """Least number of fixes in that time; one fix every 3 s is not enough."""
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL
-"""m between the first and the last of these fixes: a cheap test before the fit."""
+"""Distance between the first and the last of these fixes, m: a cheap test before the fit."""
 MAX_MISFIT = 0.3
 """Largest residual as a share of the travel; larger ones are jumps of the fixes."""
 MAX_HEADING_STD = np.radians(6.0)
-"""rad: largest standard deviation of an alignment's heading; beyond it the next fix is tried."""
+"""Largest standard deviation of an alignment's heading, rad; beyond it the next fix is tried."""
 REFITS = 3
 """Number of repeated fits, after which the gyro bias has converged."""
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
-"""s: longer windows, for a drive that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
+"""Longer windows, s, for a drive that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
-"""m, and m/s on average: least travel in such a window; the fixes of a parked receiver drift less."""
+"""Least travel in such a window, m, and mean speed, m/s; the fixes of a parked receiver drift less."""
 SLOW_CHORD = 1.5 * MIN_TRAVEL
-"""m between fixes within `MAX_DURATION`: a drive that reaches it is not slow."""
+"""Distance between fixes within `MAX_DURATION`, m, from which a drive is not slow."""
 SLOW_HEADING_STD = np.radians(12.0)
-"""rad: largest standard deviation of the heading in such a window, including the effect of the gyro's bias."""
+"""Largest standard deviation of the heading in such a window, including the effect of the gyro's bias, rad."""
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
 """Least number of fixes; least interval between them, s (errors of closer ones are alike); s between tried windows."""
 SLOW_BIAS_STD = np.radians(1.0)
 """rad/s: prior of the gyro's bias in such a window."""
 
 STATED_HEADING_STD = np.radians(5.0)
-"""rad: least standard deviation of a stated heading."""
+"""Smallest standard deviation of a stated heading, rad."""
 MOST_STATED_STD = np.radians(12.0)
-"""rad: largest stated standard deviation of a fix's heading with which a filter starts."""
+"""Largest stated standard deviation of a fix's heading with which a filter starts, rad."""
 STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
 """Standard deviations of a start with a stated heading: m per axis; m/s forward and to the left, speed unknown."""
 

@@ -23,11 +23,11 @@ Way = Complex
 (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m)."""
 
 SLIP_STD = np.radians(1.0)
-"""rad: standard deviation of the angle between course and heading at the IMU in ordinary driving."""
+"""Standard deviation of the angle between course and heading at the IMU in ordinary driving, rad."""
 ACCELERATION_BIAS_STD = 0.5
-"""m/s2: standard deviation of the prior of b."""
+"""Standard deviation of the prior of b, m/s2."""
 MIN_POSITION_STD = 0.05
-"""m per axis: least standard deviation of the fixes in a fit."""
+"""Smallest standard deviation of the fixes in a fit, m per axis."""
 
 
 @dataclass(frozen=True, eq=False)

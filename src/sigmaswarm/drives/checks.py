@@ -21,19 +21,19 @@ IMU_GAP = (10.0, 0.1)
 GPS_GAP = (5.0, 2.0)
 """The same limits for fixes and truth."""
 GRAVITY = 9.80665
-"""m/s2, standard."""
+"""Standard gravity, m/s2."""
 IMPOSSIBLE_RATE = 3.0
 """rad/s: no car turns by half a turn in a second."""
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 """Per s."""
 _SLOWEST = (2.0, 60.0)
-"""s between samples and between fixes; longer intervals suggest another unit."""
+"""Intervals between samples and between fixes, s; longer ones suggest another unit."""
 _USUAL = (0.5, 20.0)
-"""s: longest intervals in the right unit."""
+"""Longest intervals in the right unit, s."""
 _JUMP = 3600.0
-"""s: after a longer interval, a time stamp is corrupt or the clock was set."""
+"""Interval above which a time stamp is corrupt or the clock was set, s."""
 _WINDOW = 5.0
-"""s over which fixes determine speed and course: long enough for noise of meters, short enough for turns."""
+"""Time over which fixes determine speed and course, s: long enough for noise of meters, short enough for turns."""
 
 
 @dataclass(frozen=True)

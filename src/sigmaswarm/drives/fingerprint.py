@@ -25,11 +25,11 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     sha256: str = ""
     truth_share: float | None = None
-    """Of an evaluated drive: share of the scored time in which truth is known."""
+    """Share of the scored time of an evaluated drive in which truth is known."""
     scored_from_s: float | None = None
-    """Of an evaluated drive: time at which filters and scores start, s after the first sample."""
+    """Time at which filters and scores of an evaluated drive start, s after the first sample."""
     seen_s: float | None = None
-    """Of an evaluated drive: duration, s, of the part that drives of the tuning contain."""
+    """Duration of the part of an evaluated drive that drives of the tuning contain, s."""
     seen_in: list[str] = Field(default_factory=list)
     """The names of those drives."""
 

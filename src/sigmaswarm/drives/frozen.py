@@ -18,15 +18,15 @@ NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
 `NO_REST`; FROZEN_MOVING: by more, so that the repeat is not evidence of a standstill)."""
 
 BEFORE = 3.0
-"""s before a fix in which a repeated one is searched; the last fix before it is always compared."""
+"""Time before a fix in which a repeated fix is searched, s; the fix before is always compared."""
 SPEED_WINDOW = 2.5
-"""s of fixes that give the speed, at least two. At 1 Hz that is three, which still show braking."""
+"""Time of the fixes that give the speed, s, at least two fixes. At 1 Hz these are three, which still show braking."""
 REST = 0.8
-"""m/s: speed of the fixes below which the car is at rest, as `standstill.FIX_SPEED`."""
+"""Speed of the fixes below which the car is at rest, m/s, as `standstill.FIX_SPEED`."""
 NO_REST = 2.0
-"""m/s: a repeat that begins at a higher speed is not evidence of a standstill."""
+"""Speed above which the beginning of a repeat is not evidence of a standstill, m/s."""
 BRAKING = 4.0
-"""m/s2: hardest braking; more in the fixes is noise."""
+"""Hardest braking, m/s2; more in the fixes is noise."""
 ENOUGH = 3.0
 """Least number of new fixes that show braking; fewer show only a mean speed."""
 

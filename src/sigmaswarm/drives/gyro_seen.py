@@ -26,7 +26,7 @@ YAW_STD = np.radians(1.0)
 TURN_SHARE = 0.3
 """Share of the mean rate of a turn that may be mistaken for bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
-"""rad: change of roll and pitch within some seconds, such as where a road begins to climb."""
+"""Change of roll and pitch within some seconds, rad, such as where a road begins to climb."""
 MOST_BIAS = 0.5
 """rad/s: largest bias of a gyro; fixes that show a larger one have jumped."""
 

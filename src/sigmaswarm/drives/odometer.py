@@ -16,11 +16,11 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Odometer
 
 INTERVAL = 0.1
-"""s: shortest time between two measurements, and age of the oldest reading in one."""
+"""Shortest time between two measurements, and age of the oldest reading in one, s."""
 SLOW = 0.5
-"""m/s: highest speed at which the wheels may read less than that."""
+"""Highest speed at which the wheels may read less than that, m/s."""
 STALE = 1.0
-"""s: older readings do not show if the wheels turn."""
+"""Age above which a reading does not show if the wheels turn, s."""
 
 SPEED, AGE, MORE = range(3)
 """Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""

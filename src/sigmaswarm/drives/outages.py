@@ -10,7 +10,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 
 SECONDS_PER_OUTAGE = 15.0
-"""s of driving per window of ``random_windows`` without a count."""
+"""Driving time per window of ``random_windows`` without a count, s."""
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:

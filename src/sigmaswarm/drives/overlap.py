@@ -35,7 +35,7 @@ SAME_PLACE = 3.0
 SAME_RATE = 2e-4
 """Largest difference between the logarithms of a yaw rate in two units with 8 decimals."""
 MOVING = 1.5
-"""m/s between fixes: slower fixes are not landmarks."""
+"""Lowest speed between fixes of a landmark, m/s."""
 UNITS = math.log(180 / math.pi)
 """ln of the ratio of rad/s to deg/s: landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Drive
 VARIES = 1.5
 """Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
 STARTED = 20.0
-"""m from the first fix, beyond which the car is moving."""
+"""Distance from the first fix beyond which the car is moving, m."""
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of it."""
 
@@ -21,9 +21,9 @@ WHITE = 0.4
 """Least share of white noise in the error of fixes, for `has_white_errors`: 1 for KITTI and colorado, 0.25 for a u-blox
 M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
 UNSTATED_GPS_STD = 2.1
-"""m per axis: standard deviation of receivers that state none: u-blox M8, 2.5 m CEP."""
+"""Standard deviation of receivers that state none, m per axis: u-blox M8, 2.5 m CEP."""
 SHOWN = 0.25 * UNSTATED_GPS_STD
-"""m per axis: a receiver that states nothing and errs by this much from fix to fix does not smooth.
+"""White noise from fix to fix, m per axis, from which a receiver that states no deviation does not smooth.
 
 Its fixes show its error. The error of a receiver whose fixes differ by less is unknown.
 """

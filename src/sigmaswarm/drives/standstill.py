@@ -21,7 +21,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN_MOVING
 
 BLOCK = 0.05
-"""s: length of a block."""
+"""Length of a block, s."""
 SECOND = 20
 """Number of complete blocks in a second, which must be calm."""
 MOST_OF_IT = 16.0
@@ -31,23 +31,23 @@ QUARTER = 5
 CALM = 2.5
 """Largest ratio of the deviations in a calm second to the usual ones at rest."""
 SETTLES = 0.5
-"""s: time constant with which the estimated noise at rest falls."""
+"""Time constant with which the estimated noise at rest falls, s."""
 RISES = 0.1
 """per s: rate at which it rises while the car is nearly calm, so that it does not depend on a single second."""
 DEPARTS = 0.12
-"""m/s2: change of the acceleration, forward or left, that shows a departure."""
+"""Change of the acceleration, forward or left, that shows a departure, m/s2."""
 FOLLOWS = 1.0
-"""s: time constant with which the acceleration of the stop follows the sensors, which warm up."""
+"""Time constant, s, with which the acceleration of the stop follows the sensors, which warm up."""
 FORGETS = 3.0
-"""s after the last moment of calm and constant fixes, after which a new stop begins."""
+"""Time after the last moment of calm and constant fixes after which a new stop begins, s."""
 FIX_WINDOW = 3.0
-"""s of fixes that must be constant."""
+"""Time of fixes that must be constant, s."""
 FILLED = 1.5
 """Largest time between the start of the window and the first fix, in mean intervals of fixes."""
 FIX_SPEED = 0.8
-"""m/s: highest speed of the fixes at standstill."""
+"""Highest speed of the fixes at standstill, m/s."""
 CLOSE = 1e-5
-"""s before a fix leaves the window at which the line is fitted again."""
+"""Time before a fix leaves the window at which the line is fitted again, s."""
 TURNING = math.radians(1.5)
 """rad/s: largest yaw rate at a standstill, by a gyro's bias."""
 

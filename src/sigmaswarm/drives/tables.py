@@ -74,7 +74,7 @@ class Imu(Table):
 
 
 NO_HEADING = np.pi
-"""rad: the stated standard deviation of a heading that the receiver has not found."""
+"""Stated standard deviation of a heading that the receiver has not found, rad."""
 
 
 @dataclass(frozen=True, eq=False)

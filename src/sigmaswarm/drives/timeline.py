@@ -34,7 +34,7 @@ FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = ran
 """Columns of a fix."""
 
 CORNERING = 4.0
-"""m/s2: above this lateral acceleration, tires slip too much for a constraint on the lateral velocity."""
+"""Lateral acceleration above which tires slip too much for a constraint on the lateral velocity, m/s2."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,7 +60,7 @@ def c99(
     Raises
     ------
     InputError
-        If a number of the filter cannot be written in C, or the IMU is too fast.
+        If a parameter cannot be written as a C constant, or the IMU's sampling rate is too high.
     """
     if interval < SHORTEST_INTERVAL:
         raise InputError(
@@ -255,9 +255,9 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
         "STATES": repr(names),
         "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ": it learns the noise at rest" if stands else "",
+        "CALM_NOTE": ": the filter learns the noise at rest" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-        "STD_NOTE": "; this filter uses them" if weighs else "; 0 where it states none",
+        "STD_NOTE": "; this filter uses them" if weighs else "; 0 if none are stated",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
         "BELIEF_NOTE": " /* and the correlated fix error, m east and north */" if lasting else "",
         "GYRO_NOTE": gyro_note,

@@ -90,8 +90,8 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     absent += ["heading"] if parameters.heading_noise is not None and target == "filterpy" else []
     if absent:
         raise InputError(
-            f"{target} has no {absent[0]}; tune for it with --use lateral standstill robust, or run the filter with "
-            "LiveFilter"
+            f"{target} does not support {absent[0]}; tune without {absent[0]} (--use lateral standstill robust), or "
+            "run the filter with LiveFilter"
         )
     if target != "robot_localization":
         require_driven_by_imu(parameters.model, target)

@@ -109,7 +109,7 @@ class LiveFilter:
     restarts : list of float
         Times of the last `MOST_RESTARTS` resets, s.
     too_late : int
-        Number of ignored fixes and odometer readings: later than ``history``, or during a long silence of the IMU.
+        Number of ignored fixes and odometer readings: later than ``history``, or during a long gap in the IMU.
     time_jumps : int
         Number of dropped samples, fixes and readings with unconfirmed stamps far ahead.
     frozen : int

@@ -19,7 +19,7 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
 
 SEED, MOST_FIXES = 0, 10_000_000
-"""Of fixes made from the truth: the seed of their noise, and their largest number."""
+"""Fixes made from the truth: the seed of their noise, and their largest number."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 """Required columns of each role."""
 Origin = tuple[float, float, float]
@@ -62,7 +62,7 @@ def assemble(
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], placed, gps, say))
     if recipe.gps_from_truth:
         if truth is None:
-            raise InputError(f"{name}: fixes can't be made from the truth, since there is none")
+            raise InputError(f"{name}: fixes can't be made from the truth, since the log has no truth")
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
     drive = Drive(
@@ -153,7 +153,7 @@ def _first_place(values: Values) -> Origin:
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
     """Return the truth with x and y, m, and the origin: its own first position if the fixes have set none.
 
-    Fixes without altitude get that of the origin, and the truth then does, too: a difference of 1000 m in altitude
+    Fixes without altitude get that of the origin. The truth then also gets it: a difference of 1000 m in altitude
     would stretch one of the two tracks by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:

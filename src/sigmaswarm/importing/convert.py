@@ -82,7 +82,7 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
     own = {f.name for f in fields(Request)} - {"source", "recipe"}
     if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
         raise InputError(
-            f"no setting of an import is called {unknown[0]!r}; there are {names_shown(sorted(own))}"
+            f"no setting of an import is called {unknown[0]!r}; choose from {names_shown(sorted(own))}"
         )
     logs = {key: Path(settings[key]) for key in ("gps", "truth", "odometer") if settings.get(key)}
     given: dict[str, Any] = {key: value for key, value in settings.items() if key in own} | logs

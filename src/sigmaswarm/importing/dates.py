@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
-"""ns."""
+"""Nanoseconds in a second."""
 LONG_AGO = 1_000_000 * SECOND
-"""Times above this (12 days) count from 1970 or a phone's start; a drive then counts from its own beginning."""
+"""Larger times (12 days) count from 1970 or a phone's start; the times of a drive then count from its beginning."""
 GPS_EPOCH = 315_964_800
-"""s from 1970-01-01 to 1980-01-06, the beginning of GPS time (IS-GPS-200)."""
+"""Beginning of GPS time, 1980-01-06 (IS-GPS-200), s since 1970-01-01."""
 WEEK = 604_800
-"""s."""
+"""Seconds in a week."""
 EXCEL_EPOCH, MATLAB_EPOCH = 25569, 719_529
 """1970-01-01 in days of spreadsheets and of MATLAB's datenum."""
 LEAP_DAYS = (

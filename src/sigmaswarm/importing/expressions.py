@@ -34,7 +34,7 @@ def _number(a: pl.Expr) -> pl.Expr:
 
 
 def _truth(a: pl.Expr) -> pl.Expr:
-    """Compare with 0; null for NaN. ``fill_nan`` would double the work with each nesting: it names its column twice."""
+    """Compare with 0; null for NaN. ``fill_nan`` would double the work with each nesting: it uses its column twice."""
     return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
 
@@ -223,9 +223,9 @@ class _Compiler:
     def _use(self, name: str) -> pl.Expr:
         if name not in self.columns:
             near = difflib.get_close_matches(name, self.columns, 1, 0.5)
-            hint = f"perhaps `{shown(near[0])}`" if near else f"there are {names_shown(self.columns, '`')}"
+            hint = f"perhaps `{shown(near[0])}`" if near else f"choose from {names_shown(self.columns, '`')}"
             raise InputError(
-                f"{quoted(self.text)} names the column {quoted(name)}, which is not there; {hint}"
+                f"{quoted(self.text)} names the column {quoted(name)}, which the table does not have; {hint}"
             )
         self.used.add(name)
         return pl.col(name)

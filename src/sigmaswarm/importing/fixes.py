@@ -29,7 +29,7 @@ class ReceiverLog:
     ----------
     gps : Gps
     sure : (n,) bool
-        True where carrier phases are fixed; everywhere, if the format does not state it.
+        True where carrier phases are fixed; True everywhere if the format does not state this.
     notes : assumptions, one sentence each
     """
 
@@ -48,7 +48,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
     drive : Drive
         Its clock (``time_origin_s`` in drive.toml) and plane (``origin``) are used.
     offset : float
-        s, added to their times.
+        Added to the times of the fixes, s.
     """
     if has_table(path, "gps"):
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # its import has printed the warnings

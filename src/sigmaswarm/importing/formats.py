@@ -114,6 +114,6 @@ def format_of(path: Path) -> str:
 def _reader(name: str) -> Any:
     if name not in READERS:
         near = difflib.get_close_matches(name, READERS, 1)
-        hint = f"perhaps {near[0]}" if near else f"there are {', '.join(READERS)}"
+        hint = f"perhaps {near[0]}" if near else f"choose from {', '.join(READERS)}"
         raise InputError(f"--format {name!r} is unknown; {hint}")
     return import_module(f"sigmaswarm.importing.readers.{READERS[name][0]}")

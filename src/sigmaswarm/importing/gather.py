@@ -20,7 +20,7 @@ from sigmaswarm.wording import names_shown, quoted, shown
 ROW = "row"
 """Column with the number of the row, from 0, which each table gets unless it has one of this name."""
 FAR = 10
-"""A placeholder is no value if it is farther from the others than this many times their spread."""
+"""Distance of a placeholder from the values, in units of their spread, above which it means a missing value."""
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 """Texts that mean a cell is empty."""
 
@@ -162,7 +162,7 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
             return [replace(part, table=name)]
     if part.table:
         there = names_shown(log.tables)
-        raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; there are {there}")
+        raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; choose from {there}")
     homes = {
         name: [n for n, table in log.tables.items() if fits(text, table.columns)]
         for name, text in part.columns.items()

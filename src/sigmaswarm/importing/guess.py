@@ -54,7 +54,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     faults: list[Fault] = []
     for role, tables in _candidates(found).items():
         if role in chosen and chosen[role] not in samples:
-            raise InputError(f"there is no table {chosen[role]!r}; there are {names_shown(samples)}")
+            raise InputError(f"there is no table {chosen[role]!r}; choose from {names_shown(samples)}")
         if not tables and role not in chosen:
             continue
         # the first table whose name fits, or else the first

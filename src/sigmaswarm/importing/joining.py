@@ -17,9 +17,9 @@ from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
-"""m: a stated standard deviation up to this means that the receiver states none."""
+"""Largest standard deviation, m, that means that the receiver states none."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-"""Columns of angles, with a full turn in their unit, rad or deg."""
+"""A full turn in the unit of each angle column, rad or deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
 POSITIONS = ("lat", "lon", "x", "y")

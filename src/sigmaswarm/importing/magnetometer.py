@@ -24,25 +24,25 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import written
 
 LEAST_TURN = 180
-"""deg: a drive that covers fewer directions than this does not determine the hard iron."""
+"""Smallest range of directions, deg, with which a drive determines the hard iron."""
 BIN = 10
-"""deg: directions within one such bin count as one."""
+"""Width of a bin of directions, deg; directions in one bin count as one."""
 LEAST_SAMPLES = 5
-"""Samples in a bin."""
+"""Smallest number of samples in a bin."""
 DRIFT = 10.0
-"""s: interval over which the course corrects the heading of the gyro."""
+"""Interval over which the course corrects the heading of the gyro, s."""
 MOST_ROWS = 20_000
-"""Rows that are used for the calibration, evenly over the drive."""
+"""Largest number of rows for the calibration, evenly over the drive."""
 STEEL = 4.0, 0.03
 """Largest deviation of the field's size (relative) and direction (rad): in standard deviations, and its least value."""
 AROUND = 1.0
-"""s before and after a larger deviation without a heading."""
+"""Time before and after a larger deviation in which fixes get no heading, s."""
 WORST = np.radians(20)
-"""rad: largest standard deviation of the heading of a magnetometer that is fixed to the vehicle."""
+"""Largest standard deviation of the heading of a magnetometer that is fixed to the vehicle, rad."""
 LEAST_STD = np.radians(0.5)
-"""rad: smallest stated standard deviation."""
+"""Smallest stated standard deviation, rad."""
 LONGEST_GAP = 1.0
-"""s between samples, across which a heading is interpolated."""
+"""Largest interval between samples across which a heading is interpolated, s."""
 _UNLIKE = "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
 _AXES = (
     r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
@@ -54,7 +54,7 @@ _AXES = (
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The field in the sensor's axes as ``center + shape @ (cos, sin)`` of the heading.
+    """The field in the sensor's axes: ``center + shape @ (cos, sin)`` of the heading.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Calibration:
 
     @property
     def soft_iron(self) -> float:
-        """The ratio of the ellipse's axes, less 1."""
+        """The ratio of the ellipse's axes minus 1."""
         sizes = np.linalg.svd(self.shape, compute_uv=False)
         return float(sizes[0] / sizes[1] - 1)
 

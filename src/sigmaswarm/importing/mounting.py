@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 
 AUTO = "auto"
-"""Word for a mounting that is to be found in the log."""
+"""Value of a mounting that the import finds in the log."""
 _AXES = "xyz"
 
 
@@ -89,8 +89,7 @@ def _from_axes(text: str, parts: list[str]) -> Array:
     matrix = np.array([rows[axis] for axis in _AXES])
     if round(float(np.linalg.det(matrix))) != 1:
         raise InputError(
-            f"mount {text!r} is a mirror image or uses an axis twice, no rotation; check the signs by the "
-            "right-hand rule"
+            f"mount {text!r} is a mirror image or uses an axis twice; check the signs by the right-hand rule"
         )
     return matrix
 

@@ -13,12 +13,12 @@ Say = Callable[[str], None]
 Values = dict[str, Array]
 
 FARTHEST = 100_000.0
-"""m: largest distance of a fix from the median of all fixes, plus `FASTEST`, m/s, times the duration of the log."""
+"""Largest distance of a fix from the median of all fixes, m; `FASTEST`, m/s, times the duration is added."""
 FASTEST = 150.0
 FIT = 0.35
-"""rad: a heading whose median difference from the course is below this has the convention of the course."""
+"""Largest median difference from the course, rad, of a heading with the convention of the course."""
 MOVING = 1.0
-"""m/s; at lower speeds the course does not show the heading."""
+"""Lowest speed at which the course shows the heading, m/s."""
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:

@@ -21,11 +21,11 @@ DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-"""Columns whose unit must be known; others of an unknown unit are left out."""
+"""Columns whose unit must be known; other columns of an unknown unit are left out."""
 MOST_FORCE = 100.0
-"""m/s2: largest acceleration of a car, except bumps."""
+"""Largest acceleration of a car, except bumps, m/s2."""
 FASTEST = 700.0
-"""deg/s: largest angular rate of a car."""
+"""Largest angular rate of a car, deg/s."""
 _ACCELEROMETERS = "usual 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000"
 

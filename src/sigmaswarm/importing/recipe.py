@@ -129,7 +129,7 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
         table = columns.pop("table", "")
         if unknown := sorted(c for c in columns if c.removeprefix("+") not in COLUMNS[role]):
             raise InputError(
-                f"{path}: {quoted(unknown[0])} under [[{role}]] is unknown; it can hold {', '.join(COLUMNS[role])}"
+                f"{path}: {quoted(unknown[0])} under [[{role}]] is unknown; use {', '.join(COLUMNS[role])}"
             )
         yield Part(table, columns)
 
@@ -186,4 +186,6 @@ def _entry(text: str) -> tuple[Role, str, str]:
         if column in COLUMNS[role]:
             return role, column, expression.strip()
     there = dict.fromkeys(c for role in roles for c in COLUMNS[role])
-    raise InputError(f"--map {text!r}: there is no column {column!r} to map to; there are {', '.join(there)}")
+    raise InputError(
+        f"--map {text!r}: there is no column {column!r} to map to; choose from {', '.join(there)}"
+    )

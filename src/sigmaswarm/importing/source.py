@@ -18,7 +18,7 @@ from sigmaswarm.wording import quoted, shown
 Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
-"""Rows of a batch, where they are decoded one by one."""
+"""Rows of a batch, if they are decoded one by one."""
 FILES = "columns"
 """Kind of a table that is a file; its name is that of the file."""
 Progress = Callable[[float], None]
@@ -61,7 +61,7 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """Return the names that are not empty; empty ones count, too, since fields without a number take time."""
+        """Return the names that are not empty. The limit counts empty names too, since their fields take time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(

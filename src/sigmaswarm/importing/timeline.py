@@ -22,11 +22,11 @@ WRAPS: tuple[tuple[int, str], ...] = (
 )
 """Periods after which clocks restart, ns."""
 FEWEST_ROWS = 20
-"""Least number of rows of a separate recording; fewer rows out of order are sorted."""
+"""Smallest number of rows of a separate recording; fewer rows out of order are sorted."""
 LEAST_FALL, STEPS = 0.2, 2
-"""Least step back of a clock at which a second recording begins: s, and median steps."""
+"""Smallest step back of a clock at which a second recording begins: s, and median steps."""
 REPEATED = 0.02
-"""A larger share of rows with the time of the row before means that rows share stamps."""
+"""Share of rows with the time of the row before above which rows are taken to share stamps."""
 UNEVEN = 0.1
 """Largest share of stamps whose number of rows differs from the usual one."""
 
@@ -77,7 +77,7 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
     if part is None:
         raise InputError(f"{said}; import each by itself: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):
-        raise InputError(f"{said}; --part {part} is none of them: give 1 to {len(parts)}")
+        raise InputError(f"{said}; there is no recording {part}; give --part 1 to --part {len(parts)}")
     return parts[part - 1], f"{said}; number {part} taken"
 
 

@@ -13,9 +13,9 @@ from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
-"""s: largest likely interval between samples."""
+"""Largest likely interval between samples, s."""
 SHORTEST_STEP = 1e-4
-"""s: shortest interval of a car's sensor."""
+"""Shortest interval of a car's sensor, s."""
 DATE_FORMATS = (
     "",
     "%d-%b-%Y %H:%M:%S%.f",
@@ -36,7 +36,7 @@ COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
 """Units of times, s; the usual units of clock counters come first."""
 _DATES_S = (3e8, 4e9)
-"""s since 1970, from 1979 to 2096."""
+"""Range of dates, s since 1970, from 1979 to 2096."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,8 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
             f"--time \"utc({called}, '{fitting[1]}')\" if the day comes first, with {form} if the month does"
         )
         return Found(
-            "", fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two days; write {option}"
+            "",
+            fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two different days; write {option}",
         )
     note = "times of day without a date" if form == "%H:%M:%S%.f" else ""
     return Found(f"utc({called}, '{form}')" if form else f"utc({called})", note)

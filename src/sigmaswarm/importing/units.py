@@ -11,9 +11,9 @@ from typing import Literal
 Dimension = Literal["time", "acceleration", "rate", "angle", "length", "speed"]
 
 G = 9.80665
-"""m/s2."""
+"""Standard gravity, m/s2."""
 LONGEST = 40
-"""Characters of a unit."""
+"""Largest number of characters of a unit."""
 
 _DEGREE = math.pi / 180
 _BASE_WORDS = {
@@ -106,7 +106,7 @@ class Unit:
 
     @property
     def known(self) -> bool:
-        """True if it can be converted."""
+        """True if the unit can be converted."""
         return self.dimension is not None
 
 

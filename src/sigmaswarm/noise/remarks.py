@@ -14,9 +14,9 @@ from sigmaswarm.noise.static import Stretches, step_of
 from sigmaswarm.wording import counted
 
 LONG = 1800.0
-"""s: shortest stretch that shows more than white noise."""
+"""Shortest stretch that shows more than white noise, s."""
 LONG_TREND = 300.0
-"""s: shortest stretch whose trend is tested."""
+"""Shortest stretch whose trend is tested, s."""
 STATIC = 0.95
 """Share of a static log that is at rest."""
 UNLIKELY = 0.1
@@ -39,7 +39,7 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
     remarks: list[str] = []
     if stretches.gaps:
         remarks.append(
-            f"{counted(stretches.gaps, 'gap')} in the log: the parts between are used as stretches"
+            f"{counted(stretches.gaps, 'gap')} in the log; each part between gaps is a separate stretch"
         )
     if stretches.share < STATIC:
         remarks.append(
@@ -48,8 +48,8 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
         )
     if longest < LONG:
         remarks.append(
-            f"the longest stretch has {longest:.0f} s: it shows the white noise, but bias instability and rate random "
-            "walk only as far as they grow in that time: use the upper ends of their intervals, or log an hour at rest"
+            f"the longest stretch at rest lasts {longest:.0f} s, long enough for the white noise but too short for "
+            "bias instability and rate random walk; use the upper ends of their intervals, or log an hour at rest"
         )
     return remarks
 

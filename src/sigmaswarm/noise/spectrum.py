@@ -42,7 +42,7 @@ TIMES = 8
 STEPS = 15
 """Iterations of Fisher's scoring until convergence."""
 SHORTEST = 10.0
-"""s: a shorter correlation time looks like a sensor's low-pass filter."""
+"""Correlation time below which noise looks like a sensor's low-pass filter, s."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,23 +12,23 @@ from sigmaswarm.errors import InputError
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 SHORTEST = 10.0
-"""s: shorter stretches are left out."""
+"""Length of the shortest stretch that is used, s."""
 FEWEST = 50
 """Smallest number of samples of a stretch."""
 BLOCK = 1.0
-"""s: length of the blocks whose mean and deviation show motion."""
+"""Length of the blocks whose mean and deviation show motion, s."""
 SMALLEST = 20
 """Smallest number of samples of a block: the deviations of fewer scatter too much."""
 JUMP = {"a": 0.1, "g": np.radians(0.5)}
-"""m/s2, rad/s: change of a sensor's mean from one block to the next that shows motion."""
+"""Change of a sensor's mean from one block to the next that shows motion, m/s2 and rad/s."""
 RESTLESS = 3.0
 """Ratio of a block's deviation to that of the quietest ones that shows motion, unless it is below `CALM`."""
 CALM = {"a": 0.02, "g": np.radians(0.1)}
-"""m/s2, rad/s: a smaller deviation never shows motion."""
+"""Largest deviation that never shows motion, m/s2 and rad/s."""
 ROUGH = 0.3
-"""m/s2: deviation of an accelerometer that always shows motion."""
+"""Deviation of an accelerometer that always shows motion, m/s2."""
 FIX_SPEED = 0.5
-"""m/s: speed of a straight line through a stretch's fixes that shows motion."""
+"""Speed of a straight line through a stretch's fixes that shows motion, m/s."""
 SAMPLE = 100_000
 """Number of samples from which the quantization step is determined."""
 PILED = 3.0

@@ -35,18 +35,18 @@ from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
 ACCURACY = 0.1
-"""m per axis: less accurate positions are left out."""
+"""Largest standard deviation of a position that is kept, m per axis."""
 HIDDEN = (2.0, 20.0)
-"""s for which fixes are hidden from the smoother: IMUs of cars bridge the shorter one to a decimeter."""
+"""Times, s, for which fixes are hidden from the smoother: IMUs of cars bridge the shorter one to a decimeter."""
 HIDDEN_FIRST = 10.0
-"""s from the start before fixes are hidden, and between two windows."""
+"""Time from the start before fixes are hidden, and between two windows, s."""
 PLACEMENTS = 3
 """Number of placements of the hidden windows."""
 COVERED = 0.95, 1.96
 """Required share of the hidden fixes within this many sigma, per axis."""
 OBJECTIVE = "innovation-t"
 SLIP = math.radians(0.1)
-"""rad: added to the heading's deviation, for sideways slip of the rear axle over seconds, which fixes do not show."""
+"""Addition to the heading's deviation, rad, for sideways slip of the rear axle, which fixes do not show."""
 
 
 class ReferenceOptions(TypedDict, total=False):

@@ -52,7 +52,7 @@ from sigmaswarm.wording import names_shown
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 HEADING_SHOWN = (1.0, 30.0)
-"""deg: smallest and largest limit of the axis of heading errors; a diverged filter has larger errors."""
+"""Smallest and largest limit of the axis of heading errors, deg; a diverged filter has larger errors."""
 
 
 def save_evaluation(
@@ -95,7 +95,7 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
     """Draw the tracks of all methods on one drive."""
     found = evaluation.drives.get(drive)
     if found is None or found.picture is None:
-        raise InputError(f"no track of {drive!r}; there are {names_shown(evaluation.drives)}")
+        raise InputError(f"no track of {drive!r}; choose from {names_shown(evaluation.drives)}")
     return tracks(found.picture, LABELS | dict(evaluation.names))
 
 

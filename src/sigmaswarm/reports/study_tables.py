@@ -378,7 +378,7 @@ def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> 
 
 
 def _gains_table(results: Results, rivals: RivalResults) -> Table:
-    """Tabulate each network against the filter that it helps, drive by drive."""
+    """Compare the filter with and without each network, drive by drive, in a table."""
     columns = (Column("network"), Column("measure"), *_paired_columns("difference", "Wilcoxon p"))
     rows = tuple(
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains

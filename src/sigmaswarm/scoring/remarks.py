@@ -38,7 +38,7 @@ def said_of_drives(data: Sequence[DriveRecord]) -> str:
     ]
     if each:
         return f"{called} (NOT {'all ' if len(data) > 1 else ''}held out: {'; '.join(each)})"
-    return called + " that the tuning never saw" * all(drive.seen_s is not None for drive in data)
+    return called + " that the tuning did not use" * all(drive.seen_s is not None for drive in data)
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:

@@ -38,7 +38,7 @@ SHARES, MOVED = ".shares", ".moved"
 MOST_POINTS = 1500
 """Number of points of a series in a file; more than the pixel columns of most charts."""
 MOST_DRAWN = 20_000
-"""Number of points of a series in a printed picture."""
+"""Number of points of a series in a static plot."""
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
 CLOSE_UP = 50.0
 """Side of the close-up of a track, m."""
@@ -65,7 +65,7 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Data of a printed picture of a drive.
+    """Data of a static plot of the tracks on a drive.
 
     ``whole`` has more points than tracks.npz. ``close`` has all x and y of each series around the sharpest turn, and
     NaN outside. ``start`` and ``turn``, shape (2,), are the positions of the filters' start and of the sharpest turn, m
@@ -90,7 +90,7 @@ class Tracker:
     ``scores`` has the position and heading scores of each method, ``own_sigma`` the RMS of each filter's position
     standard deviation, m. ``stated`` has the tuned filter's times, s, position variances per axis, m2, and position
     errors, m: with truth at the truth times, else at all estimates and without errors. A series has at most
-    ``most_points`` points. With ``picture`` the data of a printed picture is recorded, too.
+    ``most_points`` points. With ``picture`` the data of a static plot are also recorded.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class Tracker:
         return Tracks(name, self._thin)
 
     def picture(self, name: str) -> Picture:
-        """Return the data of a printed picture."""
+        """Return the data of a static plot of the tracks."""
         self._keep_fixes()
         gps = self._ready.drive.gps
         frame = np.array([[gps.x.min(), gps.y.min()], [gps.x.max(), gps.y.max()]])
@@ -215,7 +215,7 @@ class Tracker:
 
 
 def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
-    """Run filters over a drive and return the data of a printed picture."""
+    """Run filters over a drive and return the data of a static plot of their tracks."""
     ready = prepared(drive)
     tracker = Tracker(ready, picture=True)
     for series, parameters in filters.items():

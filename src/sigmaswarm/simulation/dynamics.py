@@ -26,13 +26,13 @@ from sigmaswarm.compilation import cached
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
-"""m/s2, as in CARLA."""
+"""Gravity as in CARLA, m/s2."""
 STEP = 0.001
-"""s, of the integration."""
+"""Step of the integration, s."""
 STEPS_PER_LOOK = 10
 """Integration steps per control step of the driver."""
 AIR_DENSITY = 1.204
-"""kg/m3, at 20 degrees and sea level."""
+"""Density of air at 20 degrees and sea level, kg/m3."""
 
 # The state's components. A wheel's own states follow one another: WHEEL + 0 ... WHEEL + 3.
 X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)

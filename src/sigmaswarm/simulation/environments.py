@@ -60,5 +60,5 @@ def named(value: str | T, table: dict[str, T], what: str) -> T:
     if not isinstance(value, str):
         return value
     if value not in table:
-        raise InputError(f"no {what} is called {value!r}; there are {', '.join(table)}")
+        raise InputError(f"no {what} is called {value!r}; choose from {', '.join(table)}")
     return table[value]

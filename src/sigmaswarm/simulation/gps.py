@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 EARTH_RADIUS = 6378137.0
 METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0
-"""m, of CARLA's sphere, and 111 319.49 m in a degree of its latitude."""
+"""Length of a degree of latitude on CARLA's sphere, 111 319.49 m; its radius is `EARTH_RADIUS`, m."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +31,18 @@ class GpsGrade:
     Attributes
     ----------
     white_std, markov_std : float
-        m per axis: standard deviation of each fix's white noise, and of the first-order Gauss-Markov error.
+        Standard deviations per axis, m: of each fix's white noise and of the first-order Gauss-Markov error.
     markov_time : float
-        s, correlation time.
+        Correlation time, s.
     velocity_std : float or None
-        m/s per axis; None for a receiver that reports neither speed nor course.
+        Standard deviation per axis, m/s; None for a receiver that reports neither speed nor course.
     latency : float
-        s, age of a fix at its time stamp. 0 in all grades: loggers stamp fixes with their time of validity;
+        Age of a fix at its time stamp, s. 0 in all grades: loggers stamp fixes with their time of validity;
         receivers report them 0.05 to 0.2 s later.
     lever_arm : tuple of float
-        m forward, left, up from the IMU to the antenna.
+        From the IMU to the antenna, m forward, left, up.
     stated_factor : float
-        The receiver's stated standard deviation over the true one.
+        Ratio of the stated standard deviation to the true one.
     loss : float
         Probability that a fix goes missing.
     carla : bool
@@ -70,18 +70,23 @@ class GpsGrade:
 GPS_GRADES = {
     g.name: g
     for g in (
-        GpsGrade("ideal", 0.0, velocity_std=0.0, source="no errors at all"),
+        GpsGrade("ideal", 0.0, velocity_std=0.0, source="no errors"),
         GpsGrade(
             "ublox-m8",
             0.5,
             math.sqrt(2.1**2 - 0.5**2),
             velocity_std=0.05,
-            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is from memory, not "
-            "verified",
+            source="u-blox M8 data sheet; the split into 0.5 m of white noise and a correlated rest is from the "
+            "author's memory, not verified",
         ),
         GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
         GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),
-        GpsGrade("f9p-rtk", 0.01, velocity_std=0.05, source="u-blox ZED-F9P with RTK, recalled"),
+        GpsGrade(
+            "f9p-rtk",
+            0.01,
+            velocity_std=0.05,
+            source="u-blox ZED-F9P with RTK, from the author's memory, not verified",
+        ),
         GpsGrade(
             "carla", 5e-6 * METERS_PER_DEGREE, carla=True, source="CARLA Leaderboard sensor set-up (5e-6 deg)"
         ),
@@ -97,11 +102,11 @@ class HeadingGrade:
     Attributes
     ----------
     white_std, markov_std : float
-        rad: standard deviation of each heading's white noise, and of the first-order Gauss-Markov error.
+        Standard deviations, rad: of each heading's white noise and of the first-order Gauss-Markov error.
     markov_time : float
-        s, correlation time.
+        Correlation time, s.
     mounting : float
-        rad: angle of the antennas' baseline, counter-clockwise from forward, which the receiver does not know.
+        Angle of the antennas' baseline, rad, counter-clockwise from forward; the receiver does not know it.
     """
 
     name: str
@@ -115,12 +120,12 @@ class HeadingGrade:
 HEADING_GRADES = {
     g.name: g
     for g in (
-        HeadingGrade("ideal", 0.0, source="no errors at all"),
+        HeadingGrade("ideal", 0.0, source="no errors"),
         HeadingGrade(
             "dual-antenna",
             math.radians(0.3),
             math.sqrt(math.radians(0.4) ** 2 - math.radians(0.3) ** 2),
-            source="u-blox ZED-F9P data sheet: 0.4 deg at a baseline of 1 m; its split into white and correlated noise "
+            source="u-blox ZED-F9P data sheet: 0.4 deg at a baseline of 1 m; the split into white and correlated noise "
             "is an assumption",
         ),
     )
@@ -129,7 +134,7 @@ HEADING_GRADES = {
 
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
-    """Add the heading of a vehicle whose yaw, (n,) rad at times (n,) s, is known; there is none at other times."""
+    """Add a heading to fixes at times (n,), s, with known yaw (n,), rad; other fixes get none."""
     interval = float(np.median(np.diff(time)))
     noise = grade.white_std * rng.standard_normal(len(time))
     noise += grade.markov_std * gauss_markov(rng, len(time), 1, interval / grade.markov_time)[:, 0]
@@ -211,7 +216,7 @@ def with_outliers(
     offset : float
         Size of the error, m.
     length : (float, float)
-        s, the shortest and the longest burst. Bursts that meet become one.
+        Shortest and longest burst, s. Bursts that meet become one.
 
     Raises
     ------
@@ -220,8 +225,8 @@ def with_outliers(
     """
     if not (0 <= share <= 0.5 and 0 <= length[0] <= length[1] < np.inf):
         raise InputError(
-            f"share = {share:g} and length = {length} s: at most half of the fixes can be off, for times of 0 or more, "
-            "the shorter one first"
+            f"share = {share:g} and length = {length} s: use a share of 0 to 0.5, and lengths of 0 s or more, the "
+            "shorter one first"
         )
     time = drive.gps.time
     x, y, off = drive.gps.x.copy(), drive.gps.y.copy(), np.zeros(len(time), dtype=np.bool_)

@@ -79,7 +79,7 @@ _MPU = {"scale": 0.03, "misalignment": 0.02}  # [T] sensitivity tolerance, cross
 IMU_GRADES = {
     g.name: g
     for g in (
-        ImuGrade("ideal", source="no errors at all"),
+        ImuGrade("ideal", source="no errors"),
         ImuGrade(
             "mpu-6050",
             _accel(0.24, 0.0, turn_on=0.050 * _G, reach=4 * _G, resolution=_G / 8192, **_MPU),
@@ -131,8 +131,8 @@ IMU_GRADES = {
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
     """Stationary first-order Gauss-Markov sequences (count, axes) of unit variance.
 
-    ``ratio`` is the time between samples over the correlation time.
-    ."""
+    ``ratio`` is the time between samples divided by the correlation time.
+    """
     shocks = rng.standard_normal((count, axes))
     keep = math.exp(-ratio)
     shocks[1:] *= math.sqrt(1 - keep**2)  # the first one keeps the stationary variance

@@ -29,9 +29,9 @@ from sigmaswarm.simulation.planning import LOOK, SPACING, draw_sway, lay_path, p
 Array = NDArray[np.float64]
 
 STAND = 1.0
-"""s of standstill at the beginning."""
+"""Duration of the standstill at the beginning, s."""
 URBAN_DURATION = 180.0
-"""s, default duration of "urban"."""
+"""Default duration of "urban", s."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
 
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
-    """Return the achieved figures, under the names of the targets if there are any; ``fixes`` (m,) are times, s."""
+    """Return the figures that a journey achieved, named as the targets of its maneuver; ``fixes`` (m,) are times, s."""
     record, start = journey.record, journey.start
     speed = np.hypot(record[:, VX], record[:, VY])
     top, first = float(speed.max()) / KMH, int(start / STEP)

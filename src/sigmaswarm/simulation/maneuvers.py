@@ -16,10 +16,10 @@ from sigmaswarm.simulation.dynamics import GRAVITY
 from sigmaswarm.simulation.planning import Leg
 
 KMH = 1 / 3.6
-"""m/s in a km/h."""
+"""Speed of 1 km/h in m/s."""
 QUARTER = math.pi / 2
 HARD_EASE = 0.2
-"""s: time in which a hard driver reaches an acceleration."""
+"""Time in which a hard driver reaches an acceleration, s."""
 _LIMIT = 0.96  # share of the friction; the rest is a margin for steering
 
 
@@ -192,5 +192,5 @@ MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
 def find_maneuver(name: str) -> Callable[[Road, np.random.Generator], Maneuver]:
     """Return a maneuver's function; raise InputError for an unknown name."""
     if name not in MANEUVERS:
-        raise InputError(f"no maneuver is called {name!r}; there are {', '.join(MANEUVERS)}")
+        raise InputError(f"no maneuver is called {name!r}; choose from {', '.join(MANEUVERS)}")
     return MANEUVERS[name]

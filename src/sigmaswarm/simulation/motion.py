@@ -44,13 +44,13 @@ LeverArm = tuple[float, float, float]
 # except that the springs return a body that rolls or pitches: its rates have no part below their frequency, or white
 # noise would turn the body by degrees in a minute, which gravity would show as acceleration.
 FORCE_DENSITY = (0.06, 0.025, 0.04)
-"""m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
+"""Density of the specific force, m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
 RATE_DENSITY = (0.002, 0.003, 0.0005)
-"""rad/s/sqrt(Hz) about the same axes. About the second axis, the only recording with it shows 0.010."""
+"""Density of the angular rate, rad/s/sqrt(Hz), about the same axes; the only recording of the second axis has 0.010."""
 FULL_SPEED = 5.0
-"""m/s: at lower speeds the vibration is proportional to the speed."""
+"""Speed, m/s, below which the vibration is proportional to the speed."""
 SPRINGS = 1.0
-"""Hz, about the frequency of a car's body on its springs: a choice."""
+"""Frequency of a car's body on its springs, Hz, an assumption."""
 
 
 @dataclass(frozen=True)

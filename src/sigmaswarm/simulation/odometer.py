@@ -22,17 +22,17 @@ class OdometerGrade:
     Attributes
     ----------
     rate : float
-        Hz
+        Readings per second, Hz.
     window : float
-        s before a reading whose pulses it counts: its age is half of that.
+        Length of the counting window before a reading, s; the age of the reading is half of it.
     teeth : int
         Pulses per turn of the wheels.
     scale_std : float
         Standard deviation of the scale error, drawn for each drive: reading / true speed - 1.
     resolution : float
-        m/s, of the number on the bus.
+        Resolution of the speed on the bus, m/s.
     slowest : float
-        m/s; lower speeds read zero.
+        Lowest speed, m/s; lower speeds are reported as zero.
     """
 
     name: str
@@ -48,24 +48,27 @@ class OdometerGrade:
 ODOMETER_GRADES = {
     grade.name: grade
     for grade in (
-        OdometerGrade("ideal", 100.0, 0.002, 1_000_000, 0.0, source="the wheels themselves: slip is left"),
+        OdometerGrade(
+            "ideal", 100.0, 0.002, 1_000_000, 0.0, source="exact wheel speed; the only error is slip"
+        ),
         OdometerGrade(
             "pulses",
             50.0,
             0.1,
             96,
-            source="a ring of 48 teeth on each rear wheel, counted; from memory, not verified",
+            source="a ring of 48 teeth on each rear wheel; from the author's memory, not verified",
         ),
         OdometerGrade(
             *("can", 83.0, 0.05, 10_000),
             resolution=0.01 / 3.6,
             slowest=0.3,
-            source="comma2k19's CAN: 83 Hz, fine; the times between pulses are measured. Its cutoff is from memory, "
-            "not verified",
+            source="CAN speed as in comma2k19: 83 Hz, fine resolution, from the times between pulses; the lowest speed "
+            "is from the author's memory, not verified",
         ),
     )
 }
-"""Grades by name. The scale of 1% for wear and pressure of tires is from memory; comma2k19's car is 0.8% low."""
+"""Grades by name. The scale error of 1% (wear and pressure of tires) is from the author's memory; comma2k19's car
+reads 0.8% low."""
 
 
 def measure_odometer(

@@ -17,11 +17,11 @@ from sigmaswarm.compilation import cached
 Array = NDArray[np.float64]
 
 SPACING = 0.1
-"""m, between two points of a path."""
+"""Distance between two points of a path, m."""
 LOOK = 0.01
-"""s, interval of the driver's control."""
+"""Interval of the driver's control, s."""
 RUN_OUT = 60.0
-"""m of straight road beyond the last leg, for the driver's preview and for longer stops."""
+"""Length of straight road beyond the last leg, m, for the driver's preview and for longer stops."""
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,7 @@ def current_options(
             warn_deprecated(f"the option {name}", RENAMED[name])
         elif name not in known:
             nearest = suggested(name, [*known, *arguments])
-            hint = f"did you mean {nearest}?" if nearest else f"there are {', '.join(known)}"
+            hint = f"did you mean {nearest}?" if nearest else f"choose from {', '.join(known)}"
             raise InputError(f"{name} = {value!r}: no such option; {hint}")
         current[RENAMED.get(name, name)] = value
     return current

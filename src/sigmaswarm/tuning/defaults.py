@@ -61,7 +61,7 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
         because = f"{found.model} suits the logs: {found.because}" if other else found.because
         if model == found.model and _needs_fix_error(model, options, drives):
             use.append("fix-error")
-            because += ", fixes that differ by less than the receiver errs"
+            because += ", fixes that differ by less than the receiver's error"
     described = _described(model, use) + (", as given" if "model" in options else "")
     return {**options, "model": model, "use": tuple(use)}, f"{described}: {because}"
 

@@ -158,7 +158,8 @@ def correlation_warnings(
 ) -> list[str]:
     """Warn if the innovations of most drives are correlated and the filter could model correlated fix errors.
 
-    ``found``: `correlation_of` for each drive. ``use``: the filter's current measurements, which the remedy repeats.
+    ``found``: `correlation_of` for each drive. ``use``: the current values of ``--use``, for the
+    proposed command.
     """
     known = [value for value in found if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)

@@ -1,4 +1,4 @@
-"""Process-noise inflation, for roads and IMUs that the tuning has not seen.
+"""Process-noise inflation, for roads and IMUs that the tuning did not use.
 
 Tuning on one drive can make the process noise too small for other roads, temperatures or IMUs. The filter is
 overconfident there and rejects good fixes. A remedy from statistics is to choose the simplest model within one standard

@@ -94,7 +94,7 @@ def noise_warnings(
 ) -> list[str]:
     """Warn if R contradicts the fixes of the training drives, for tunings without truth.
 
-    ``use``: the filter's current measurements, which the remedy repeats.
+    ``use``: the current values of ``--use``, for the proposed command.
     """
     if parameters.accuracy_scale is not None or not drives:
         return []
@@ -157,7 +157,7 @@ def accuracy_warnings(
 ) -> list[str]:
     """Warn if the stated accuracy of the fixes has no effect on the filter.
 
-    ``each``: `stated` of each drive, m. ``use``: the filter's current measurements; the remedy leaves out the accuracy.
+    ``each``: `stated` of each drive, m. ``use``: the current values of ``--use``; the proposed command omits accuracy.
     """
     std = _median(each)
     if parameters.accuracy_scale is None or not np.isfinite(std):

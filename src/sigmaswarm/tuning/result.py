@@ -34,7 +34,7 @@ SHOWN_REMARKS = 5
 """Number of remarks in the printed text of a tuning."""
 INFLATED = (
     "{} times those of the lowest cost (process-noise inflation): the costs of the two filters hardly differ, and on "
-    "roads and IMUs that the tuning has not seen, the one with more process noise is more accurate. On the same roads "
+    "roads and IMUs that the tuning did not use, the one with more process noise is more accurate. On the same roads "
     "it drifts slightly more over outages; --inflation 0 turns it off"
 )
 OF_THESE_SENSORS = (

@@ -292,11 +292,11 @@ def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
     seen = {entry["sha256"] for entry in problem.data}
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
-        raise InputError(f"{both[0]} is among the training drives, too; use other drives for validation")
+        raise InputError(f"{both[0]} is also a training drive; use other drives for validation")
     known = tuple(problem.seen) if len(held_back.seen) else ()
     for drive in held_back.seen:
         if found := overlap_of(drive, known):
             raise InputError(
-                f"{drive.name}: {found.seconds:.0f} s of it are in the training drives, too ({', '.join(found.of)}); "
-                "use other drives for validation"
+                f"{drive.name}: {found.seconds:.0f} s of this drive are also in the training drives "
+                f"({', '.join(found.of)}); use other drives for validation"
             )

@@ -13,7 +13,7 @@ from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
 SHORTEST = 30.0
-"""s: length of the shortest part that can be kept."""
+"""Length of the shortest part that can be kept, s."""
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
 Agreements = dict[str, Agreement]

@@ -1,4 +1,4 @@
-"""Step 4: evaluate a filter on drives that its tuning never saw, and compare two filters on one map."""
+"""Step 4: evaluate a filter on drives that its tuning did not use, and compare two filters on one map."""
 
 from typing import Any
 
@@ -54,7 +54,7 @@ class JudgePage(Page):
         self.refresh()
 
     def _held(self, name: str) -> list[str]:
-        """Return the drives that a tuning held back, else those that it did not see."""
+        """Return the drives that a tuning held back, else those that it did not use."""
         tuning, _ = attempt(Tuning.load, self.bench.path("tunings", name))
         if tuning is None:
             return []

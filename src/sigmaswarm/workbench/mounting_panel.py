@@ -17,14 +17,14 @@ from sigmaswarm.workbench.state import attempt
 
 ANGLES = ("roll", "pitch", "yaw")
 SETTLED = 0.6
-"""s without a change, after which the log is read again."""
+"""Time without a change after which the log is read again, s."""
 
 CENTER, SCALE = np.array([170.0, 136.0]), 46
 """Pixels, and pixels per m, of car.svg."""
 VIEW = np.array([(-0.530, 0.848, 0.0), (-0.345, -0.216, 0.914), (0.775, 0.484, 0.407)])
 """Rows: right, up and towards the viewer of car.svg, in the vehicle's axes."""
 MOUNTED = np.array([-0.4, 0.0, 1.15])
-"""m: where the IMU is drawn."""
+"""Position at which the IMU is drawn, m."""
 AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 

@@ -12,7 +12,7 @@ from sigmaswarm.workbench.state import Workbench, attempt
 
 T = TypeVar("T")
 SETTLED = 0.1
-"""s within which a later request replaces an earlier one."""
+"""Time within which a later request replaces an earlier one, s."""
 
 
 class Page:

@@ -46,7 +46,7 @@ class TakePage(Page):
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
         self.outcomes: dict[str, tuple[str, str]] = {}
-        """By target: a sentence on the written files, and that of an error."""
+        """By target: a sentence on the written files, and the sentence on an error."""
 
     def content(self) -> None:
         """Make the content of the step."""

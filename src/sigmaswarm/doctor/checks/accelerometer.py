@@ -15,11 +15,11 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""rad: rotations about z from which a finding is a warning, and serious."""
+"""Rotations about z, rad, from which a finding is a warning, and serious."""
 TILT = (0.5, 1.2)
-"""m/s2: the same for the residual of ax, ay. Roads and cheap sensors' biases stay below the second."""
+"""The same limits for the residual of ax, ay, m/s2. Roads and cheap sensors' biases stay below the second limit."""
 SIZE = (0.3, 1.0)
-"""m/s2: differences of the usual specific force from gravity from which a finding is a note, and a warning.
+"""Differences of the usual specific force from gravity, m/s2, from which a finding is a note, and a warning.
 
 Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050).
 """
@@ -27,7 +27,7 @@ LIKELY, CLEAR = 2.5, 3.5
 """Standard deviations from which a rotation is a note, and from which it is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
-"""m/s2: acceleration below which the scale is unknown."""
+"""Acceleration below which the scale is unknown, m/s2."""
 WHERE = "imu.csv, ax, ay"
 
 
@@ -92,8 +92,8 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     for name, (scale, std), row in zip(("forward", "left"), mount.scale, force, strict=True):
         pushed = np.std(smoothed(imu.time, row, second, 1.0))
         if pushed > LEAST_PUSH and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
-            what = f"the acceleration {name} is {scale:.2f} times the IMU's (deviation {std:.2f})"
-            remedy = "check the range setting, and whether the log was filtered"
+            what = f"the car's acceleration {name} is {scale:.2f} times that of the IMU (deviation {std:.2f})"
+            remedy = "check the sensor's range setting and low-pass filter"
             confidence = confidence_of((scale - 1) / std)
             yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)
 
@@ -107,13 +107,13 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     if size < TILT[0] + margin:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
-    what = f"in ax, ay: {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 that the motion does not explain"
+    what = f"the motion does not explain {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 in ax, ay"
     severity, confidence = "warning", 0.95
     if size > TILT[1] + margin:
         severity, confidence = "serious", 0.99
-        what = f"gravity {what}; the IMU is tilted by about {tilt:.0f} deg"
+        what = f"{what}: this is gravity, since the IMU is tilted by about {tilt:.0f} deg"
     else:
-        what = f"bias, or tilt of {tilt:.0f} deg, {what}"
+        what = f"{what}: the IMU has a bias, or is tilted by about {tilt:.0f} deg"
     remedy = "level the IMU, or subtract the constant; --model planar8 estimates the rest"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
@@ -140,8 +140,10 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
     elif mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
         return  # reported with the axes
     elif upside_down(evidence):
-        what = "the IMU is upside down: az, gx and gy agree on it; the fixes do not show which axis points forward"
-        remedy = "turn it about x: import with --mount x=x,y=-y, or turn all axes by the sensor's data sheet"
+        what = (
+            "az, gx and gy show that the IMU is upside down; the fixes do not show which axis points forward"
+        )
+        remedy = "turn all axes about x: import with --mount x=x,y=-y, or as the sensor's data sheet states"
         repair = Repair("rotate", tuple(np.diag([1.0, -1.0, -1.0]).ravel().tolist()))
         where = "imu.csv, ay, az, gy, gz"
         yield Finding("mounting", "serious", what, where, span, 0.95, remedy, repair)

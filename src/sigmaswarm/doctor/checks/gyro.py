@@ -21,12 +21,12 @@ from sigmaswarm.drives.drive import Array
 WRONG = 0.1
 """Deviation of a gain from 1 from which it is a warning."""
 LEAST_TURN = np.radians(1.0)
-"""rad within some seconds: a smaller change of course is swaying, not a turn."""
+"""Smallest change of course within some seconds that is a turn, not swaying, rad."""
 BIAS = (np.radians(0.1), np.radians(1.0))
 """rad/s: biases from which a finding is a note, and a warning."""
 
 SMOOTHED, LAG = 0.3, 0.5
-"""s: windows over which the force is averaged, and over which its direction changes.
+"""Windows, s, over which the force is averaged, and over which its direction changes.
 
 Longer ones contain more of the car's own acceleration, shorter ones more vibration. On seven recordings every correct
 sign is significant by 9.5 standard deviations or more.
@@ -61,7 +61,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
         (
             yaw.column != "gz",
             "gyro-axis",
-            f"column {yaw.column}, not gz, turns as the car does",
+            f"column {yaw.column}, not gz, contains the car's yaw rate",
             f"exchange columns {yaw.column} and gz",
             (column, 1.0),
         ),
@@ -136,7 +136,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "gyro-tilt", "warning",
             f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign relative to gravity's rotation: the roll "
-            "rate gx must be positive where the left side comes up, the pitch rate gy where the nose goes down",
+            "rate gx must be positive when the left side rises, the pitch rate gy when the nose sinks",
             f"imu.csv, {', '.join(columns)}", span, confidence_of(min(axis[2] for axis in wrong) / 2),
             f"change the sign of {names}", Repair("tilt-rates", (signs[0], 0.0, 0.0, signs[1])),
         )  # fmt: skip

@@ -22,13 +22,13 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
 }
 """Conventions of a heading; the first one is that of a drive."""
 ALIKE = math.radians(15)
-"""rad: largest median difference, apart from a constant, of a heading that follows the course."""
+"""Largest median difference, apart from a constant, of a heading that follows the course, rad."""
 TURNED = math.radians(2), math.radians(10)
-"""rad: constant differences from the course from which a finding is a warning, and serious."""
+"""Constant differences from the course, rad, from which a finding is a warning, and serious."""
 LATE, WORSE = 0.15, 0.8
-"""s: delay from which a finding is a warning, and the ratio of the misfits with and without it."""
+"""Delay, s, from which a finding is a warning, and the ratio of the misfits with and without it."""
 WINDOW = 5.0
-"""s over which turns of the heading and of the gyro are compared."""
+"""Time over which turns of the heading and of the gyro are compared, s."""
 FEWEST = 30
 WHERE = "gps.csv, heading"
 

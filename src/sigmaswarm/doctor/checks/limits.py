@@ -16,7 +16,7 @@ MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
 """RMS change of the course within windows, in standard deviations, from which the car certainly turns."""
 LEAST_TURN = np.radians(5.0)
-"""rad: a smaller change is the swaying of a car."""
+"""Smallest change that is not the swaying of a car, rad."""
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
@@ -26,13 +26,15 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
     if isinstance(start, NoStart):
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
     if not evidence.drives:
-        what = "the fixes show no driving: neither heading nor axes, units or clocks can be checked"
+        what = "the fixes show no motion: heading, axes, units and clocks can't be checked"
         remedy = "use a longer drive, or one that is faster"
         yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
         return
     if not evidence.yaw.known:
         what, remedy = _unseen_yaw(evidence)
-        what += ": sign and unit of gz can't be checked, and the gyro's bias and heading errors hardly show"
+        what += (
+            ": sign and unit of gz can't be checked, and errors of heading and gyro bias are hardly visible"
+        )
         yield Finding("unseen-yaw", "warning", what, "imu.csv, gz", span, 0.95, remedy)
     known = evidence.mount.known if evidence.mount else (False, False)
     for axis, seen, motion in zip(("ax", "ay"), known, ("changes of speed", "cornering"), strict=True):
@@ -52,7 +54,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         f"where the car is faster than {course.slowest:.1f} m/s"
     )
     if fit is None:
-        return f"{shown}, and never long enough", MORE
+        return f"{shown}, but never long enough", MORE
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
         LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
@@ -61,7 +63,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
             f"the course changes by {change:.0f} deg within 20 s, and no column of the gyro follows it",
             f"check the gyro's unit and the clocks; offsets beyond {WIDEST:.0f} s are not searched",
         )
-    return f"{shown}, and then it changes by {change:.1f} deg within 20 s; slower turns don't show", MORE
+    return f"{shown}, and changes there by {change:.1f} deg within 20 s; slower turns are not visible", MORE
 
 
 def check_use(evidence: Evidence) -> Iterator[Finding]:
@@ -85,7 +87,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         may.append("heading to --use: the fixes have one")
     what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
     if has_lasting_errors(drive) and len(drive.gps) >= FEWEST_FIXES:
-        what += "; without truth also fix-error, since the fixes differ by less than the receiver errs"
+        what += "; without truth also fix-error, since the fixes differ by less than the receiver's error"
     what += f"; you may add {'; and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

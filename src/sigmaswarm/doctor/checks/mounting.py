@@ -20,9 +20,9 @@ On windows of sound drives, with 20 s of hard maneuvers at one end, up to 16 deg
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 STANDS = 1.0
-"""m/s: at lower speeds a car may change between forward and reverse."""
+"""Speed below which a car may change between forward and reverse, m/s."""
 STEP = 2.0
-"""s: interval over which changes of speed are compared with ax."""
+"""Interval over which changes of speed are compared with ax, s."""
 CLEAR, LEAST = 3.0, 0.4
 """Smallest slope of the changes of speed on ax that shows a direction: in deviations, and its size."""
 
@@ -33,7 +33,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     if change := moved(evidence.drive):
         time, angle = change
         what = f"the IMU was moved at t = {time:.0f} s: gravity's direction changes by {math.degrees(angle):.0f} deg"
-        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has its own mounting"
+        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has another mounting"
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
     elif mounting is not None and mounting.needed:

@@ -16,7 +16,7 @@ TOO_LARGE = 6.5
 LASTS = 2.5
 """Ratio of the stated deviation to the scatter about a path of 10 s, from which most of the error lasts longer."""
 FAR_FIRST = 1000.0
-"""m from the first fix to the next good one: such a first fix, as the origin, displaces the whole drive."""
+"""Distance from the first fix to the next good one, m, from which the first fix, as the origin, displaces the drive."""
 WHITE = 0.7
 """Ratio of the noise from fix to fix to the scatter about a path of 10 s; white noise has 1."""
 
@@ -29,8 +29,9 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     if not len(time):
         return
     first = ", ".join(f"{t:.1f}" for t in time[:4]) + (" ..." if len(time) > 4 else "")
-    many, share, then = "es" if len(time) > 1 else "", 100 * len(time) / len(gps), int(evidence.used[0])
-    what = f"{len(time)} fix{many} ({share:.1f}%) far off the path, at t = {first} s"
+    lie = "fixes lie" if len(time) > 1 else "fix lies"
+    share, then = 100 * len(time) / len(gps), int(evidence.used[0])
+    what = f"{len(time)} {lie} far from the path ({share:.1f}% of all), at t = {first} s"
     severity, jump = "warning", float(np.hypot(gps.x[then] - gps.x[0], gps.y[then] - gps.y[0]))
     if off[0] and jump > FAR_FIRST:
         severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
@@ -57,11 +58,13 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         if stated > LASTS * max(scatter, LEAST_NOISE) or (noise < WHITE * scatter and scatter > LEAST_NOISE):
             what = (
                 f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
-                f"of ten seconds, and the receiver states {stated:.2g} m: their errors are correlated, so many fixes "
-                "are hardly better than one; without truth neither the stated deviation nor a filter's error can be "
-                "checked"
+                f"of ten seconds, but the receiver states {stated:.2g} m: their errors are correlated, so the mean of "
+                "many fixes is hardly more accurate than one; without truth, neither the stated deviation nor a "
+                "filter's error can be checked"
             )
-            remedy = "a filter's own position deviation covers the scatter alone"
+            remedy = (
+                "expect larger errors than the filter's position deviation, which covers the scatter alone"
+            )
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )

@@ -13,10 +13,10 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
 SPAN = (6.0, 20.0)
-"""s: bounds of the duration of the compared paths, which is a tenth of the drive's. Longer paths
+"""Bounds of the duration of the compared paths, s, which is a tenth of the drive's. Longer paths
 are less sensitive to noise, and the gyro's bias matters little within 20 s."""
 SHORTEST = 15.0
-"""m: shortest straight distance of a compared path."""
+"""Shortest straight distance of a compared path, m."""
 FEWEST = 6
 """Smallest number of compared paths."""
 WRONG = 0.02
@@ -25,26 +25,26 @@ FAMILIAR = 1.25
 """A factor beyond which the unit is wrong, not the size of the tires."""
 
 LATE = 0.15
-"""s of delay that causes a warning; a filter's own latency corrects less."""
+"""Delay that causes a warning, s; the latency of a filter corrects smaller delays."""
 LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4
-"""s: largest delay that is tried, the step, and the time over which both accelerations are averaged."""
+"""Largest delay that is tried, the step, and the time over which both accelerations are averaged, s."""
 ALIKE = 0.6
 """Smallest correlation of the two accelerations at which their delay is used."""
 
 STUCK = 4.0
-"""s: shortest constant reading that counts as stuck, if the fixes move at another speed."""
+"""Shortest constant reading that counts as stuck, if the fixes move at another speed, s."""
 APART = 2.5
-"""m/s: smallest median difference between a stuck reading and the speed of the fixes."""
+"""Smallest median difference between a stuck reading and the speed of the fixes, m/s."""
 
 JUMP = 2.5
-"""m/s: change of the wheel speed within `WITHIN` without acceleration, from which wheels spin or lock.
+"""Change of the wheel speed within `WITHIN` without acceleration, m/s, from which wheels spin or lock.
 
 A slope of 10% looks like 1 m/s, a delay of 0.3 s like 2 m/s during full braking.
 """
 WITHIN, LASTS_AT_MOST = 1.0, 10.0
-"""s: longest duration of a jump, and longest time until the wheels return from it."""
+"""Longest duration of a jump, and longest time until the wheels return from it, s."""
 AGREE = 0.5
-"""m/s: largest median difference of the two changes of speed at which the accelerometer can check the wheels."""
+"""Largest median difference of the two changes of speed at which the accelerometer can check the wheels, m/s."""
 
 Spans = list[tuple[float, float]]
 """Start and end, s."""
@@ -57,7 +57,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
     if odometer is None or course is None or not course.moving.any() or len(odometer) < FEWEST:
         return
     for code, confidence, fault, find in (
-        ("stuck", 0.95, "the same reading again and again while the fixes move at another speed", _stuck),
+        ("stuck", 0.95, "the reading is constant while the fixes move at another speed", _stuck),
         (
             "slip",
             0.9,

@@ -13,20 +13,20 @@ from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 GRAVE = 0.3
-"""s between the clocks: a larger offset causes errors of meters."""
+"""Offset between the clocks above which errors are meters, s."""
 SLOW_IMU = 8.0
-"""Hz: at lower rates turns are lost between samples."""
+"""Rate below which turns are lost between samples, Hz."""
 UNEVEN = 0.5
 """Spread of the middle 90% of the intervals, as a share of the median, from which they are uneven."""
 HELD = 0.2
 """Share of IMU samples that repeat the previous one, from which a slower sensor was logged too often."""
 LONG_GAP = 0.5
-"""s without IMU samples, from which a filter's step is inaccurate."""
+"""Time without IMU samples from which a filter's step is inaccurate, s."""
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
 """An interval of fixes is longer by this many usual intervals if fixes are missing in a gap of the IMU."""
 AROUND = 2.0
-"""s on each side of a gap in which the speed is measured."""
+"""Time on each side of a gap in which the speed is measured, s."""
 SIGMAS = 3.0
 """Standard deviations by which the time that passed must be nearer to a pause than to a jump, or the reverse."""
 
@@ -35,9 +35,9 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     """Find an offset of the clocks, or state the smallest one that would be visible."""
     late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
-    move = f"take {size} off" if late > 0 else f"add {size} to"
+    move = f"subtract {size} from" if late > 0 else f"add {size} to"
     if evidence.moved:
-        what = f"the fixes are {abs(late):.1f} s {way} relative to the IMU, by the turns of the gyro and the course"
+        what = f"turns of the gyro and the course show that the fixes are {abs(late):.1f} s {way} relative to the IMU"
         leap = "; GPS time is 18 s ahead of UTC" if abs(abs(late) - 18) < 1 else ""
         repair = Repair("shift-clock", (-evidence.moved,))
         yield Finding(
@@ -53,8 +53,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU (deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
             f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
-            "(--use latency): its figure makes the filter forecast best, this one fits turns and accelerations best; "
-            "they may differ by a few deviations",
+            "(--use latency); that estimate gives the best forecasts, and may differ by a few deviations",
             Repair("shift-fixes", (-late,)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
@@ -87,16 +86,14 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > HELD:
         share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
-        what = (
-            f"{share:.0f}% of the samples repeat the one before: the sensor gives about {fresh:.0f} a second"
-        )
+        what = f"{share:.0f}% of the samples repeat the previous one: the sensor gives about {fresh:.0f} per second"
         repair = Repair("drop-samples", tuple(imu.time[same].tolist()))
         where, remedy = "imu.csv, ax, ay, gz", "log only new samples"
         yield Finding("imu-repeats", "warning", what, where, _ends(imu.time), 0.99, remedy, repair)
     stale = gps.time[evidence.stale]
     if len(stale) >= FEWEST_STALE:
-        what = f"{len(stale)} fixes repeat the one before to the last digit while the car drives"
-        remedy = "filters ignore them, and other tools should: they are old positions with a new time"
+        what = f"{len(stale)} fixes repeat the previous one to the last digit while the car drives"
+        remedy = "filters ignore these old positions under new times; remove them for other tools"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
@@ -157,7 +154,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
-            what = "the logger paused: the car drove on"
+            what = "the logger paused while the car drove on"
         what = f"IMU and fixes are both missing for {missed:.2g} s after t = {imu[i]:.2f} s: {what}"
         span = float(imu[i]), float(imu[i + 1])
         yield Finding(code, severity, what, "imu.csv, gps.csv, t", span, 0.9, remedy, repair)

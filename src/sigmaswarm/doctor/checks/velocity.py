@@ -21,11 +21,11 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
 """Conventions of a course other than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
 LATE = 0.2
-"""s of delay that causes a warning."""
+"""Delay that causes a warning, s."""
 FEWEST = 30
 REMEDY = (
     "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
-    "second [[gps]] of the same table, with its t moved), and test them on another drive"
+    "second [[gps]] of the same table, with a shifted t), and test them on another drive"
 )
 
 
@@ -42,7 +42,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
     usual = 1 / FAMILIAR < ratio < FAMILIAR
     for unit, factor in UNITS.items():
         if abs(math.log(ratio / factor)) < 0.07 and not usual:
-            what = f"speed is in {unit}: the fixes move at {ratio:.2f} times that"
+            what = f"speed is in {unit}: the fixes move at {ratio:.2f} times this speed"
             repair = Repair("velocity", (factor, 0.0))
             remedy = f"multiply speed by {factor:.4g}"
             yield Finding("speed-unit", "serious", what, "gps.csv, speed", span, 0.99, remedy, repair)

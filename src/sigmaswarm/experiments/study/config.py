@@ -250,6 +250,6 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     except ValidationError as error:
         key, value, kind, message = first_mistake(error)
         if kind == "extra_forbidden":
-            message = f"no such option; there are {', '.join(StudyConfig.model_fields)}"
+            message = f"no such option; choose from {', '.join(StudyConfig.model_fields)}"
         where = f"{path}: " if path is not None and key.split(".")[0] not in changes else ""
         raise InputError(f"{where}{key} = {value}: {message}") from None

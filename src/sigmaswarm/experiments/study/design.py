@@ -288,8 +288,8 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
     for i, one in enumerate(marks):
         if found := overlap_of(one, marks[:i]):
             raise InputError(
-                f"{one.name}: {found.seconds:.0f} s of it are in {', '.join(found.of)}, too; a study trains on some "
-                "drives and tests on others: remove one of them"
+                f"{one.name}: {found.seconds:.0f} s of this drive are also in {', '.join(found.of)}; a study trains on "
+                "some drives and tests on others: remove one of them"
             )
 
 

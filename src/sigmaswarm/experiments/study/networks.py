@@ -1,4 +1,4 @@
-"""Networks of a study. Each helps the filter of one trial and is trained only on the training drives of that trial.
+"""Networks of a study. Each supports the filter of one trial and is trained only on the training drives of that trial.
 
 Each has a folder in learned/, as written by `sigmaswarm learn`. They are trained one after the other, so that the
 processor time of each can be measured.

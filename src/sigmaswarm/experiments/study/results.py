@@ -207,7 +207,8 @@ def rival_results(
 ) -> RivalResults:
     """Return the results of a study with rivals.
 
-    ``less`` has the networks of the learning curves, ``curve`` their scores by measure, shape (networks, drives).
+    ``less``: the networks trained on less data, for the learning curves. ``curve``: their scores by measure, shape
+    (networks, drives).
     """
     return RivalResults(
         efforts=list(_efforts(scores.design, trials, networks)),

@@ -86,7 +86,7 @@ class Study:
     record : StudyRecord
         Content of the folder.
     picture : Picture
-        Data of a printed picture of a test drive, for the trial in `shown_trial`.
+        Data of a static plot of the tracks on a test drive, for the trial in `shown_trial`.
     """
 
     folder: Path

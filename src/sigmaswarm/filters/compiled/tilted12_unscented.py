@@ -20,8 +20,8 @@ the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points a
 
 The turned vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
 |L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part with H added to it takes the place of the Jacobian,
-the last two terms of Cov(r) are added to the covariance, and the rest is as in `tilted12`. H stands in rows SLOPE, mu
-in SHIFT, those two terms in EXTRA.
+the last two terms of Cov(r) are added to the covariance, and the rest is as in `tilted12`. H is stored in rows
+SLOPE, mu in SHIFT, and these two terms in EXTRA.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false

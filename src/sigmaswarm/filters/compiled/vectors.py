@@ -95,9 +95,7 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
         match statement:
             case ast.AugAssign(target=ast.Name(id=name), op=op) if name not in made and name not in counted:
                 if not isinstance(op, ast.Add):
-                    raise TypeError(
-                        f"no part of a loop over lanes, which counts by +=: {ast.unparse(statement)}"
-                    )
+                    raise TypeError(f"a loop over lanes may only count with +=: {ast.unparse(statement)}")
                 counted.append(name)
         for node in ast.walk(statement):
             if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in outside - made:
@@ -107,7 +105,9 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
         }
     handed_on = made & set(shared) - set(counted)
     if handed_on:
-        raise TypeError(f"no part of a loop over lanes: {min(handed_on)} goes from lane to lane")
+        raise TypeError(
+            f"cannot be a loop over lanes: {min(handed_on)} carries a value from one lane to the next"
+        )
     return [name for name in shared if name not in counted], counted
 
 
@@ -242,7 +242,7 @@ class _Emitter:
             case ast.Expr(value=ast.Call() as call):
                 self.value(call, frame)
             case _:
-                raise TypeError(f"no part of a loop over lanes: {ast.unparse(node)}")
+                raise TypeError(f"cannot be in a loop over lanes: {ast.unparse(node)}")
 
     def assign(self, target: ast.expr, value: Any, frame: _Frame) -> None:
         match target:
@@ -262,7 +262,7 @@ class _Emitter:
                 number = self.value(row, frame)
                 if isinstance(number, int) and 0 <= number < N_ROWS:
                     return number
-        raise TypeError(f"no row of the lane that is known beforehand: {ast.unparse(node)}")
+        raise TypeError(f"the row of a lane must be a constant: {ast.unparse(node)}")
 
     def place(self, row: int) -> Any:
         place = self.builder.gep(self.lanes, [_WHOLE(row * LANES)])
@@ -308,13 +308,13 @@ class _Emitter:
                 return self.builder.select(self.value(test, frame), chosen, other)
             case ast.Call(func=function, args=arguments, keywords=[]):
                 return self.call(self.value(function, frame), arguments, frame)
-        raise TypeError(f"no part of a loop over lanes: {ast.unparse(node)}")
+        raise TypeError(f"cannot be in a loop over lanes: {ast.unparse(node)}")
 
     def binary(self, op: ast.operator, a: Any, b: Any) -> Any:
         if type(op) in _LOGIC:
             return getattr(self.builder, _LOGIC[type(op)])(a, b)
         if type(op) not in _ARITHMETIC:
-            raise TypeError(f"no part of a loop over lanes: {type(op).__name__}")
+            raise TypeError(f"cannot be in a loop over lanes: {type(op).__name__}")
         in_python, in_llvm = _ARITHMETIC[type(op)]
         if isinstance(a, int | float) and isinstance(b, int | float):
             return in_python(a, b)

@@ -25,7 +25,7 @@ class TextbookModel:
     ----------
     filter : GaussianFilter
     nis, nll : ndarray, shape (f,)
-        Of each measurement before its update: normalized innovation squared, negative log-likelihood. NaN before the
+        Normalized innovation squared and negative log-likelihood of each measurement before its update. NaN before the
         measurement's update.
     """
 

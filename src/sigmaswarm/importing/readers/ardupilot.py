@@ -56,12 +56,12 @@ class _Skipped(StringIO):
     def write(self, text: str, /) -> int:
         self.count += text.startswith("bad header")
         if self.count > MOST_SKIPPED:
-            raise ValueError(f"more than {MOST_SKIPPED} bytes between its messages belong to none")
+            raise ValueError(f"more than {MOST_SKIPPED} bytes between messages belong to no message")
         return len(text)
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it begins like a dataflash log."""
+    """Return True if the file begins like a dataflash log."""
     return first_bytes(path, 3) == MAGIC
 
 

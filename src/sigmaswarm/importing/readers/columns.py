@@ -24,7 +24,7 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it is a table file by its name or its first lines, or a folder that contains one by its name."""
+    """Return True for a table file, by its name or first lines, or a folder that contains a table file, by its name."""
     return bool(_files(path)) or (path.is_file() and is_table(path))
 
 

@@ -42,7 +42,7 @@ _NOTE = "the IMU's axes turned from forward, right, down; the truth is the camer
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it is a segment's folder."""
+    """Return True for a segment's folder."""
     return (path / "processed_log" / "IMU").is_dir()
 
 

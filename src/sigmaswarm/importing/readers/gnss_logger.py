@@ -40,7 +40,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if its comments name the kinds of lines."""
+    """Return True if the comments of the file name the kinds of lines."""
     head = first_bytes(path, 16384)
     return any(mark in head for mark in _MARKS)
 

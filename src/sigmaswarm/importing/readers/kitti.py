@@ -31,7 +31,7 @@ GUESS = Guess(
         "truth": (Part(TABLE, _PLACE | {"vx": "ve", "vy": "vn", "theta": "yaw"}),),
     },
     (
-        "KITTI has no receiver of its own: fixes and truth are the same RTK/INS solution; for an honest test make "
+        "KITTI has no separate receiver: fixes and truth are one RTK/INS solution; for a realistic test make "
         "noisy fixes with --gps-from-truth",
         "the unit's angular rates are about 0.06 s late relative to its yaw; docs/importing.md shows how to advance "
         "them",
@@ -45,7 +45,7 @@ def _oxts(path: Path) -> Path:
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it is a drive's folder, or the folder oxts in it."""
+    """Return True for a drive's folder, or the folder oxts in it."""
     return (_oxts(path) / "timestamps.txt").is_file() and (_oxts(path) / "data").is_dir()
 
 

@@ -1,4 +1,7 @@
-"""MATLAB files, ``.mat`` up to version 7, through SciPy: structs, and other vectors of one length, are tables."""
+"""MATLAB files, ``.mat`` up to version 7, through SciPy.
+
+Each struct is read as a table, and so are the remaining vectors of equal length.
+"""
 
 import io
 import math
@@ -36,7 +39,7 @@ _OPAQUE = ("MatlabOpaque", "MatlabFunction")
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it begins as a MATLAB file does, or has its name."""
+    """Return True if the file begins like a MATLAB file, or has its ending."""
     return first_bytes(path, 6) == b"MATLAB" or (path.is_file() and path.suffix.lower() == ".mat")
 
 

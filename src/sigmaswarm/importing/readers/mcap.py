@@ -22,7 +22,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if a file begins like MCAP, or has its name."""
+    """Return True if a file begins like MCAP, or has its ending."""
     return first_bytes(path, 8) == MAGIC or (path.is_file() and path.suffix == ".mcap")
 
 

@@ -35,7 +35,7 @@ from sigmaswarm.importing.source import (
 from sigmaswarm.importing.times import time_of
 
 LATE = 0.1
-"""s: a larger median difference of header stamps from receive times gets a remark."""
+"""Median difference of header stamps from receive times, s, above which a remark is made."""
 Message = tuple[str, int, Any]
 """Topic, receive time in ns, and the message with its fields as attributes or keys."""
 Stream = Callable[[Collection[str]], Iterator[Message]]

@@ -15,7 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, library, of_rows
 
 KNOT, STILL = 1852 / 3600, 0.5
-"""m/s: a knot, and the speed below which a course means nothing."""
+"""A knot, and the speed below which a course has no meaning, m/s."""
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),
@@ -41,7 +41,7 @@ _SENTENCES = (b"GGA", b"RMC", b"GSA", b"GSV", b"GLL", b"VTG", b"GNS", b"TXT", b"
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if its first lines are sentences."""
+    """Return True if the first lines of the file are sentences."""
     lines = first_bytes(path, 1024).split(b"\n")
     sentences = any(line[:1] == b"$" and line[3:6] in _SENTENCES for line in lines)
     return sentences or path.suffix.lower() in (".nmea", ".nma")

@@ -36,7 +36,7 @@ _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it contains phyphox's files, in a folder with "Time (s)" at their beginning."""
+    """Return True for a zip or folder with phyphox's files; those in a folder begin with "Time (s)"."""
     begin = first_bytes(path / FILES[0], 100).decode("utf-8-sig", "replace").strip('" ').lower()
     there = {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path)
     return there and (path.is_file() or begin.startswith("time (s)"))

@@ -15,7 +15,7 @@ _FILES = (".bag", ".db3", ".mcap")
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it is a bag: by its first bytes, or a folder with metadata.yaml or bags in it."""
+    """Return True for a bag, by its first bytes, or a folder that contains metadata.yaml or bags."""
     if path.is_dir():
         return bool(bag_paths(path))
     return first_bytes(path, 9) == b"#ROSBAG V" or path.suffix in (".bag", ".db3")

@@ -26,7 +26,7 @@ _TARGETS = {
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if it has RTKLIB's header."""
+    """Return True if the file has RTKLIB's header."""
     head = first_bytes(path)
     return path.suffix == ".pos" or (head.startswith(b"%") and b"latitude(deg)" in head)
 

@@ -28,7 +28,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the app's files are in it."""
+    """Return True if the folder or zip contains the app's files."""
     names = names_in(path)
     return {_RATES, _PLACES} <= names and bool(names & {"Metadata.csv", _TOTAL, _GRAVITY})
 

@@ -113,7 +113,7 @@ class Topics:
             if not near:
                 there = names_shown(self.tables)
                 raise InputError(
-                    f"{self.path}: has no topic {chosen!r} for --{role}-topic; there are {there}"
+                    f"{self.path}: has no topic {chosen!r} for --{role}-topic; choose from {there}"
                 )
             return near.pop()
         ranked = sorted(candidates, key=lambda t: (-(self.tables[t].rows or 0), t))
@@ -217,5 +217,5 @@ class Topics:
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):
             self.notes.append(
-                f"{topic} is in the frame {name!r}, axes as in REP-103 unless --mount gives others"
+                f"{topic} is in the frame {name!r}, axes as in REP-103; state other axes with --mount"
             )

@@ -41,7 +41,7 @@ RAW = "raw measurements: make fixes of them with RTKLIB (convbin, rnx2rtkp) and 
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if UBX messages begin in its first bytes, or its name ends in .ubx."""
+    """Return True if UBX messages begin in the first bytes of the file, or its name ends in .ubx."""
     head = first_bytes(path, 65536)
     return path.suffix.lower() == ".ubx" or SYNC + NAV_PVT in head or SYNC + NAV_POSLLH in head
 
