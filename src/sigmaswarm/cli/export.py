@@ -36,7 +36,7 @@ class ExportOptions:
     against
         robot-localization, with --check: a second tuning to compare in README.md.
     lanes
-        c99: number of filters in a filter bank, 1 to 16, without its searches.
+        c99: number of filters in the exported filter bank, 1 to 16; the bank's parameter search is not exported.
     seed
         Seed of the variants in the filter bank.
     """

@@ -162,8 +162,8 @@ def _known(charts: Iterable[Chart | None]) -> tuple[Chart, ...]:
 def _intervals(results: Results) -> Section:
     charts = [means_chart(results, measure) for measure in ERRORS]
     text = (
-        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the uncertainty by swarm and split; "
-        "it covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
+        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the spread due to swarm and split. "
+        "It covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
         "95% of the time in a study of full size, 85 to 95% in small ones.",
         "An arrow means that the mean is beyond the scale.",
     )

@@ -21,7 +21,7 @@ TILT = (0.5, 1.2)
 SIZE = (0.3, 1.0)
 """Differences of the usual specific force from gravity, m/s2, from which a finding is a note, and a warning.
 
-Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050).
+Cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
 """Standard deviations from which a rotation is a note, and from which it is repaired."""

@@ -50,7 +50,7 @@ ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)
 
 
 def fp(i, j):
-    """Row of (F P)[i, j], i among MOVED: in scratch, unless it is P' already."""
+    """Row that holds (F P)[i, j], i among MOVED: in scratch, or in P where column j does not change."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
