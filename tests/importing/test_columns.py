@@ -1,6 +1,8 @@
 """CSV and Parquet, with guessed columns and with mapped ones."""
 
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -355,3 +357,113 @@ def test_a_real_log_is_mended_as_others_mended_it():
         assert np.corrcoef(a, b)[0, 1] > least, column
     assert abs(np.median(got.imu.az) - np.median(wanted.imu.az)) < 0.01
     assert any("deg/s" in note for note in imported(DRIVES / "dresden-as-recorded").notes)
+
+
+def of_loggers(kind: str) -> dict[str, pl.DataFrame]:
+    """Tables as programs and sensors write them, with the columns of `DRIVE`; by the name of the file."""
+    imu, gps = DRIVE.imu, DRIVE.gps
+    row = np.clip(np.searchsorted(gps.time, imu.time, side="right") - 1, 0, None)
+    new = np.diff(row, prepend=-1) > 0
+    six = {n: getattr(imu, n) for n in ("ax", "ay", "az", "gx", "gy", "gz")}
+    held = {"lat": gps.lat[row], "lon": gps.lon[row]}
+    once = {n: [v if first else None for v, first in zip(held[n], new, strict=True)] for n in held}
+    stamp = [datetime.fromtimestamp(EPOCH + t, UTC) for t in imu.time]
+
+    def named(names: str, of: dict[str, Any]) -> dict[str, Any]:
+        return dict(zip(names.split(";"), of.values(), strict=True))
+
+    if kind == "SensorLog":
+        log = {
+            "loggingTime(txt)": [f"{t:%Y-%m-%d %H:%M:%S.%f} +0000" for t in stamp],
+            "loggingSample(N)": np.arange(len(imu)),
+            **named("locationLatitude(WGS84);locationLongitude(WGS84)", held),
+            **named(
+                ";".join(f"accelerometerAcceleration{i}(G)" for i in "XYZ"),
+                {n: six[n] / 9.80665 for n in ("ax", "ay", "az")},
+            ),
+            **named(
+                ";".join(f"gyroRotation{i}(rad/s)" for i in "XYZ"), {n: six[n] for n in ("gx", "gy", "gz")}
+            ),
+        }
+        return {"stream.csv": pl.DataFrame(log)}
+    if kind == "Xsens":
+        whole = {
+            n: [getattr(t, n) for t in stamp] for n in ("year", "month", "day", "hour", "minute", "second")
+        }
+        log = {
+            "PacketCounter": np.arange(len(imu)),
+            **named("UTC_Year;UTC_Month;UTC_Day;UTC_Hour;UTC_Minute;UTC_Second", whole),
+            "UTC_Nano": [1000 * t.microsecond for t in stamp],
+            **named("Acc_X;Acc_Y;Acc_Z;Gyr_X;Gyr_Y;Gyr_Z", six),
+            **named("Latitude;Longitude", once),
+        }
+        return {"MT_01.csv": pl.DataFrame(log)}
+    if kind == "Xsens without UTC":
+        log = {
+            "PacketCounter": np.arange(len(imu)),
+            "SampleTimeFine": np.round(imu.time * 1e4).astype(int),
+            **named("Acc_X;Acc_Y;Acc_Z;Gyr_X;Gyr_Y;Gyr_Z", six),
+            **named("Latitude;Longitude", once),
+        }
+        return {"MT_02.csv": pl.DataFrame(log)}
+    if kind == "VectorNav":
+        log = {
+            "TimeStartup": np.round(imu.time * 1e9).astype(int) + 5 * 10**9,
+            **named("Accel.X;Accel.Y;Accel.Z;AngularRate.X;AngularRate.Y;AngularRate.Z", six),
+            **named("PosLla.Lat;PosLla.Lon", held),
+        }
+        return {"vn.csv": pl.DataFrame(log)}
+    if kind == "CarMaker":
+        log = {
+            "Time [s]": imu.time,
+            "target.lat": 0.0 * imu.time + 1.0,
+            **named("Car.ax [m/s^2];Car.ay [m/s^2];Car.az [m/s^2]", {n: six[n] for n in ("ax", "ay", "az")}),
+            **named(
+                "Car.RollVel [rad/s];Car.PitchVel [rad/s];Car.YawRate [rad/s]",
+                {n: six[n] for n in ("gx", "gy", "gz")},
+            ),
+            **named("Receiver.Lat [deg];Receiver.Long [deg]", held),
+        }
+        return {"sim.csv": pl.DataFrame(log)}
+    rates = {f"w_RS_S_{n[1]} [rad s^-1]": six[n] for n in ("gx", "gy", "gz")}
+    forces = {f"a_RS_S_{n[1]} [m s^-2]": six[n] for n in ("ax", "ay", "az")}
+    at = {n: np.round((EPOCH + t) * 1e9).astype(np.int64) for n, t in (("imu", imu.time), ("gps", gps.time))}
+    return {
+        "mav0/imu0/data.csv": pl.DataFrame({"#timestamp [ns]": at["imu"], **rates, **forces}),
+        "mav0/gps0/data.csv": pl.DataFrame(
+            {"#timestamp [ns]": at["gps"], "latitude [deg]": gps.lat, "longitude [deg]": gps.lon}
+        ),
+    }
+
+
+@pytest.mark.parametrize(
+    "kind", ["SensorLog", "Xsens", "Xsens without UTC", "VectorNav", "CarMaker", "EuRoC"]
+)
+def test_tables_of_known_loggers_need_no_option(tmp_path: Path, kind: str):
+    for name, table in of_loggers(kind).items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        table.write_csv(tmp_path / name)
+    got = imported(tmp_path).drive
+    assert_close(got.imu, DRIVE.imu, "ax ay az gx gy gz", 1e-9)
+    assert_close(got.gps, DRIVE.gps, "lat lon", 1e-12)
+    np.testing.assert_allclose(np.diff(got.imu.time), np.diff(DRIVE.imu.time), atol=2e-6)
+    late = (got.gps.time - got.imu.time[0] - (DRIVE.gps.time - DRIVE.imu.time[0]))[1:]
+    assert np.all((late > -1e-5) & (late < 0.011))  # a fix in the IMU's rows has their time
+
+
+def test_rows_of_several_kinds_are_refused_with_the_way(tmp_path: Path):
+    rows = [f"IMU,{k},1,2,9.8" if k % 10 else f"GPS,{k},50.1,8.2,100,7" for k in range(200)]
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(InputError, match=r"rows of several kinds, GPS, IMU; .*grep '\^\[\$\]\*GPS,' log.csv"):
+        imported(tmp_path / "log.csv")
+
+
+def test_a_track_beside_the_tables_is_named(tmp_path: Path):
+    imu = DRIVE.imu
+    table = {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}
+    pl.DataFrame(table).write_csv(tmp_path / "imu.csv")
+    (tmp_path / "ride.gpx").write_text("<gpx/>")
+    with pytest.raises(
+        InputError, match=r"no position fixes .* ride.gpx is not read, since it is a track; .* gpsbabel"
+    ):
+        imported(tmp_path)

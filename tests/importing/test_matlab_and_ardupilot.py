@@ -134,6 +134,26 @@ def test_ardupilot(tmp_path: Path, options: dict[str, Any]):
     assert (got.gps.std_x is not None) == options.get("accuracy", True)
 
 
+def test_ardupilot_as_text(tmp_path: Path):
+    """`mavlogdump.py` and Mission Planner write the same messages as lines."""
+    lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns"]
+    lines += [f"FMT, {n}, 0, {k}, {f}, {c}" for k, (n, f, c) in FORMATS.items() if k != "FMT"]
+    events = [(t, "IMU", i) for i, t in enumerate(IMU.time)] + [(t, "GPS", i) for i, t in enumerate(GPS.time)]
+    for t, kind, i in sorted(events):
+        if kind == "IMU":
+            values = (0, IMU.gx[i], -IMU.gy[i], -IMU.gz[i], IMU.ax[i], -IMU.ay[i], -IMU.az[i])
+        else:
+            course = np.degrees(np.pi / 2 - GPS.course[i]) % 360
+            place = GPS.lat[i], GPS.lon[i], GPS.alt[i]
+            values = (0, 3, 0, 2311, 9, 0.9, *place, GPS.speed[i], course, 0.0, 0.0, 1)
+        cells = [str(v) if isinstance(v, int) else repr(float(v)) for v in (round((t + 100) * 1e6), *values)]
+        lines.append(", ".join([kind, *cells]))
+    (tmp_path / "00000001.log").write_text("\n".join(lines) + "\n")
+    got = imported(tmp_path / "00000001.log").drive
+    assert_close(got.imu, IMU, "ax ay az gx gy gz", 2e-6)
+    assert_close(got.gps, GPS, "lat lon speed course", 1e-5)
+
+
 @pytest.mark.parametrize("filler", [b"\0", b"\xff", b"\xa3"])
 def test_ardupilot_with_bytes_that_are_no_messages(tmp_path: Path, filler: bytes):
     """A card's unwritten pages are skipped; a file that consists of them is refused before it takes seconds."""
@@ -164,6 +184,10 @@ def test_the_formats_that_are_not_read_are_named_with_the_way(tmp_path: Path):
         ("f.tlog", "mavlogdump"),
         ("x.rtcm3", "RTKLIB"),
         ("a.csv.gz", "unpack it"),
+        ("run.vbo", "Racelogic"),
+        ("can.blf", "DBC"),
+        ("b.mtb", "MT Manager"),
+        ("ride.mp4", "telemetry"),
     ):
         (tmp_path / name).write_bytes(b"anything")
         with pytest.raises(InputError, match=said):

@@ -11,7 +11,7 @@ from sigmaswarm.drives.description import require_name
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble, assemble_imu
-from sigmaswarm.importing.formats import open_log
+from sigmaswarm.importing.formats import open_log, unread
 from sigmaswarm.importing.gather import Gathered, complete_parts, gather
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
@@ -252,6 +252,9 @@ def _require_sensors(
         if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
             there = there or "what can be decoded"
             raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
+        if path.is_dir() and (others := {f.name: kind for f in path.iterdir() if (kind := unread(f))}):
+            name, kind = next(iter(others.items()))
+            raise InputError(f"{path}: no {what} found in {there}; {name} is not read, since it is {kind}")
         raise InputError(
             f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show proposes it)"
         )

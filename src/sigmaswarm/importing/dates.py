@@ -60,7 +60,7 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     zone = plain.str.extract_groups(r" .*([+-])(\d\d):?(\d\d)$")
     ahead = zone.struct[1].cast(pl.Float64) * 3600 + zone.struct[2].cast(pl.Float64) * 60
     ahead = pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead).fill_null(0.0)
-    plain = plain.str.replace(r"(\d\d:.*)[+-]\d\d:?\d\d$", "${1}")
+    plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d:?\d\d$", "${1}")
     if form and "%d" not in form and "%j" not in form:
         return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9
     return plain.str.to_datetime(form or None, time_unit="ns", strict=False).dt.timestamp("ns") / 1e9 - ahead

@@ -21,7 +21,7 @@ READERS: dict[str, tuple[str, str]] = {
     "ubx": ("ubx", "u-blox UBX with NAV-PVT, or NAV-POSLLH: fixes"),
     "nmea": ("nmea", "NMEA 0183 sentences: fixes"),
     "px4": ("px4", "a flight log of PX4, .ulg"),
-    "ardupilot": ("ardupilot", "a dataflash log of ArduPilot, .bin"),
+    "ardupilot": ("ardupilot", "a dataflash log of ArduPilot, .bin or .log"),
     "matlab": ("matlab", "a MATLAB file, .mat"),
     "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
     "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
@@ -51,10 +51,19 @@ NOT_READ = {
     ".h5 .hdf5": "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv",
     ".gz .bz2 .xz .zst .7z .tar .tgz": "a compressed file or an archive; unpack it",
     ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
+    ".vbo": "a file of Racelogic; export it as CSV, with the channels of the IMU",
+    ".ld .xrk .drk": "a log of a race car; export it as CSV with the logger's program (MoTeC i2, Race Studio)",
+    ".blf .trc": "a log of a CAN bus; decode its signals with their DBC file, as with asammdf, and export CSV",
+    ".novatel": "a log of NovAtel; convert the fixes to NMEA with NovAtel Convert, and the IMU to CSV",
+    ".mtb": "a recording of Xsens; export it as text with MT Manager, with UTC time and position",
+    ".mp4 .mov .insv .360": "a video; extract the telemetry of its IMU and GPS as CSV, as with gopro-telemetry",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
 """Endings of unsupported formats: what they are, and how to convert them."""
-_MAGIC = {b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"}
+_MAGIC = {
+    **{b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"},
+    **dict.fromkeys((b"#BEST", b"#INS", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),
+}
 """First bytes of some of them."""
 
 
@@ -99,16 +108,18 @@ def _texts(path: Path, form: str) -> list[Path]:
 def format_of(path: Path) -> str:
     """Return the name of the format of a log."""
     for name in READERS:
+        if name == "csv" and (what := unread(path)):
+            raise InputError(f"{path}: is not read, since it is {what}")
         if _reader(name).recognizes(path):
             return name
-    kinds = {
-        path.suffix.lower(),
-        *(end for magic, end in _MAGIC.items() if first_bytes(path, 64).startswith(magic)),
-    }
-    for endings, what in NOT_READ.items():
-        if kinds & {*endings.split()}:
-            raise InputError(f"{path}: is not read, since it is {what}")
     raise InputError(f"{path}: has an unknown format; name it with --format: {', '.join(READERS)}")
+
+
+def unread(path: Path) -> str:
+    """Describe the unsupported format of a file, by its ending or its first bytes; "" for other files."""
+    head = first_bytes(path, 64)
+    kinds = {path.suffix.lower(), *(end for magic, end in _MAGIC.items() if head.startswith(magic))}
+    return next((what for endings, what in NOT_READ.items() if kinds & {*endings.split()}), "")
 
 
 def _reader(name: str) -> Any:

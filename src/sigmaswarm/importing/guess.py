@@ -83,6 +83,9 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     for name in map(read_name, frame.columns):
         if (what := name.meaning) is not None and what != "t":
             columns.names.setdefault(what, name)
+    for name in map(read_name, frame.columns):
+        if name.meaning is None and name.likely is not None:
+            columns.names.setdefault(name.likely, name)
     letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
@@ -120,7 +123,8 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
 
 def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
     """Yield the columns of a role as expressions in a drive's units."""
-    if (time := find_time(columns.frame, role)) is not None:
+    # A receiver's values in the IMU's rows have the IMU's times: their steps tell the unit.
+    if (time := find_time(columns.frame, "imu" if columns.has("ax", "ay") else role)) is not None:
         yield "t", time
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):

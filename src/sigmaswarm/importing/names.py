@@ -14,7 +14,7 @@ TIME = (
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
 CLOCK = (
-    "received|boot|up_?time|ticks?|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
+    "received|boot|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times that are used if a table has none of the usual ones."""
@@ -27,11 +27,11 @@ TIME_OF_WEEK = (
 )
 
 _ACCELERATION = (
-    "a|acc|accel|acceleration|accelerometer|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
+    "a|acc|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
     "f|f_?b|a_rs_s|linear"
 )
 _RATE = (
-    "g|w|gyr|gyro|gyroscope|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
+    "g|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
     "w_?b|w_rs_s|angular"
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
@@ -39,14 +39,17 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
     *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
-    ("gz", "yaw_?rate"),
+    *(
+        (axis, f"{turn}_?(?:rate|speed|vel(?:ocity)?)")
+        for axis, turn in (("gx", "roll"), ("gy", "pitch"), ("gz", "yaw"))
+    ),
     ("lat", "lat|latitude"),
     ("lon", "lon|lng|long|longitude"),
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
     ("ew", "e_w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
     ("alt", "alt|altitude|height|elevation|ele"),
-    ("x", "x|east|easting|e|pos(?:ition)?_?x"),
-    ("y", "y|north|northing|n|pos(?:ition)?_?y"),
+    ("x", "x|east|easting|e|pos(?:ition)?_?x|utm_?(?:x|e|east|easting)|x_utm"),
+    ("y", "y|north|northing|n|pos(?:ition)?_?y|utm_?(?:y|n|north|northing)|y_utm"),
     ("z", "z"),
     ("q", "w|qw|q_w"),
     ("vx", "vx|ve|v_?east|east_?vel(?:ocity)?|vel(?:ocity)?_?e(?:ast)?"),
@@ -65,7 +68,50 @@ NAMES: tuple[tuple[str, str], ...] = (
 )
 """Columns of a drive, and their plain names as regular expressions."""
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
-_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix)_(?=...)")
+_ELSEWHERE = frozenset(
+    [
+        "base",
+        "home",
+        "target",
+        "goal",
+        "ref",
+        "reference",
+        "origin",
+        "start",
+        "end",
+        "waypoint",
+        "wp",
+        "desired",
+        "cmd",
+        "command",
+        "set",
+        "setpoint",
+        "station",
+        "std",
+        "sd",
+        "stdev",
+        "sigma",
+        "var",
+        "cov",
+        "err",
+        "error",
+        "bias",
+        "offset",
+        "noise",
+        "min",
+        "max",
+        "mean",
+        "raw",
+        "scale",
+        "lin",
+        "linear",
+        "user",
+        "gravity",
+        "mag",
+    ]
+)
+"""Words in names of other points and of other numbers than the measured ones."""
+_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location)_(?=...)")
 """Prefixes of names in tables of messages and of loggers."""
 
 
@@ -88,6 +134,14 @@ class Name:
     def words(self) -> tuple[str, ...]:
         """The words of the whole name, including its unit."""
         return tuple(plain_words(self.column))
+
+    @property
+    def likely(self) -> str | None:
+        """The drive's column of the end of a name such as "PosLla.Lat" or "Car.ax", if it is not of another point."""
+        ends = (self.plain.split("_", count)[-1] for count in (1, 2))
+        other = {*plain_words(self.plain)} & _ELSEWHERE
+        found = None if other else next(filter(None, map(meaning_of_plain, ends)), None)
+        return found if found in ("lat", "lon", "ax", "ay", "az", "gx", "gy", "gz") else None
 
     def is_one(self, pattern: str) -> bool:
         """Return True if the plain name fits a regular expression."""
@@ -112,8 +166,16 @@ def meaning_of_plain(plain: str) -> str | None:
 
 
 def read_name(column: str) -> Name:
-    """Split a column's name from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms"."""
-    text = column.strip()
+    """Split a column's name from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms".
+
+    A name that means nothing is tried again with its words split at capitals: "gyroRotationX(rad/s)".
+    """
+    name, split = _read(column, column.strip()), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", column.strip())
+    again = _read(column, split) if name.meaning is None and split != column.strip() else name
+    return again if again.meaning is not None else name
+
+
+def _read(column: str, text: str) -> Name:
     if len(text) > LONGEST_NAME:
         return Name(column, "")
     if element := re.fullmatch(r"([^\[\]]{1,100})\[([012])\]", text):

@@ -33,6 +33,8 @@ DATE_FORMATS = (
 )
 """Formats of dates in text, in the order of trial; the first is ISO 8601."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+CALENDAR = {"year": "", "month": "mon", "day": "", "hour": "hr", "minute": "min", "second": "sec seconds"}
+"""Words at the end of the names of a date's six columns, and other words for them."""
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
 """Units of times, s; the usual units of clock counters come first."""
 _DATES_S = (3e8, 4e9)
@@ -51,7 +53,8 @@ class Found:
 def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     """Find the time of a table by its columns' names and values; None if there is none."""
     names = [read_name(column) for column in frame.columns]
-    several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
+    several = _calendar(names, frame) or _seconds_and_rest(names, frame) or _header_stamp(names, frame, role)
+    several = several or _week(names, frame)
     return several or _date_and_time(names, frame) or _single(names, frame, role)
 
 
@@ -100,6 +103,22 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fou
     return _of_column(stamp, frame, role)
 
 
+def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
+    """Find year, month, day, hour, minute and second in six columns, and the rest of a second in another."""
+    words = {word: part for part, more in CALENDAR.items() for word in (part, *more.split())}
+    parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
+    for begin in dict.fromkeys(name.words[:-1] for name in names):
+        alike = {n.words[-1]: n for n in names if n.words[:-1] == begin and n.words}
+        found = {words[word]: written(n.column) for word, n in reversed(alike.items()) if word in words}
+        if found.keys() == CALENDAR.keys():
+            year = "%Y" if median_of(numbers_of(frame[found["year"].strip("`")])) > 99 else "%y"
+            text = f"utc({', '.join(found[part] for part in CALENDAR)}, '{year} %m %d %H %M %S%.f')"
+            rest = next(((n, parts[word]) for word, n in alike.items() if word in parts), None)
+            text += f" + {written(rest[0].column)}*{rest[1]:.0e}".replace("e-0", "e-") if rest else ""
+            return Found(text, "the time is that of year, month, day, hour, minute and second")
+    return None
+
+
 def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     """Find whole seconds in one column, and the rest of a second in another whose name begins like it."""
     pairs = [
@@ -145,10 +164,14 @@ def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find a column with a name of a time, unless it is always 0 (unset stamps); or else a clock that increases."""
-    for name in names:
-        numbers = numbers_of(frame[name.column]) if name.meaning == "t" else None
-        if numbers is not None and not (len(numbers) > 1 and (numbers == 0).all()):
+    """Find a column with a name of a time, unless it is always 0 (unset stamps); or else a clock that increases.
+
+    A time that changes is preferred.
+    """
+    times = [name for name in names if name.meaning == "t"]
+    for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
+        numbers = numbers_of(frame[name.column])
+        if not (len(numbers) > 1 and (numbers == 0).all()):
             return _of_column(name, frame, role)
     running = next((n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0), None)
     return None if running is None else _of_column(running, frame, role)
@@ -161,6 +184,8 @@ def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
         return _of_text([name.column], frame)
     if values.dtype.is_temporal():
         return Found(text)
+    if name.is_one("sample_?time_?fine"):
+        return Found(f"{text}*1e-4", f"{name.column} taken as ticks of 0.1 ms, as of Xsens")
     if name.unit is None:
         return _of_numbers(values, text, role)
     if name.unit.dimension == "time":

@@ -1,4 +1,4 @@
-"""ArduPilot's dataflash logs, ``.bin``, through pymavlink.
+"""ArduPilot's dataflash logs, ``.bin``, and the same as text, ``.log``, through pymavlink.
 
 Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): TimeUS in us since start; IMU forward, right, down (m/s2,
 rad/s); GPS in degrees, m/s, degrees from north; GPA with the stated accuracies; SIM with the true position of a
@@ -27,7 +27,7 @@ from sigmaswarm.importing.source import (
 
 MOST_SKIPPED = 200_000
 """Largest number of bytes outside of messages; pymavlink needs a second to skip them."""
-MAGIC = b"\xa3\x95\x80"
+MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}
 PARTS: tuple[tuple[Role, str, dict[str, str]], ...] = (
@@ -62,12 +62,13 @@ class _Skipped(StringIO):
 
 def recognizes(path: Path) -> bool:
     """Return True if the file begins like a dataflash log."""
-    return first_bytes(path, 3) == MAGIC
+    return first_bytes(path, 3) == MAGIC or first_bytes(path, 9).startswith(TEXTS)
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read the messages of the first IMU and the first receiver."""
-    kind = library("pymavlink.DFReader", "logs").DFReader_binary
+    module = library("pymavlink.DFReader", "logs")
+    kind = module.DFReader_binary if first_bytes(path, 3) == MAGIC else module.DFReader_text
     log = kind.__new__(kind)  # its files can then be closed if __init__ fails
     log.init_arrays_fast = log.init_arrays  # the output of the compiled one can't be caught
     try:

@@ -1,4 +1,7 @@
-"""CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars."""
+"""CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars.
+
+A folder without tables is searched for tables in its folders and in theirs, as of EuRoC: ``imu0/data.csv``.
+"""
 
 import re
 import subprocess
@@ -30,7 +33,12 @@ def recognizes(path: Path) -> bool:
 
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
-        return sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.stat().st_size)
+        levels = (path.glob(pattern) for pattern in ("*", "*/*", "*/*/*"))
+        tables = (
+            sorted(f for f in level if f.suffix.lower() in SUFFIXES and f.is_file() and f.stat().st_size)
+            for level in levels
+        )
+        return next(filter(None, tables), [])
     return [path] if path.suffix.lower() in SUFFIXES else []
 
 
@@ -39,7 +47,16 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     remarks: list[str] = []
     files = _files(path) if path.is_dir() else [path]
     return of_files(
-        path, {file.name: scan(file, file, limits, remarks) for file in files}, FILES, None, remarks
+        path,
+        {
+            file.relative_to(path).as_posix() if path.is_dir() else file.name: scan(
+                file, file, limits, remarks
+            )
+            for file in files
+        },
+        FILES,
+        None,
+        remarks,
     )
 
 

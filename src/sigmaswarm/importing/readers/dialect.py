@@ -11,6 +11,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
+from sigmaswarm.wording import names_shown
 
 HEAD = 4_000_000
 """Bytes in which a header is searched."""
@@ -78,6 +79,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
                 f"{shown_as}, row {first + 1}: has {width} cells and the header {len(found)}; give the header "
                 f"{width} names"
             )
+        _require_one_kind(data, shown_as)
         names = [""] * most
     if not any(name and not name.startswith(" [") for name in names):
         remarks.append(
@@ -89,6 +91,19 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     if commas:
         remarks.append(f"{shown_as.name}: numbers with decimal commas")
     return Dialect(separator, tuple(names), first, encoding, commas, surplus, tuple(remarks))
+
+
+def _require_one_kind(rows: Rows, shown_as: Path) -> None:
+    """Refuse rows that begin with the name of their kind, if the kinds differ in the number of cells."""
+    kinds = {(row[0].strip(), len(row)) for row in rows}
+    names = sorted({name for name, _ in kinds})
+    named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
+    if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
+        raise InputError(
+            f"{shown_as}: has rows of several kinds, {names_shown(names)}; write each kind to a file of its own, as: "
+            f"grep '^[$]*{names[0].strip('$')},' {shown_as.name} > {names[0].strip('$').lower()}.csv, "
+            "and give each file a header line"
+        )
 
 
 def is_table(file: Path) -> bool:
