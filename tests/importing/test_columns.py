@@ -458,6 +458,13 @@ def test_rows_of_several_kinds_are_refused_with_the_way(tmp_path: Path):
         imported(tmp_path / "log.csv")
 
 
+def test_a_log_without_a_gyro_is_named(tmp_path: Path):
+    imu = DRIVE.imu
+    pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "az": imu.az}).write_csv(tmp_path / "log.csv")
+    with pytest.raises(InputError, match=r"log.csv has accelerations but no angular rates, .* log the gyro"):
+        imported(tmp_path / "log.csv")
+
+
 def test_a_track_beside_the_tables_is_named(tmp_path: Path):
     imu = DRIVE.imu
     table = {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}

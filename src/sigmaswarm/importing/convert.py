@@ -15,6 +15,7 @@ from sigmaswarm.importing.formats import open_log, unread
 from sigmaswarm.importing.gather import Gathered, complete_parts, gather
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Limits, Log, Part, Progress, Role
 from sigmaswarm.wording import names_shown
@@ -252,6 +253,13 @@ def _require_sensors(
         if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
             there = there or "what can be decoded"
             raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
+        meanings = {
+            read_name(column).meaning for table in logs[path].tables.values() for column in table.columns
+        }
+        if role == "imu" and "ax" in meanings and not meanings & {"gx", "gy", "gz"}:
+            raise InputError(
+                f"{path}: {there} has accelerations but no angular rates, which every filter needs; log the gyro, too"
+            )
         if path.is_dir() and (others := {f.name: kind for f in path.iterdir() if (kind := unread(f))}):
             name, kind = next(iter(others.items()))
             raise InputError(f"{path}: no {what} found in {there}; {name} is not read, since it is {kind}")
