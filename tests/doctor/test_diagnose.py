@@ -186,11 +186,14 @@ def test_turns_that_the_fixes_do_not_show_are_not_denied(seconds: float):
 
 
 @pytest.mark.parametrize(
-    ("course_change", "std", "known"), [(0.035, 0.19, False), (0.035, 0.1, True), (0.06, 0.19, True)]
+    ("course_change", "std", "share", "known"),
+    [(0.035, 0.19, 0.3, False), (0.035, 0.1, 0.3, True), (0.06, 0.19, 0.3, True), (0.002, 0.19, 0.7, True)],
 )
-def test_a_swaying_car_hardly_contradicts_the_gyro_s_sign(course_change: float, std: float, known: bool):
+def test_a_swaying_car_hardly_contradicts_the_gyro_s_sign(
+    course_change: float, std: float, share: float, known: bool
+):
     """A minute of a real motorway showed -1.3 +- 0.19 times the yaw rate, with the sign as recorded."""
-    fit = YawFit("gz", -1.3, std, 0.5, late=0.0, late_std=0.1, course_change=course_change)
+    fit = YawFit("gz", -1.3, std, share, late=0.0, late_std=0.1, course_change=course_change)
     assert yaw_of(fit).known == known
     assert yaw_of(replace(fit, gain=1.3)).known
 

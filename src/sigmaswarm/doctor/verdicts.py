@@ -20,8 +20,10 @@ LEAST_SHARE = 0.2
 LEAST_TURN = 0.05
 """Smallest RMS change of the course within 20 s that shows a mounting, rad.
 
-Below it a yaw rate other than as recorded must be CERTAIN: the course of a car that only sways is mostly noise.
+Below it a yaw rate other than as recorded must be CERTAIN, or explain LARGE_SHARE of the course's changes: the course
+of a car that only sways is mostly noise.
 """
+LARGE_SHARE = 0.5
 CERTAIN = 12.0
 """Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
@@ -59,8 +61,8 @@ def yaw_of(fit: YawFit | None) -> Yaw:
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
     fitting = [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FAMILIAR < fit.gain / f < FAMILIAR]
-    as_recorded = (fit.column, fitting[:1]) == ("gz", [1.0])
-    if not fitting or not (as_recorded or size > CERTAIN or fit.course_change > LEAST_TURN):
+    clear = size > CERTAIN or fit.share > LARGE_SHARE or fit.course_change > LEAST_TURN
+    if not fitting or not (clear or (fit.column, fitting[0]) == ("gz", 1.0)):
         return Yaw()
     return Yaw(fit.column, fitting[0], known=True)
 
