@@ -24,7 +24,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from support import make_drive
 
 POINT = point_model()
-POINT_LOG = point_log()
+POINT_LOG = point_log(n=250)
 
 
 def exact_nll(log: Log, q: float, r: float) -> np.ndarray:
@@ -69,8 +69,8 @@ def both(model: Model, log: Log, parameters: dict, **options):
 @pytest.mark.parametrize("case", ["pendulum", "over the top", "point"])
 def test_compiled_and_textbook_agree(case: str, alpha: float):
     model, log, parameters = {
-        "pendulum": (PENDULUM, pendulum_log(), PARAMETERS),
-        "over the top": (PENDULUM, pendulum_log(start=(0.7, 9.0)), PARAMETERS),  # it goes round and round
+        "pendulum": (PENDULUM, pendulum_log(duration=8.0), PARAMETERS),
+        "over the top": (PENDULUM, pendulum_log(duration=8.0, start=(0.7, 9.0)), PARAMETERS),
         "point": (POINT, POINT_LOG, SCALING | {"q": 0.5, "r": 0.3}),
     }[case]
     compiled, textbook = both(model, log, parameters | {"alpha": alpha})
@@ -137,7 +137,7 @@ def test_a_process_that_wraps_its_angle_is_the_same_filter():
         rate = state[1] - 9.81 / p.length * np.sin(state[0]) * dt
         return np.array([(state[0] + rate * dt + np.pi) % (2 * np.pi) - np.pi, rate])
 
-    log = pendulum_log(start=(0.7, 9.0))
+    log = pendulum_log(duration=8.0, start=(0.7, 9.0))
     plain = run_model(log, PENDULUM, PARAMETERS)
     for run in both(replace(PENDULUM, f=f), log, PARAMETERS):
         assert np.abs(run.mean[:, 0]).max() < 4  # it is wrapped
