@@ -12,6 +12,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from browsing import Opened
+from experiments.conftest import one_live_filter  # noqa: F401  # used by each test
 from sigmaswarm.cli.app import app
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import StudyConfig
