@@ -35,6 +35,7 @@ from support import no_pictures
 TINY = StudyConfig(
     maneuvers=("turns", "outages"), environments=("clear",), runs=3, trials=2, particles=4, generations=3
 )
+pytestmark = pytest.mark.usefixtures("quick_study")
 DIFFERENT = {"timings.json", "runtime.md", "runtime.tex", "runtime.csv"}
 
 

@@ -41,6 +41,7 @@ def chance_to_see(off: float, freedom: int) -> float:
     return float(chi2.cdf(low * freedom, freedom) + chi2.sf(high * freedom, freedom))
 
 
+@cache
 def runs_needed(n: int) -> int:
     """So many runs show a covariance that is 10% off, either way, with a chance of 95%."""
     return next(k for k in range(100, 5000) if min(chance_to_see(x, k * n) for x in (1.1, 1 / 1.1)) > 0.95)
