@@ -134,8 +134,8 @@ class CompiledCars:
         t, z = self.line, np.zeros(8) if fix is None else fix
         u = np.zeros(N_STEP)
         u[: 3 + t.driving.shape[1]] = *t.steps[i], *t.driving[t.sample[i]]
-        for row in self.rows[part]:
-            _take(single_step(self.kernel).address, row, u, happens, z, self.wheels[i], t.lever, since)
+        step = single_step(self.kernel).address
+        _take(step, self.rows[part], u, happens, z, self.wheels[i], t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -155,8 +155,9 @@ class CompiledCars:
 
 
 @numba.njit
-def _take(step: int, v: np.ndarray, *of: Any) -> None:
-    take_step(step, v, *of)
+def _take(step: int, rows: np.ndarray, *of: Any) -> None:
+    for i in range(len(rows)):
+        take_step(step, rows[i], *of)
 
 
 # --- The oracle beside the compiled filter -----------------------------------------------------------------

@@ -48,6 +48,9 @@ COMPILED = 3
 SIMULATE = ["simulate", "--out", "out", "--maneuver", "cruise", "--environment", "clear", "--runs", "1"]
 RIGHT = [4.0, 6, 6.0]
 SOURCES = Path(sigmaswarm.__file__).parents[1]
+WRITABLE, EXCHANGEABLE = ("777", "770", "720", "702"), ("p-777", "p-1777")
+"""Modes of a cache, and of the folder that it is in."""
+Looked = dict[str, tuple[Path, dict[str, object]]]
 needs_modes = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes here")
 
 
@@ -92,6 +95,29 @@ def files(cache: Path) -> list[Path]:
     return sorted(file for file in cache.rglob("*") if file.is_file())
 
 
+@pytest.fixture(scope="module")
+def looked(sound: Path, tmp_path_factory: pytest.TempPathFactory) -> Looked:
+    """Copies of the cache with some modes and owners, an empty place, and what one process said of each."""
+    folder = tmp_path_factory.mktemp("looked")
+    caches = {
+        name: Path(shutil.copytree(sound / "cache", folder / name))
+        for name in (*WRITABLE, *EXCHANGEABLE, "owner")
+    }
+    for name in WRITABLE:
+        (caches[name] / "sigmaswarm").chmod(int(name, 8))
+    for name in EXCHANGEABLE:
+        caches[name].chmod(int(name[2:], 8))
+    if os.getuid() == 0:  # only root can give a folder away
+        os.chown(caches["owner"] / "sigmaswarm", 65534, 65534)
+    caches["new"] = folder / "made" / "cache"
+    usual = os.umask(0)
+    try:
+        each = _process(sound, caches=caches.values())
+    finally:
+        os.umask(usual)
+    return {name: (caches[name], told) for name, told in zip(caches, each, strict=True)}
+
+
 def test_the_second_process_compiles_nothing(first: tuple[Path, dict[str, object]]):
     folder, told = first
     assert (told["hits"], told["said"]) == (0, [])
@@ -106,45 +132,32 @@ def test_that_something_is_compiled_is_told_once(first: tuple[Path, dict[str, ob
 
 
 @needs_modes
-def test_the_folder_is_open_to_nobody_else(tmp_path: Path):
-    usual = os.umask(0)
-    try:
-        run(tmp_path, tmp_path / "made" / "cache")
-    finally:
-        os.umask(usual)
-    assert stat.S_IMODE((tmp_path / "made" / "cache" / "sigmaswarm").stat().st_mode) == 0o700
+def test_the_folder_is_open_to_nobody_else(looked: Looked):
+    cache, _ = looked["new"]
+    assert stat.S_IMODE((cache / "sigmaswarm").stat().st_mode) == 0o700
 
 
 @needs_modes
-def test_a_folder_that_others_can_write_is_not_used(tmp_path: Path, sound: Path):
-    caches = [shutil.copytree(sound / "cache", tmp_path / mode) for mode in ("777", "770", "720", "702")]
-    before = [(file, file.read_bytes()) for file in files(tmp_path)]
-    for cache in caches:
-        (cache / "sigmaswarm").chmod(int(cache.name, 8))
-    for cache, told in zip(caches, _process(sound, caches=caches), strict=True):
+def test_a_folder_that_others_can_write_is_not_used(looked: Looked, sound: Path):
+    before = {file.relative_to(sound / "cache"): file.read_bytes() for file in files(sound / "cache")}
+    for cache, told in (looked[name] for name in WRITABLE):
         assert told["hits"] == 0
         (said,) = told["said"]  # type: ignore[misc]
         assert f"{cache}/sigmaswarm can be written by other users" in said
         assert "set NUMBA_CACHE_DIR" in said
-    assert [(file, file.read_bytes()) for file in files(tmp_path)] == before
+        assert {file.relative_to(cache): file.read_bytes() for file in files(cache)} == before
 
 
 @needs_modes
-def test_a_folder_that_others_can_exchange_is_not_used(tmp_path: Path, sound: Path):
-    caches = [shutil.copytree(sound / "cache", tmp_path / mode) for mode in ("777", "1777")]
-    for cache in caches:
-        cache.chmod(int(cache.name, 8))
-    exchangeable, as_tmp = _process(sound, caches=caches)
-    assert (exchangeable["hits"], as_tmp["hits"]) == (0, COMPILED)
+def test_a_folder_that_others_can_exchange_is_not_used(looked: Looked):
+    assert [looked[name][1]["hits"] for name in EXCHANGEABLE] == [0, COMPILED]
 
 
 @needs_modes
-def test_a_folder_of_somebody_else_is_not_used(tmp_path: Path, sound: Path):
+def test_a_folder_of_somebody_else_is_not_used(looked: Looked):
     if os.getuid() != 0:
         pytest.skip("only root can give a folder away")
-    cache = shutil.copytree(sound / "cache", tmp_path / "cache")
-    os.chown(cache / "sigmaswarm", 65534, 65534)
-    told = run(sound, cache)
+    _, told = looked["owner"]
     assert (told["hits"], len(told["said"])) == (0, 1)  # type: ignore[arg-type]
 
 
@@ -170,15 +183,17 @@ CASES = [(how, suffix) for how in SPOILED for suffix in (".nbi", ".nbc")]
 def spoiled(
     sound: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[tuple[str, str], list[dict[str, object]]]:
-    """What two processes in turn say of each spoiled cache."""
+    """What is said of each spoiled cache, and once more."""
     folder = tmp_path_factory.mktemp("spoiled")
     caches = [shutil.copytree(sound / "cache", folder / str(i)) for i in range(len(CASES))]
     for (how, suffix), cache in zip(CASES, caches, strict=True):
         for file in files(cache):
             if file.suffix == suffix:
                 file.write_bytes(SPOILED[how](file.read_bytes()))
-    first, second = _process(sound, caches=caches), _process(sound, caches=caches)
-    return {case: list(each) for case, *each in zip(CASES, first, second, strict=True)}
+    each = _process(sound, caches=[*caches, *caches])
+    return {
+        case: list(told) for case, *told in zip(CASES, each[: len(CASES)], each[len(CASES) :], strict=True)
+    }
 
 
 @pytest.mark.parametrize(("how", "suffix"), CASES)

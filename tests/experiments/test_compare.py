@@ -106,7 +106,7 @@ def test_killed_within_a_run_it_ends_in_the_same_bytes(tmp_path: Path):
     program = (
         "import sys; from sigmaswarm import compare, read_drive; folder = sys.argv[1];"
         "drives = [read_drive(f'{folder}/d{i}') for i in range(2)];"
-        "compare(drives, optimizers=('pso', 'random'), seeds=1, generations=100, particles=4, out=f'{folder}/killed')"
+        "compare(drives, optimizers=('pso', 'random'), seeds=1, generations=50, particles=4, out=f'{folder}/killed')"
     )
     runs = tmp_path / "killed" / "runs"
     for _ in range(5):  # on a busy machine it may have ended before it is looked at
@@ -119,7 +119,7 @@ def test_killed_within_a_run_it_ends_in_the_same_bytes(tmp_path: Path):
             break
         shutil.rmtree(tmp_path / "killed")
     assert list(runs.glob("*/checkpoint-000.npz")), "it ended before it could be killed"
-    asked = {"optimizers": ("pso", "random"), "seeds": 1, "generations": 100, "particles": 4}
+    asked = {"optimizers": ("pso", "random"), "seeds": 1, "generations": 50, "particles": 4}
     drives = [read_drive(tmp_path / f"d{i}") for i in range(2)]
     compare(drives, out=tmp_path / "killed", resume=True, **asked)
     compare(drives, out=tmp_path / "whole", **asked)

@@ -17,6 +17,7 @@ from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study import study
 from sigmaswarm.experiments.study.config import METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Task, designs_elsewhere, make_design
 from sigmaswarm.experiments.study.networks import LEAST, Training, lessons, trainings
@@ -60,7 +61,7 @@ REAL = {name: LEARNERS[name] for name in NETWORKS}
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
+def quick(quick_study: None) -> Iterator[None]:
     """Networks train within a second; `tests/learned` looks at how they really do."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(LEARNERS, "outage-lstm", QuickOutages)
@@ -70,13 +71,13 @@ def quick() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    study = run_study(TINY, tmp_path_factory.mktemp("rivals") / "whole")
+    found = run_study(TINY, tmp_path_factory.mktemp("rivals") / "whole")
     with pytest.MonkeyPatch.context() as patch:  # only the figure of rivals; test_study has the others
         patch.setattr(
             reports, "study_figures", lambda of: {"learning-curve": study_figures(of)["learning-curve"]}
         )
-        save_study(study, study.folder)
-    return study
+        save_study(found, found.folder)
+    return found
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -372,10 +373,15 @@ def test_interrupted_it_ends_in_the_same_bytes(whole: Study, tmp_path: Path):
 
 
 def test_what_is_trained_is_not_trained_again(whole: Study, monkeypatch: pytest.MonkeyPatch):
+    def scores(*_: object) -> None:
+        raise Stopped
+
     monkeypatch.setattr(Quick, "__init__", lambda *_: pytest.fail("trained again"))
     monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("tuned again"))
+    monkeypatch.setattr(study, "score_all", scores)
     before = contents(whole.folder)
-    run_study(TINY, whole.folder, resume=True)
+    with pytest.raises(Stopped):
+        run_study(TINY, whole.folder, resume=True)
     assert contents(whole.folder) == before
 
 
@@ -399,8 +405,8 @@ def test_drives_of_one_s_own_and_drives_elsewhere(whole: Study, tmp_path: Path):
             "generations": 1,
         }
     )
-    study = run_study(config, tmp_path / "out")
-    own = [row for row in study.results.rivals.elsewhere if row.method == "noise-gru"]
+    found = run_study(config, tmp_path / "out")
+    own = [row for row in found.results.rivals.elsewhere if row.method == "noise-gru"]
     assert {row.place for row in own} == {"as given"}
     assert {row.n_drives for row in own} == {1}
     alone = make_design(config.model_copy(update={"elsewhere": ()}))
@@ -415,8 +421,8 @@ def test_trained_in_earnest(whole: Study, tmp_path: Path, monkeypatch: pytest.Mo
     """With the learners as they are; about two minutes."""
     for name, learner in REAL.items():
         monkeypatch.setitem(LEARNERS, name, learner)
-    study = run_study(TINY.model_copy(update={"learn_minutes": 2.0}), tmp_path / "out")
+    found = run_study(TINY.model_copy(update={"learn_minutes": 2.0}), tmp_path / "out")
     for network in NETWORKS:
         learned = load_learned(tmp_path / "out" / Training(network, 0).folder)
         assert learned.record.training.epochs > 5
-    assert study.results.summary("honest", "noise-gru", "position_rmse_m").mean < 10.0
+    assert found.results.summary("honest", "noise-gru", "position_rmse_m").mean < 10.0

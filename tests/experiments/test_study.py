@@ -18,7 +18,6 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.grid import run_grid
 from sigmaswarm.experiments.study import study as study_run
 from sigmaswarm.experiments.study.config import BY_DEFAULT, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
@@ -36,6 +35,7 @@ from support import no_pictures
 TINY = StudyConfig(
     maneuvers=("turns", "outages"), environments=("clear",), runs=3, trials=2, particles=4, generations=3
 )
+pytestmark = pytest.mark.usefixtures("quick_study")
 DIFFERENT = {"timings.json", "runtime.md", "runtime.tex", "runtime.csv"}
 
 
@@ -100,9 +100,9 @@ def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch:
     """Python's own number of threads is larger, and they would wait for each other; nor does one worker fork."""
     seen: list[int] = []
 
-    def grid(*args: object, processes: int, **options: object) -> object:
+    def grid(*_: object, processes: int, **__: object) -> object:
         seen.append(processes)
-        return run_grid(*args, processes=processes, **options)  # pyright: ignore
+        raise InterruptedError
 
     def threads(workers: int) -> ThreadPoolExecutor:
         seen.append(workers)
@@ -112,8 +112,9 @@ def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch:
     monkeypatch.setattr(study_run, "run_grid", grid)
     monkeypatch.setattr(study_run, "ThreadPoolExecutor", threads)
     for workers in (None, 1):
-        run_study(TINY, whole.folder, resume=True, workers=workers)
-    with ThreadPoolExecutor(2) as own:
+        with pytest.raises(InterruptedError):
+            run_study(TINY, whole.folder, resume=True, workers=workers)
+    with ThreadPoolExecutor(2) as own, pytest.raises(InterruptedError):
         run_study(TINY, whole.folder, resume=True, executor=own)
     assert seen == [3, 3, 1, 0, 0]
 

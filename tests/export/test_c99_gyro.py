@@ -51,14 +51,14 @@ def test_told_of_the_start_it_is_the_run(tmp_path: Path, model: str, share: floa
 
 
 @needs_gcc
-@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+@pytest.mark.parametrize("flags", [SANITIZERS, ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
 @pytest.mark.parametrize("model", KINDS)
 def test_its_own_alignment_sees_the_bias(tmp_path: Path, model: str, flags: tuple[str, ...]):
     drive, p = off(1.0), filter_of(model)
     arm = [*drive.lever_arm.tolist(), drive.antenna_height][: 3 if model == "tilted12" else 2]
     rows = [",".join(["align", *map(repr, arm)]), *replay_rows(drive, model).splitlines()[1:]]
     done = subprocess.run(
-        [build(tmp_path, p, *SANITIZERS, *flags)],
+        [build(tmp_path, p, *flags)],
         input="\n".join(rows) + "\n",
         capture_output=True,
         text=True,

@@ -131,7 +131,7 @@ def test_the_start_that_it_finds_itself_takes_an_antenna_of_three_numbers(tmp_pa
 @needs_gcc
 def test_float_is_off_by_little(tmp_path: Path):
     p = given("all")
-    off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT", *OPTIMIZED), hills(), "tilted12").mean
+    off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT"), hills(), "tilted12").mean
     off = off - run_filter(hills(), p, recover=False).mean
     assert 1e-9 < np.max(np.abs(off[:, :2])) < 2e-2
 

@@ -56,9 +56,9 @@ int main(void) /* Time, x, y, whether it started anew and whether it is lost, af
 """
 
 
-@pytest.fixture(scope="module", params=[(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+@pytest.fixture(scope="module", params=[SANITIZERS, ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
 def program(request, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("watch"), SET, *SANITIZERS, *request.param, main=WATCHED)
+    return build(tmp_path_factory.mktemp("watch"), SET, *request.param, main=WATCHED)
 
 
 def watched(program: Path, drive: Drive, start: InitialState) -> np.ndarray:

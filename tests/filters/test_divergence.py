@@ -269,8 +269,9 @@ def live(
             continue
         filter.predict(imu.time[i], [axis[i] for axis in axes])
         if imu.time[i] > start.time:
-            means.append(filter.state.mean)
-            lost.append(filter.state.lost)
+            state = filter.state
+            means.append(state.mean)
+            lost.append(state.lost)
     return filter, np.array(means), np.array(lost)
 
 

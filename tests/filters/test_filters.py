@@ -37,7 +37,7 @@ def difference(a: Estimate, b: Estimate) -> float:
     quickly(product(("planar5", "planar8"), KINDS, OPTIONS), stands_for_all),
 )
 def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
-    p, drive = parameters(model, kind=kind, **OPTIONS[option]), sparse(equipped(), 3)
+    p, drive = parameters(model, kind=kind, **OPTIONS[option]), sparse(equipped(), 8)
     assert difference(run_filter(drive, p), run_textbook(drive, p)) < 1e-9
 
 
@@ -45,7 +45,7 @@ def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
 @pytest.mark.parametrize("model", ["planar5", "planar8"])
 def test_compiled_is_the_textbook_s_with_two_receivers(model: str, kind: str):
     p, initial = parameters(model, kind=kind, **OPTIONS["all"]), initial_state(equipped())
-    drive = sparse(two_receivers(), 3)
+    drive = sparse(two_receivers(), 8)
     compiled, textbook = (run(drive, p, initial=initial) for run in (run_filter, run_textbook))
     assert difference(compiled, textbook) < 1e-9
 
@@ -60,7 +60,7 @@ def test_the_options_matter():
 
 
 @needs_shared
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", quickly([(kind,) for kind in KINDS], lambda kind: kind in ("ukf", "ekf")))
 def test_compiled_is_the_textbook_s_on_a_real_drive(kind: str):
     drive = clip(read_drive(DRIVES / "colorado-1"), 0.0, 75.0)  # with the standstill before it departs
     p = parameters("planar8", kind=kind, lateral_noise=0.05, rear_axle=1.2, standstill_noise=1e-3, gate=12.0)

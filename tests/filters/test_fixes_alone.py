@@ -48,16 +48,18 @@ def test_it_is_the_filter_of_filterpy(drive: Drive, stated: bool):
         kf.predict()
         now = to
 
-    now, at = start.time, 0
-    for k, time in enumerate(found.time):
+    now, at, theirs = start.time, 0, []
+    for time in found.time:
         while at < len(line.fix_time) and line.fix_time[at] <= time:
             move(line.fix_time[at])
             kf.update(line.fixes[at, :2])
             at += 1
         move(time)
-        np.testing.assert_allclose(found.mean[k, :4], kf.x, rtol=1e-9, atol=1e-8)
-        np.testing.assert_allclose(found.covariance[k, 0, 0], kf.P[0, 0], rtol=1e-8)
-        assert found.mean[k, 4] == np.arctan2(found.mean[k, 3], found.mean[k, 2])
+        theirs.append([*kf.x, kf.P[0, 0]])
+    means, variances = np.split(np.array(theirs), [4], axis=1)
+    np.testing.assert_allclose(found.mean[:, :4], means, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(found.covariance[:, 0, 0], variances[:, 0], rtol=1e-8)
+    np.testing.assert_array_equal(found.mean[:, 4], np.arctan2(found.mean[:, 3], found.mean[:, 2]))
     assert at == len(line.fix_time)
 
 

@@ -1,17 +1,18 @@
 """The live filter gives what `run_filter` gives, whatever the order in which fixes come."""
 
 import math
+import os
+import pickle
 import tracemalloc
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
 from itertools import product
-from multiprocessing import get_context
 
 import numba
 import numpy as np
 import pytest
 
+import processes
 from filter_cases import (
     KINDS,
     OPTIONS,
@@ -55,8 +56,9 @@ def live(drive: Drive, p: FilterParameters, initial: InitialState, late: float =
         if is_imu:
             filter.predict(t, (drive.imu.ax[i], drive.imu.ay[i], drive.imu.gz[i]))
             if t > initial.time:
-                means.append(filter.state.mean)
-                covariances.append(filter.state.covariance)
+                state = filter.state
+                means.append(state.mean)
+                covariances.append(state.covariance)
         else:
             velocity = None
             if gps.speed is not None and gps.course is not None:
@@ -211,17 +213,21 @@ def test_numbers_of_other_types_do_not_make_it_wait_for_a_compiler():
     assert len(calls.sample.signatures) == len(calls.fix.signatures) == 1
 
 
+ONE_MORE = """
+import pickle, sys
+filter = pickle.loads(bytes.fromhex(sys.argv[1]))
+filter.predict(filter.state.time + 0.01, (0.0, 1.0, 0.5))
+print((filter.state.mean.tobytes() + filter.smoothed.mean.tobytes()).hex())
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_pickled_filter_goes_on_in_another_process():
     filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01, lag=0.5)
     filter.predict(start().time + 1.0, (0.0, 1.0, 0.5))
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        there = pool.submit(_one_more, filter).result()
-    assert there == _one_more(filter)
-
-
-def _one_more(filter: LiveFilter) -> bytes:
-    filter.predict(start().time + 1.01, (0.0, 1.0, 0.5))
-    return filter.state.mean.tobytes() + filter.smoothed.mean.tobytes()
+    there = processes.run(ONE_MORE, pickle.dumps(filter).hex())
+    filter.predict(filter.state.time + 0.01, (0.0, 1.0, 0.5))
+    assert there.stdout.strip() == (filter.state.mean.tobytes() + filter.smoothed.mean.tobytes()).hex()
 
 
 def test_asking_for_hindsight_changes_nothing_that_a_late_fix_goes_back_to():

@@ -83,7 +83,7 @@ def test_a_swarm_bears_what_a_filter_bears(option: str, calls: list[Call]):
     assert swarm._belief[: live.N_BELIEF].tobytes() == alone._belief[: live.N_BELIEF].tobytes()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", quickly([(k,) for k in KINDS], lambda kind: kind in ("ukf", "adaptive-ukf")))
 def test_a_flood_of_late_fixes_is_bounded_and_counted(kind: str):
     live = LiveFilter(parameters("planar5", kind=kind), START, nominal_interval=0.01, history=0.2)
     for k in range(1, 301):

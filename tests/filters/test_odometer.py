@@ -20,7 +20,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.run import run_filter, run_textbook
 from sigmaswarm.filters.schedule import ODOMETER, STANDSTILL, flags_of
 from stepwise import compiled_against_extended, on_time_line, some_steps, urban, wheeled
-from support import quickly
+from support import quickly, sparse
 
 WHEELS = {"odometer_noise": 0.01, "odometer_scale": 1.02, "odometer_latency": 0.04}
 ALL = {**OPTIONS["all"], **WHEELS}
@@ -46,7 +46,7 @@ def town() -> tuple[Timeline, InitialState]:
 def test_compiled_takes_the_oracles_steps(model: str, kind: str):
     timeline, initial = town()
     sets = with_odometer(box_sets(model, kind, 32))
-    steps = some_steps(timeline, sets, 30)
+    steps = some_steps(timeline, sets, 20)
     flags = flags_of(timeline, {"velocity", "lateral", "standstill", "odometer"})
     assert sum(bool(flags[i] & ODOMETER) for i in steps) > 30
     errors = compiled_against_extended(timeline, initial, sets, steps)
@@ -59,14 +59,14 @@ def test_compiled_takes_the_oracles_steps(model: str, kind: str):
 
 @pytest.mark.parametrize("model", ["planar5", "planar8", "tilted12"])
 def test_the_textbook_is_the_run(model: str):
-    p, start = parameters(model, **ALL), initial_state(driven())
+    p, start, drive = parameters(model, **ALL), initial_state(driven()), sparse(driven())
     run, textbook = (
-        run_filter(driven(), p, initial=start, recover=False),
-        run_textbook(driven(), p, initial=start),
+        run_filter(drive, p, initial=start, recover=False),
+        run_textbook(drive, p, initial=start),
     )
     np.testing.assert_allclose(run.mean, textbook.mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.covariance, textbook.covariance, rtol=1e-7, atol=1e-12)
-    without = run_filter(driven(), replace(p, odometer_noise=None), initial=start, recover=False)
+    without = run_filter(drive, replace(p, odometer_noise=None), initial=start, recover=False)
     assert np.max(np.abs(run.mean - without.mean)[:, 2:4]) > 0.01
 
 

@@ -3,6 +3,7 @@
 import csv
 import gzip
 from dataclasses import replace
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,18 @@ class Messages:
         self.is_imu = np.array([row[1] == "imu" for row in rows])
         self.numbers = np.array([[float(cell or 0) for cell in row[2:6]] for row in rows])
 
-    def textbook(self, done: list[int] | None = None) -> tuple[Array, Array]:
-        """Means (k, 8) and covariances (k, 8, 8) after each message; ``done`` grows with each."""
-        filter = TextbookRobotLocalization(self.parameters, self.mean, self.covariance)
-        means, covariances = list[Array](), list[Array]()
+    @cached_property
+    def textbook(self) -> tuple[Array, Array, dict[tuple[int, str], tuple[Array, Array]]]:
+        """Means (k, 8) and covariances (k, 8, 8) after each message; both after each correction of the k-th one."""
+        means, covariances, after = list[Array](), list[Array](), dict[tuple[int, str], tuple[Array, Array]]()
+
+        class Noted(TextbookRobotLocalization):
+            def correct(self, states: list[int], *given: Any) -> None:
+                super().correct(states, *given)
+                called = {7: "gyro", 5: "accel", 6: "accel", 3: "vy0", 0: "gps"}[states[0]]
+                after[len(means), called] = self.mean, self.covariance
+
+        filter = Noted(self.parameters, self.mean, self.covariance)
         for dt, is_imu, (a, b, c, d) in zip(self.dt, self.is_imu, self.numbers, strict=True):
             if dt > 0:
                 filter.predict(dt)
@@ -81,9 +90,7 @@ class Messages:
                 filter.fix(np.array([a, b]), np.array([c, d]))
             means.append(filter.mean)
             covariances.append(filter.covariance)
-            if done is not None:
-                done.append(len(means))
-        return np.array(means), np.array(covariances)
+        return np.array(means), np.array(covariances), after
 
     def compiled(self, stop: int | None = None) -> tuple[Array, Array, Array]:
         """Means and covariances after each IMU message, and the rows after the last message before ``stop``."""
@@ -110,6 +117,7 @@ class Messages:
         return *unpack_states(done, NAME), rows
 
 
+@cache
 def reference(drive: str, name: str) -> Messages:
     if not REFERENCE.is_dir():
         pytest.skip("the reference outputs of robot_localization (../shared) are not there")
@@ -155,7 +163,7 @@ def difference(a: Array, b: Array) -> float:
 @pytest.mark.parametrize(("drive", "name"), QUICK)
 def test_both_forms_agree_with_its_own_core_over_a_minute(drive: str, name: str):
     messages, table = reference(drive, name), columns_of(f"{drive}_ekf_{name}")
-    means, covariances = messages.textbook()
+    means, covariances, _ = messages.textbook
     assert difference(means, means_of(table)) < 1e-9
     compiled, compiled_covariances, rows = messages.compiled()
     assert difference(compiled, means_of(table)[messages.is_imu]) < 1e-9
@@ -171,19 +179,8 @@ def test_both_forms_agree_with_its_own_core_over_a_minute(drive: str, name: str)
 
 
 @pytest.mark.parametrize(("drive", "name"), QUICK)
-def test_the_first_steps_agree_with_its_own_core(drive: str, name: str, monkeypatch: pytest.MonkeyPatch):
-    messages, moments = reference(drive, name), columns_of(f"{drive}_ekf_{name}")["t_ns"]
-    after = dict[tuple[int, str], tuple[Array, Array]]()
-    plain = TextbookRobotLocalization.correct
-
-    def correct(self: TextbookRobotLocalization, states: list[int], *given: Any) -> None:
-        plain(self, states, *given)
-        called = {7: "gyro", 5: "accel", 6: "accel", 3: "vy0", 0: "gps"}[states[0]]
-        after[len(means), called] = self.mean, self.covariance
-
-    means = list[int]()
-    monkeypatch.setattr(TextbookRobotLocalization, "correct", correct)
-    messages.textbook(done=means)
+def test_the_first_steps_agree_with_its_own_core(drive: str, name: str):
+    moments, (*_, after) = columns_of(f"{drive}_ekf_{name}")["t_ns"], reference(drive, name).textbook
     table = columns_of(f"{drive}_ekf_{name}_first_steps")
     assert {"gyro", "accel", "gps"} <= set(table["after"])
     for row, mean, covariance in zip(table, means_of(table), covariances_of(table), strict=True):
@@ -209,13 +206,13 @@ def test_compiled_agrees_with_the_textbook(uses_ay: bool):
         "initial_state": rng.normal(size=15), "initial_estimate_covariance": root @ root.T,
     }  # fmt: skip
     messages = Messages(rows, values)
-    means, covariances = messages.textbook()
+    means, covariances, _ = messages.textbook
     compiled, compiled_covariances, _ = messages.compiled()
     assert difference(compiled, means[messages.is_imu]) < 1e-9
     np.testing.assert_allclose(compiled_covariances, covariances[messages.is_imu], rtol=0, atol=1e-9)
     free = Messages(rows, values)
     free.parameters = replace(free.parameters, gate=None)
-    assert difference(free.textbook()[0], means) > 0.1  # the threshold has rejected some
+    assert difference(free.textbook[0], means) > 0.1  # the threshold has rejected some
 
 
 @pytest.mark.parametrize("imu_noise", [(1e-3, 0.5), (1e-3, 0.5, 0.3)], ids=["ax", "ax and ay"])

@@ -60,7 +60,7 @@ def town() -> Drive:
 
 def by_kind(kind: str) -> Drive:
     """The town; with less IMU for sigma points, 25 of which the textbook takes through each step in Python."""
-    return town() if kind == "ekf" else sparse(town(), 16)
+    return sparse(town(), 3 if kind == "ekf" else 16)
 
 
 def some_state(seed: int = 0, tilt: float = 0.2) -> np.ndarray:

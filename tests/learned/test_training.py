@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -39,15 +39,18 @@ ONE_STEP = Schedule(0.01, epochs=1, batch=1, patience=5, seed=0)
 )
 def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, option: dict[str, float]):
     """With scales of one and with those of a network, over a whole drive."""
+    import jax
+
     p, replay = parameters(model, kind="ekf", **option), replay_of(sparse(equipped()))
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 5, 2)
+    through = jax.jit(partial(run, Settings.of(replay, p)))
     for head in (0.0, 0.5):
         weights["head"] = head * np.random.default_rng(1).normal(size=(5, 2))
         compiled = NoiseRun(replay, p, weights)
         mean = compiled.whole().mean
         with exact():
             columns, _ = columns_of(replay, p)
-            told = run(Settings.of(replay, p), weights, *start_of(replay.initial, p), columns)
+            told = through(weights, *start_of(replay.initial, p), columns)
         said, means = (np.asarray(array) for array in told)
         fixes = said[:, 5] > 0
         np.testing.assert_allclose(said[fixes, :2], compiled.innovations.innovation, atol=1e-9)

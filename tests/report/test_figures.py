@@ -3,6 +3,7 @@
 import csv
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from sigmaswarm.reports.evaluation import comparison, errors, save_evaluation, t
 from sigmaswarm.reports.figures import Chart, figure_of, logarithmic, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.tuning import convergence, save_tuning_figures
-from sigmaswarm.scoring.evaluation import evaluate
+from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES, method_names
 from sigmaswarm.scoring.tracks import Picture, compared, picture_of
 from sigmaswarm.tuning.result import Tuning
@@ -36,8 +37,14 @@ def tuning() -> Tuning:
     return tune(DRIVE, model="planar5", objective="truth-rmse", particles=4, generations=5, trials=3)
 
 
+@cache
 def picture(drive: Drive, tuned: FilterParameters = GOOD) -> Picture:
     return picture_of(drive, compared(drive, tuned), drive.name)
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> Evaluation:
+    return evaluate(DRIVE, GOOD)
 
 
 NAMES = LABELS | method_names()
@@ -161,8 +168,7 @@ def test_errors_need_truth():
     assert errors(picture(replace(DRIVE, truth=None)), NAMES) is None
 
 
-def test_comparison_has_bars_for_every_method():
-    evaluation = evaluate(DRIVE, GOOD)
+def test_comparison_has_bars_for_every_method(evaluation: Evaluation):
     figure = comparison(evaluation)
     titles = [
         "position RMSE, m",
@@ -200,8 +206,7 @@ def test_comparison_without_truth_has_no_empty_panels():
     assert not ax.axison
 
 
-def test_every_figure_has_the_same_bytes_twice(tmp_path: Path, tuning: Tuning):
-    evaluation = evaluate(DRIVE, GOOD)
+def test_every_figure_has_the_same_bytes_twice(tmp_path: Path, tuning: Tuning, evaluation: Evaluation):
     makers = {
         "convergence": lambda: convergence(tuning),
         "tracks": lambda: tracks(picture(DRIVE), NAMES),
@@ -236,7 +241,7 @@ def test_an_evaluation_of_failures_is_still_drawn(tmp_path: Path):
     assert {p.name for p in written} == names
 
 
-def test_drives_of_one_name_do_not_share_a_picture(tmp_path: Path):
+def test_drives_of_one_name_do_not_share_a_picture(tmp_path: Path, unpainted: None):
     written = save_evaluation(evaluate([DRIVE, DRIVE], GOOD), tmp_path)
     assert len(set(written)) == len(written) == 11
 

@@ -36,7 +36,7 @@ def count_calls(monkeypatch: pytest.MonkeyPatch, function) -> list[None]:
 
 @pytest.mark.filterwarnings("ignore::sigmaswarm.errors.SigmaswarmWarning")
 def test_an_evaluation_with_pictures_computes_each_thing_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unpainted: None
 ):
     from sigmaswarm.cli import evaluate as command
 

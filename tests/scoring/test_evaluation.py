@@ -28,6 +28,7 @@ POSITIONS = ["position_rmse_m", "position_median_m", "position_95_m"]
 DRIFTS = {"short_outage_drift_m": 1.0, "outage_drift_m": 5.0, "long_outage_drift_m": 30.0}
 MEASURES = [*POSITIONS, "heading_rmse_deg", *DRIFTS]
 DRIVES = [make_drive(duration=60.0, seed=s, name=f"drive-{s}") for s in range(2)]
+SHORT = [make_drive(duration=20.0, seed=s) for s in range(2)]
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
     ],
 )
 def test_the_tuned_filter_is_called_what_it_is(change: dict, name: str):
-    names = evaluate(DRIVES[0], replace(GOOD, **change)).names
+    names = evaluate(SHORT[0], replace(GOOD, **change)).names
     assert list(names) == METHODS
     assert list(names.values()) == [name, *NAMES[1:]]
 
@@ -329,7 +330,7 @@ def test_without_truth_only_the_drift_can_be_said():
 
 
 def test_two_drives_of_one_name_do_not_hide_each_other():
-    same = [replace(drive, name="monday") for drive in (*DRIVES, DRIVES[0])]
+    same = [replace(drive, name="monday") for drive in (*SHORT, SHORT[0])]
     said = evaluate(same, GOOD).to_dict()["drives"]
     assert list(said) == ["monday", "monday (2)", "monday (3)"]
     assert said["monday"] == said["monday (3)"]

@@ -42,7 +42,7 @@ STRONG = replace(PLANAR5, kind="strong-tracking-ukf", forgetting=0.95)
 ROBUST = replace(PLANAR8, gate=None, robust_dof=3.0)
 SETS = {"planar5": PLANAR5, "planar8": PLANAR8, "adaptive": ADAPTIVE, "strong": STRONG, "robust": ROBUST}
 DRIVE = replace(
-    make_drive(duration=40.0, imu_rate=40.0, jitter=0.3, seed=2), metadata={"gps_lever_arm_m": [1.0, 0.4]}
+    make_drive(duration=40.0, imu_rate=20.0, jitter=0.3, seed=2), metadata={"gps_lever_arm_m": [1.0, 0.4]}
 )
 
 

@@ -49,8 +49,8 @@ def planar5(state: Array, dt: float, imu: Array) -> Array:
     """Newton's equations in the plane, driven by the IMU (the paper's process model); state x, y, vx, vy, theta."""
     x, y, vx, vy, theta = state
     ax, ay, yaw_rate = imu
-    a_e = np.cos(theta) * ax - np.sin(theta) * ay
-    a_n = np.sin(theta) * ax + np.cos(theta) * ay
+    c, s = np.cos(theta), np.sin(theta)
+    a_e, a_n = c * ax - s * ay, s * ax + c * ay
     return np.array(
         [
             x + vx * dt + a_e * dt**2 / 2,

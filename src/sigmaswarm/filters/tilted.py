@@ -34,14 +34,15 @@ AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 def rotation(state: Array) -> Array:
     """R, (..., 3, 3), of the roll, pitch and theta of states (..., 12)."""
-    angles = np.moveaxis(state[..., [*ATTITUDE]], -1, 0)
+    angles = [state[..., i] for i in ATTITUDE]
     (cr, cp, ct), (sr, sp, st) = np.cos(angles), np.sin(angles)
     rows = [
         [ct * cp, ct * sp * sr - st * cr, ct * sp * cr + st * sr],
         [st * cp, st * sp * sr + ct * cr, st * sp * cr - ct * sr],
         [-sp, cp * sr, cp * cr],
     ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    r = np.array(rows)
+    return r if state.ndim == 1 else np.moveaxis(r, (0, 1), (-2, -1))
 
 
 def with_rotation(state: Array, r: Array) -> Array:
@@ -80,21 +81,26 @@ def angles_of(quaternion: Array) -> Array:
     return np.stack(parts, axis=-1)
 
 
+def _sinc(x: float) -> float:
+    """As `np.sinc`, which is slow for one number."""
+    return float(np.sin(np.pi * x) / (np.pi * x)) if x else 1.0
+
+
 def turn(vector: Array) -> Array:
     """exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
-    angle = np.linalg.norm(vector)
+    angle = np.sqrt(vector @ vector)
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    half = np.sinc(angle / (2 * np.pi))  # sin(a / 2) / (a / 2)
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * cross @ cross
+    half = _sinc(angle / (2 * np.pi))  # sin(a / 2) / (a / 2)
+    return np.eye(3) + _sinc(angle / np.pi) * cross + 0.5 * half**2 * cross @ cross
 
 
 def turn_of(r: Array) -> Array:
     """The v, (3,), of exp([v]x), shorter than half a turn."""
     doubled = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])  # 2 sin a, along the axis
-    sine, cosine = np.linalg.norm(doubled) / 2, (np.trace(r) - 1) / 2
+    sine, cosine = np.sqrt(doubled @ doubled) / 2, (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2
     angle = np.arctan2(sine, cosine)
-    return 0.5 * doubled / np.sinc(angle / np.pi)
+    return 0.5 * doubled / _sinc(angle / np.pi)
 
 
 def plus(state: Array, error: Array) -> Array:
@@ -112,7 +118,7 @@ def minus(state: Array, other: Array) -> Array:
 def nearest(error: Array, near: Array) -> Array:
     """The error (12,) with the same rotation, up to whole turns, that is nearest to another."""
     vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
-    angle = np.linalg.norm(vector)
+    angle = np.sqrt(vector @ vector)
     if not angle > 0:
         return error
     turns = np.round((vector @ other / angle - angle) / (2 * np.pi))

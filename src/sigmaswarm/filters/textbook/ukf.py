@@ -69,7 +69,7 @@ def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
     n = len(covariance)
     order = [*first, *(i for i in range(n) if i not in first)]
     try:
-        factor = np.linalg.cholesky(covariance[np.ix_(order, order)])
+        factor = np.linalg.cholesky(covariance[order][:, order])
     except np.linalg.LinAlgError:
         raise NotPositiveDefiniteError(
             "the covariance is not positive definite: the filter has failed; "
