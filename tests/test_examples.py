@@ -23,9 +23,9 @@ def texts(cell: dict[str, Any]) -> str:
 
 
 MANEUVERS = '"turns", "brake"'
-TINY = f'{{"maneuvers": ({MANEUVERS}), "environments": ("clear",), "runs": 2, "trials": 2, "particles": 8, "generations": 12}}'
+SIZES = '"environments": ("clear",), "runs": 2, "trials": 2, "particles": 8, "generations": 12'
 CHANGES = {
-    "parameters": ("SIZE = SMALL", f"SIZE = {TINY}"),
+    "parameters": ("SIZE = SMALL", f'SIZE = {{"maneuvers": ({MANEUVERS}), {SIZES}}}'),
     "drives": ("simulate_many(", f"simulate_many(maneuvers=({MANEUVERS}), "),
     "twice": ("paper=True", "paper=True, trials=1"),
 }

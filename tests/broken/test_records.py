@@ -30,7 +30,7 @@ from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.tuning.record import History, TuningRecord
 from sigmaswarm.tuning.store import ResultFolder, finished_trial
-from support import make_drive
+from support import make_drive, no_pictures
 
 TEXTS: dict[str, bytes] = {
     "empty": b"",
@@ -170,7 +170,8 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     for seed in (0, 1):
         tuning = tune(drive, particles=3, generations=1, seed=seed)
         tuning.save(root / f"{seed}.toml")
-        save_evaluation(evaluate(drive, tuning.parameters), root / str(seed), root / f"{seed}.toml")
+        with no_pictures():
+            save_evaluation(evaluate(drive, tuning.parameters), root / str(seed), root / f"{seed}.toml")
     return root / "0", root / "1"
 
 
@@ -333,6 +334,7 @@ def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
         read_report(tmp_path / "a")
 
 
+@pytest.mark.usefixtures("unpainted")
 @pytest.mark.parametrize(
     "fails_at", ["comparison.md", "comparison.png", "comparison.csv", "runs.csv", "curves.csv"]
 )

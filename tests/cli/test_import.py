@@ -26,7 +26,7 @@ Command = Callable[..., Any]
 
 def simulated() -> Drive:
     """A simulated drive with fixes in degrees and all of their columns."""
-    drive = library.simulate("urban", run=3, duration=40.0, gps="white-1m")
+    drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     fixes = len(drive.gps)
     lat, lon, alt = enu_to_geodetic(np.column_stack([drive.gps.x, drive.gps.y, np.zeros(fixes)]), ORIGIN).T
     rng = np.random.default_rng(0)
@@ -280,7 +280,7 @@ def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
 
 
 def test_what_was_read_from_which_column_is_said_without_show(sigmaswarm: Command, here: Path):
-    drive = library.simulate("urban", run=3, duration=40.0, gps="white-1m")
+    drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     log = Path("log")
     log.mkdir()
     imu = np.column_stack(

@@ -68,7 +68,9 @@ def test_the_estimate_is_that_of_least_squares_with_truth(model: str):
 @pytest.fixture(scope="module")
 def urban() -> Drive:
     """Five minutes of a good IMU: the turns show the arm."""
-    drive = sigmaswarm.simulate("urban", imu="gnss-ins-sim-mid", gps="white-1m", duration=300.0, seed=11)
+    drive = sigmaswarm.simulate(
+        "urban", imu="gnss-ins-sim-mid", gps="white-1m", duration=300.0, seed=11, imu_rate=50.0
+    )
     return planted(drive, 2.1, -0.7)
 
 
