@@ -234,7 +234,7 @@ def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tu
 
 
 def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, here: Path):
-    library.write_drive(library.simulate(duration=40.0, run=3), "blind")
+    library.write_drive(library.simulate(duration=40.0, run=3, imu_rate=50.0), "blind")
     Path("blind/truth.csv").unlink()
     ended = sigmaswarm("evaluate", tuned, "blind", "--out", "e", "--json")
     assert ended.code == 0, ended.err
