@@ -280,8 +280,8 @@ def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
 
 
 def test_run_tells_of_restarts(sigmaswarm, tuned: Path, here: Path):
-    drive = library.simulate("urban", run=1, gps="white-1m", duration=90, imu_rate=50.0)
-    off = (drive.gps.time > 30) & (drive.gps.time < 75)
+    drive = library.simulate("urban", run=1, gps="white-1m", duration=65, imu_rate=50.0)
+    off = (drive.gps.time > 30) & (drive.gps.time < 55)
     gps = replace(drive.gps, x=drive.gps.x + 300.0 * off)
     library.write_drive(replace(drive, gps=gps), "aside")
     sure = (1e-6, 1e-6, 1e-4, 1e-4, 1e-8)
