@@ -49,7 +49,7 @@ def test_every_public_name_is_there():
 
 
 def test_one_call_for_each_job_of_the_command_line(tmp_path):
-    drive = sigmaswarm.simulate("urban", duration=40, gps="white-1m")
+    drive = sigmaswarm.simulate("urban", duration=40, gps="white-1m", imu_rate=50.0)
     tuning = sigmaswarm.tune(drive, model="planar5", particles=4, generations=3, trials=1, seed=1)
     plain = sigmaswarm.run(drive, tuning)
     tuning.save(tmp_path / "tuning.toml")

@@ -30,7 +30,7 @@ from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.tuning.record import History, TuningRecord
 from sigmaswarm.tuning.store import ResultFolder, finished_trial
-from support import make_drive
+from support import make_drive, no_pictures
 
 TEXTS: dict[str, bytes] = {
     "empty": b"",
@@ -166,11 +166,12 @@ def test_a_kill_between_two_files_is_undone_by_the_next_run(killed_at: int, tmp_
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two evaluations of one drive, by two tunings."""
-    root, drive = tmp_path_factory.mktemp("evaluations"), make_drive(duration=20.0)
+    root, drive = tmp_path_factory.mktemp("evaluations"), make_drive(duration=20.0, imu_rate=50.0)
     for seed in (0, 1):
         tuning = tune(drive, particles=3, generations=1, seed=seed)
         tuning.save(root / f"{seed}.toml")
-        save_evaluation(evaluate(drive, tuning.parameters), root / str(seed), root / f"{seed}.toml")
+        with no_pictures():
+            save_evaluation(evaluate(drive, tuning.parameters), root / str(seed), root / f"{seed}.toml")
     return root / "0", root / "1"
 
 
@@ -226,7 +227,10 @@ SHAPES = {
 @pytest.mark.parametrize("how", SHAPES)
 @pytest.mark.parametrize("name", ["first.positions", "first.members", "best", "global_best"])
 def test_a_checkpoint_of_another_shape_is_named(name: str, how: str, tmp_path: Path):
-    drive, options = make_drive(duration=20.0), {"particles": 4, "generations": 3, "optimizer": "de"}
+    drive, options = (
+        make_drive(duration=20.0, imu_rate=50.0),
+        {"particles": 4, "generations": 3, "optimizer": "de"},
+    )
 
     def stop(progress: object) -> None:
         raise KeyboardInterrupt
@@ -312,7 +316,7 @@ def test_a_damaged_filter_is_one_line(how: str, tmp_path: Path):
     "how", ["another tuning", "fewer trials", "more trials", "other costs", "a cut table"]
 )
 def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
-    drive, options = make_drive(duration=20.0), {"particles": 3, "generations": 2, "trials": 2}
+    drive, options = make_drive(duration=20.0, imu_rate=50.0), {"particles": 3, "generations": 2, "trials": 2}
     file = tmp_path / "a" / "convergence.csv"
     History.of(tune(drive, out=tmp_path / "a", **options).trials).save(file)
     read_report(tmp_path / "a")
@@ -333,6 +337,7 @@ def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
         read_report(tmp_path / "a")
 
 
+@pytest.mark.usefixtures("unpainted")
 @pytest.mark.parametrize(
     "fails_at", ["comparison.md", "comparison.png", "comparison.csv", "runs.csv", "curves.csv"]
 )
@@ -360,7 +365,7 @@ def test_a_comparison_over_an_older_one_is_whole(
 @pytest.fixture(scope="module")
 def compared() -> Comparison:
     """Two optimizers on a short drive."""
-    drive = make_drive(duration=20.0)
+    drive = make_drive(duration=20.0, imu_rate=50.0)
     return compare(drive, optimizers=("pso", "de"), seeds=2, particles=3, generations=2, model="planar5")
 
 

@@ -60,7 +60,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two simulated drives."""
     folder = tmp_path_factory.mktemp("cli") / "drives"
     for run in range(2):
-        drive = simulate("urban", run=run, duration=40.0, gps="white-1m")
+        drive = simulate("urban", run=run, duration=40.0, imu_rate=50.0, gps="white-1m")
         write_drive(drive, folder / drive.name)
     return folder
 
@@ -69,7 +69,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of filter parameters."""
     path = tmp_path_factory.mktemp("tuned") / "tuning.toml"
-    FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0), nominal_interval=0.01).save(
+    FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0), nominal_interval=0.02).save(
         path
     )
     return path

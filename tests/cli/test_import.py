@@ -26,13 +26,19 @@ Command = Callable[..., Any]
 
 def simulated() -> Drive:
     """A simulated drive with fixes in degrees and all of their columns."""
-    drive = library.simulate("urban", run=3, duration=40.0, gps="white-1m")
+    drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     fixes = len(drive.gps)
     lat, lon, alt = enu_to_geodetic(np.column_stack([drive.gps.x, drive.gps.y, np.zeros(fixes)]), ORIGIN).T
     rng = np.random.default_rng(0)
     std, motion = rng.uniform(0.5, 2.0, (2, fixes)), (rng.uniform(3, 14, fixes), rng.uniform(-3, 3, fixes))
     gps = Gps(drive.gps.time, drive.gps.x, drive.gps.y, lat, lon, alt, *std, *motion)
     return Drive("bagged", drive.imu, gps, drive.truth, "wgs84", ORIGIN)
+
+
+@pytest.fixture(scope="module")
+def bagged(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """An MCAP file, written once."""
+    return write_mcap(tmp_path_factory.mktemp("bagged") / "log.mcap", messages(a_drive())).read_bytes()
 
 
 def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, tuned: Path):
@@ -104,12 +110,12 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "monday" in ended.out
 
 
-def test_show_writes_nothing_and_its_recipe_can_be_used(sigmaswarm: Command, here: Path):
-    write_mcap(here / "log.mcap", messages(a_drive()))
+def test_show_writes_nothing_and_its_recipe_can_be_used(sigmaswarm: Command, here: Path, bagged: bytes):
+    (here / "log.mcap").write_bytes(bagged)
     ended = sigmaswarm("import", "log.mcap", "--show")
     assert ended.code == 0, ended.err
     for said in (
-        "/imu/data: sensor_msgs/msg/Imu, 1201 rows, 100 Hz",
+        "/imu/data: sensor_msgs/msg/Imu, 601 rows, 100 Hz",
         "linear_acceleration.x",
         "[[imu]]",
         "latitude",
@@ -121,13 +127,13 @@ def test_show_writes_nothing_and_its_recipe_can_be_used(sigmaswarm: Command, her
     first = sigmaswarm("import", "log.mcap", "--out", "a")
     second = sigmaswarm("import", "log.mcap", "--out", "b", "--recipe", "recipe.toml", "--json")
     assert first.code == second.code == 0
-    assert json.loads(second.out)["fixes"] == 60
+    assert json.loads(second.out)["fixes"] == 30
     for file in ("imu.csv", "gps.csv", "truth.csv"):
         assert (here / "a" / file).read_bytes() == (here / "b" / file).read_bytes()
 
 
-def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
-    write_mcap(here / "log.mcap", messages(a_drive()))
+def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes):
+    (here / "log.mcap").write_bytes(bagged)
     ended = sigmaswarm(
         *(
             "import",
@@ -173,9 +179,11 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
         (("cut.mcap", "--out", "out"), "cut.mcap: is cut short or broken"),
     ],
 )
-def test_mistakes_are_one_line(sigmaswarm: Command, here: Path, arguments: tuple[str, ...], said: str):
-    write_mcap(here / "log.mcap", messages(a_drive()))
-    (here / "cut.mcap").write_bytes((here / "log.mcap").read_bytes()[:100_000])
+def test_mistakes_are_one_line(
+    sigmaswarm: Command, here: Path, bagged: bytes, arguments: tuple[str, ...], said: str
+):
+    (here / "log.mcap").write_bytes(bagged)
+    (here / "cut.mcap").write_bytes(bagged[: len(bagged) // 2])
     (here / "notes.md").write_text("# notes\n")
     (here / "full").mkdir()
     (here / "full" / "thesis.txt").write_text("precious")
@@ -280,7 +288,7 @@ def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
 
 
 def test_what_was_read_from_which_column_is_said_without_show(sigmaswarm: Command, here: Path):
-    drive = library.simulate("urban", run=3, duration=40.0, gps="white-1m")
+    drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     log = Path("log")
     log.mkdir()
     imu = np.column_stack(

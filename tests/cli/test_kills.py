@@ -10,15 +10,19 @@ from pathlib import Path
 
 import pytest
 
-from processes import COMMAND, Process, run
+from processes import Process, run
 from sigmaswarm import FilterParameters, evaluate, files, read_drive
 from sigmaswarm.reports.evaluation import save_evaluation
 from support import quickly
 
-pytestmark = pytest.mark.usefixtures("painted")  # the same bytes in processes of their own
-
-DYING = """
-import os, signal, sys
+COMMAND = """
+from sigmaswarm.cli import main
+from support import no_pictures
+with no_pictures():  # the same bytes as in the tests' own process
+    main()
+"""
+DYING = (
+    """import os, signal, sys
 sync, left = os.fsync, [int(sys.argv.pop(1))]
 def dying(handle):
     left[0] -= 1
@@ -26,9 +30,9 @@ def dying(handle):
         os.kill(os.getpid(), signal.SIGKILL)
     sync(handle)
 os.fsync = dying
-from sigmaswarm.cli import main
-main()
 """
+    + COMMAND
+)
 COMMANDS: dict[str, tuple[str, ...]] = {
     "run": ("run", "{tuned}", "{drive}", "--out", "out/e.csv"),
     "run-bag": ("run", "{tuned}", "{drive}", "--out", "out/e.ros2"),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from processes import COMMAND, run
+from processes import COMMAND, Process, run
 from sigmaswarm.drives.writer import write_drive
 from support import make_drive, quickly
 
@@ -90,15 +90,13 @@ def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: 
 def test_an_interrupt_says_how_to_go_on(tmp_path: Path):
     write_drive(make_drive(duration=40), tmp_path / "drive")
     command = ["tune", tmp_path / "drive", "--out", tmp_path / "t", "--generations", 100000]
-    with subprocess.Popen(
-        [sys.executable, "-c", COMMAND, *map(str, command)], stderr=subprocess.PIPE, text=True
-    ) as process:
-        deadline = time.monotonic() + 120
-        while not (tmp_path / "t" / "checkpoint-000.npz").exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
+    process = Process(COMMAND, command)
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "t" / "checkpoint-000.npz").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.kill(signal.SIGINT)
+    err = process.communicate()[1]
+    assert process.wait() == 130
     assert err.splitlines()[-1] == "sigmaswarm: interrupted; repeat the command with --resume to continue"
     assert "Traceback" not in err

@@ -11,9 +11,11 @@ from sigmaswarm.simulation import simulate
 
 
 def test_it_writes_a_drive_with_truth(sigmaswarm: Command, here: Path):
-    cheap = replace(simulate("urban", gps="white-1m", duration=40.0), truth=None)
+    cheap = replace(simulate("urban", gps="white-1m", duration=40.0, imu_rate=50.0), truth=None)
     write_drive(cheap, here / "cheap")
-    write_drive(replace(simulate("urban", gps="f9p-rtk", duration=40.0), truth=None), here / "rtk")
+    write_drive(
+        replace(simulate("urban", gps="f9p-rtk", duration=40.0, imu_rate=50.0), truth=None), here / "rtk"
+    )
     asked = ("reference", "cheap", "--fixes", "rtk", "--out", "made", "--lever-arm", "0,0,0")
     done = sigmaswarm(*asked)
     assert done.code == 0, done.err

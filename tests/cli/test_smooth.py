@@ -70,7 +70,7 @@ def test_its_scores_are_those_of_the_estimates(drives: Path, tuned: Path, with_t
     for seed in placements(drive, ready.initial, length=4.0, seed=0):
         windows = outage_windows(drive, ready.initial, length=4.0, seed=seed)
         seen = replace(drive, gps=drive.gps.select(~hidden_fixes(drive.gps.time, windows)))
-        estimate = smooth(seen, replace(p, nominal_interval=0.01), initial=ready.initial)
+        estimate = smooth(seen, replace(p, nominal_interval=0.02), initial=ready.initial)
         ends = windows[:, 1]
         if drive.truth is not None:
             x, y = truth_at(drive.truth, ends)

@@ -93,7 +93,7 @@ def test_ideal_sensors_give_a_drive_that_is_read_back(
 def test_import_proposes_the_cut_of_a_log_whose_imu_was_moved(
     sigmaswarm: Command, tmp_path, monkeypatch
 ) -> None:
-    drive = simulate("urban", duration=150.0, imu="icm-20602", gps="white-1m", run=4)
+    drive = simulate("urban", duration=150.0, imu_rate=50.0, imu="icm-20602", gps="white-1m", run=4)
     tilted = turned(drive.imu, Rotation.from_euler("y", 40, degrees=True).as_matrix())
     late = drive.imu.time > 80
     names = ("ax", "ay", "az", "gx", "gy", "gz")

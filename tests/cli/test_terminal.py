@@ -92,12 +92,11 @@ def test_a_long_error_is_cut_in_the_middle(sigmaswarm):
     "environment",
     quickly(
         [
-            ({"PYTHONIOENCODING": "ascii"},),
+            ({"PYTHONIOENCODING": "ascii", "COLUMNS": "0"},),
             ({"PYTHONIOENCODING": "latin-1"},),
-            ({"COLUMNS": "0"},),
             ({"COLUMNS": "1"},),
         ],
-        lambda environment: environment in ({"PYTHONIOENCODING": "ascii"}, {"COLUMNS": "0"}),
+        lambda environment: "0" in environment.values(),
     ),
     ids=str,
 )

@@ -26,6 +26,7 @@ MEMS = {
 }
 """Simulated drives through a town."""
 REAL = ["kitti-09-30-0033", "kitti-09-26-0101", "kitti-09-26-0022", "colorado-1", "kingston-1", "comma2k19"]
+QUICK = {*zip([*MEMS, *MEMS], ["cruise", "turns", "accelerate", "brake", "outages", "urban"], strict=True)}
 UNSEEN = {
     ("colorado-1", "0.2 s late"),  # its own fixes are about 0.1 s early by its truth, which hides half of it
     (
@@ -37,7 +38,7 @@ UNSEEN = {
 
 
 @cache
-def simulated(name: str, duration: float = 90.0) -> Drive:
+def simulated(name: str, duration: float = 60.0) -> Drive:
     return sigmaswarm.simulate("urban", duration=duration, **MEMS[name])
 
 
@@ -74,9 +75,7 @@ def test_a_planted_fault_is_named(name: str, fault: str):
     ("name", "fault"),
     quickly(
         product(["kitti-09-30-0033", "colorado-1", "comma2k19"], FAULTS),
-        lambda name, fault: (
-            name == "colorado-1" and fault in ("yaw-flipped", "axes-swapped", "gravity", "stated x 10")
-        ),
+        lambda name, fault: name == "colorado-1" and fault in ("axes-swapped", "stated x 10"),
     ),
 )
 def test_a_fault_planted_in_a_recording_is_named(name: str, fault: str):
@@ -106,7 +105,7 @@ def test_a_good_recording_raises_no_alarm(name: str):
     ("sensors", "maneuver"),
     quickly(
         product(MEMS, ["cruise", "turns", "accelerate", "brake", "outages", "urban"]),
-        lambda sensors, maneuver: sensors == "mpu-6050" or maneuver == "urban",
+        lambda sensors, maneuver: (sensors, maneuver) in QUICK,
     ),
 )
 def test_a_good_simulated_drive_raises_no_alarm(maneuver: str, sensors: str):
@@ -210,7 +209,7 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
 @pytest.mark.parametrize(
     ("maneuver", "runs"),
     quickly(
-        [("turns", 3), ("urban", 3), ("cruise", 1), *product(["turns", "urban", "cruise"], [8])],
+        [("turns", 2), ("urban", 2), ("cruise", 1), *product(["turns", "urban", "cruise"], [8])],
         lambda _, runs: runs < 8,
     ),
 )
@@ -362,7 +361,7 @@ def test_the_options_follow_from_the_log():
     x[200] += 40.0
     outlier = replace(drive, gps=replace(drive.gps, x=x))
     assert found_of(outlier, "use") == f"{six}1 fix lies far off the path; {tilts}"
-    for std in (8.0, 12.0, 30.0):
+    for std in (8.0, 30.0):
         assert found_of(states(drive, np.full(n, std)), "use") == six + tilts + lasting
 
 
@@ -455,7 +454,7 @@ def test_a_pause_in_a_real_log_is_no_jump():
 
 def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     module = import_module("sigmaswarm.doctor.diagnose")
-    drive = make_drive(duration=40.0)
+    drive = make_drive(duration=30.0, imu_rate=50.0)
     found = sigmaswarm.diagnose(drive)
     assert sigmaswarm.diagnose(drive) is found
     assert sigmaswarm.diagnose(replace(drive, name="other")).drive == "other"
@@ -486,7 +485,7 @@ def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float
 
 
 @pytest.mark.parametrize(
-    ("speed", "radius"), quickly([(8, 20), (2, 3), (20, -100)], lambda speed, radius: speed < 20)
+    ("speed", "radius"), quickly([(8, 20), (2, 3), (20, -100)], lambda speed, radius: speed == 8)
 )
 def test_steady_circles_show_no_gravity_no_unit_and_no_rotation(speed: float, radius: float):
     rng, t = np.random.default_rng(0), np.arange(0, 100, 0.02)

@@ -129,13 +129,13 @@ def test_no_two_different_real_drives_overlap():
 def test_simulated_drives_of_one_seed_are_different_drives():
     """Runs of a maneuver follow one road at nearly one speed; environments share it to the last bit."""
     drives = [
-        simulate(maneuver, environment=environment, run=run, gps="white-1m")
+        simulate(maneuver, environment=environment, run=run, gps="white-1m", imu_rate=50.0)
         for maneuver in MANEUVERS
         if maneuver != "urban"
         for environment in ("clear", "night")
         for run in range(2)
     ]
-    drives += [simulate("urban", run=run, duration=60.0, gps="white-1m") for run in range(3)]
+    drives += [simulate("urban", run=run, duration=60.0, gps="white-1m", imu_rate=50.0) for run in range(3)]
     marks = [landmarks(drive) for drive in drives]
     assert not [(a.name, b.name) for a in marks for b in marks if a is not b and overlap_of(a, [b])]
     assert all(overlap_of(one, [one]).seconds > 0 for one in marks)

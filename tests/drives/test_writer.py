@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sigmaswarm.drives import checks, writer
@@ -44,6 +44,7 @@ names = st.text(st.characters(codec="utf-8", exclude_characters="/\\\n\0"), min_
 )
 
 
+@settings(max_examples=settings.default.max_examples // 3)
 @given(finite, finite, st.floats(-1e300, 1e300), names)
 def test_round_trip_keeps_any_finite_float_and_any_name(
     tmp_path_factory: pytest.TempPathFactory, a: float, b: float, start: float, name: str

@@ -50,7 +50,7 @@ from sigmaswarm.reports.page import page
 from sigmaswarm.reports.study_charts import save_study
 from support import make_drive
 
-DRIVE = make_drive(duration=40.0)
+DRIVE = make_drive(duration=20.0, imu_rate=50.0)
 SMALL: dict[str, Any] = {"model": "planar5", "objective": "truth-rmse", "particles": 4, "generations": 3}
 SMALL_STUDY = StudyConfig(
     maneuvers=("turns",), environments=("clear",), runs=2, trials=2, particles=4, generations=2

@@ -15,7 +15,7 @@ EPOCH = 1_700_000_000
 """s, when the logs of the tests begin."""
 
 
-def a_drive(duration: float = 12.0) -> Drive:
+def a_drive(duration: float = 6.0) -> Drive:
     """A drive with every column that a drive can have, fixes in degrees, and wobbling gx, gy, az."""
     plain = make_drive(duration=duration, gps_rate=5.0, seed=3, name="logged")
     rng = np.random.default_rng(5)

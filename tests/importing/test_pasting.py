@@ -50,7 +50,7 @@ def test_a_sound_log(tmp_path: Path, sigmaswarm: Command, monkeypatch: pytest.Mo
     assert len(read_drive(tmp_path / "drive").gps) > 5
 
 
-DRIVE = simulate("urban", duration=90.0, run=1, gps="white-1m")
+DRIVE = simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m")
 ODD = {
     "acc_fwd_g": DRIVE.imu.ax / G,
     "acc_right_g": -DRIVE.imu.ay / G,

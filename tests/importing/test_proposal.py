@@ -22,7 +22,7 @@ from support import quickly
 
 START = 1_700_000_000
 G = 9.80665
-DRIVE = simulate("urban", duration=90.0, run=1, gps="white-1m")
+DRIVE = simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m")
 
 
 def write_log(folder: Path, drive: Drive = DRIVE, *, clockwise: float = -1.0, right: float = -1.0) -> Path:
@@ -97,7 +97,7 @@ def test_names_that_lie_about_signs_are_corrected_by_how_the_fixes_move(tmp_path
     assert "corrected by the motion of the fixes: signs, axes and units agree" in seen.evidence
 
 
-FULL = simulate("urban", duration=90.0, run=1, gps="white-1m", terrain="hilly", vibration=1.0)
+FULL = simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m", terrain="hilly", vibration=1.0)
 ROLL, PITCH, YAW = (np.degrees(rate) for rate in (FULL.imu.gx, FULL.imu.gy, FULL.imu.gz))
 THIRD_AXES = {
     "acc_up_g": FULL.imu.az / G,
@@ -216,7 +216,7 @@ def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time
     with pytest.raises(InputError) as caught:
         import_drive(asked, "monday")
     assert f"with {time} in s, two rows of the imu are" in str(caught.value)
-    assert 'in us 0.01 s: write --time "stamp_us*1e-6"' in str(caught.value)
+    assert 'in us 0.02 s: write --time "stamp_us*1e-6"' in str(caught.value)
     drive = import_drive(replace(asked, time="stamp_us*1e-6"), "monday").drive
     assert (
         import_drive(replace(asked, time=None), "monday").drive.imu.time.tolist() == drive.imu.time.tolist()

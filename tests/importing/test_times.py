@@ -12,7 +12,7 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.timeline import unwrap
 
-DRIVE = a_drive()
+DRIVE = a_drive(12.0)
 IMU, GPS = DRIVE.imu, DRIVE.gps
 Cells = Callable[[float], str]
 

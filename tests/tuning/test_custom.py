@@ -60,6 +60,7 @@ def test_an_unknown_length_is_found(objective: str):
     options = {
         "particles": 20,
         "generations": 30,
+        "trials": 1,
         "optimizer": "pso",
         "zero_velocity_at_bounds": True,
     }
@@ -163,7 +164,7 @@ def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, generation: int
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 
 
-KILLED = {"particles": 6, "generations": 40, "seed": 8}
+KILLED = {"particles": 6, "generations": 40, "trials": 1, "seed": 8}
 PROGRAM = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parents[1])!r})

@@ -20,7 +20,7 @@ CONFIG = TuneConfig(model="planar8", kind="ekf", use=("lateral", "gate"), object
 
 @cache
 def town() -> Drive:
-    return simulate("urban", run=1, gps="white-1m", duration=150)
+    return simulate("urban", run=1, gps="white-1m", duration=150, imu_rate=50.0)
 
 
 def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():

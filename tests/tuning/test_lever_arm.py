@@ -55,7 +55,7 @@ def quiet(drive: Drive, model: str, **options: float) -> FilterParameters:
 
 @pytest.mark.parametrize("model", ["planar5", "planar8", "tilted12", "robot-localization"])
 def test_the_estimate_is_that_of_least_squares_with_truth(model: str):
-    drive = planted(make_drive(duration=150.0, seed=4), -1.5, 0.6)
+    drive = planted(make_drive(duration=150.0, seed=4, imu_rate=50.0), -1.5, 0.6)
     expected, least = by_least_squares(drive)
     found = estimate_lever_arm(drive, quiet(drive, model))
     std = np.array(found.std)
@@ -68,7 +68,9 @@ def test_the_estimate_is_that_of_least_squares_with_truth(model: str):
 @pytest.fixture(scope="module")
 def urban() -> Drive:
     """Five minutes of a good IMU: the turns show the arm."""
-    drive = sigmaswarm.simulate("urban", imu="gnss-ins-sim-mid", gps="white-1m", duration=300.0, seed=11)
+    drive = sigmaswarm.simulate(
+        "urban", imu="gnss-ins-sim-mid", gps="white-1m", duration=300.0, seed=11, imu_rate=50.0
+    )
     return planted(drive, 2.1, -0.7)
 
 
@@ -151,7 +153,7 @@ def test_a_stated_arm_is_a_prior_with_its_standard_deviation(urban: Drive):
 
 
 def test_two_drives_of_one_vehicle_show_more_than_one():
-    drives = [planted(make_drive(duration=100.0, seed=seed), 0.8, -0.3) for seed in (1, 2)]
+    drives = [planted(make_drive(duration=100.0, seed=seed, imu_rate=50.0), 0.8, -0.3) for seed in (1, 2)]
     parameters = quiet(drives[0], "planar8")
     single, other, both = (estimate_lever_arm(some, parameters) for some in (drives[0], drives[1], drives))
     assert max(both.std) < min(max(single.std), max(other.std))
@@ -159,7 +161,7 @@ def test_two_drives_of_one_vehicle_show_more_than_one():
 
 
 def test_outliers_do_not_move_it():
-    drive = planted(make_drive(duration=150.0, seed=4), -1.5, 0.6)
+    drive = planted(make_drive(duration=150.0, seed=4, imu_rate=50.0), -1.5, 0.6)
     parameters = quiet(drive, "planar8", robust_dof=4.0)
     x = drive.gps.x.copy()
     x[100::50] += 20.0

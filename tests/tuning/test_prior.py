@@ -21,7 +21,7 @@ SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
 
 @cache
 def town() -> Drive:
-    return simulate("urban", duration=60.0, gps="white-1m")
+    return simulate("urban", duration=60.0, gps="white-1m", imu_rate=50.0)
 
 
 def without_statement(drive: Drive) -> Drive:
@@ -96,7 +96,7 @@ def test_a_receiver_that_smooths_its_fixes_is_not_copied():
     assert min(held.parameters.measurement_noise) > 0.5**2
     assert [r for r in held.remarks if "states no accuracy of its fixes, so R was kept near" in r]
     assert not [r for r in copied.remarks if "R was held" in r]
-    other = simulate("urban", duration=60.0, gps="white-1m", seed=3)
+    other = simulate("urban", duration=60.0, gps="white-1m", seed=3, imu_rate=50.0)
     follows, knows = run_batch([other], [copied.parameters, held.parameters]).costs
     assert knows < 0.8 * follows
 
@@ -133,7 +133,9 @@ def test_metres_and_nats_do_not_add_up():
 
 
 def test_a_validation_is_no_matter_of_what_a_receiver_states():
-    far = replace(simulate("urban", duration=60.0, gps="white-1m", seed=4), metadata={"gps_std_m": 20.0})
+    far = replace(
+        simulate("urban", duration=60.0, gps="white-1m", seed=4, imu_rate=50.0), metadata={"gps_std_m": 20.0}
+    )
     tuning = tune(town(), objective="innovation-nll", validation=far, inflation=0.0, **SEARCH)
     assert tuning.validation is not None
     assert (

@@ -18,7 +18,7 @@ from sigmaswarm.tuning.tune import tune
 
 @cache
 def town() -> Drive:
-    return simulate("urban", duration=60.0, gps="white-1m")
+    return simulate("urban", duration=60.0, gps="white-1m", imu_rate=50.0)
 
 
 @cache

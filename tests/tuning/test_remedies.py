@@ -18,7 +18,7 @@ from support import quickly
 
 @cache
 def town() -> Drive:
-    return simulate("urban", run=2, duration=90.0, gps="white-1m")
+    return simulate("urban", run=2, duration=90.0, imu_rate=50.0, gps="white-1m")
 
 
 FEW = {"trials": 1, "particles": 12, "generations": 10}

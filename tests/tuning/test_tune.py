@@ -25,7 +25,7 @@ from sigmaswarm.tuning.space import search_space
 from sigmaswarm.tuning.tune import tune as tune_by_default
 from support import make_drive
 
-DRIVES = [make_drive(duration=25.0, seed=s, name=f"d{s}") for s in range(2)]
+DRIVES = [make_drive(duration=25.0, seed=s, name=f"d{s}", imu_rate=50.0) for s in range(2)]
 SMALL = {"particles": 6, "generations": 5}
 tune = partial(tune_by_default, model="planar5", objective="truth-rmse")
 """Of the search: the smallest filter and objective. What is taken by default has tests of its own."""
@@ -120,7 +120,7 @@ def test_parameters_stay_in_the_box_and_touched_bounds_are_told():
 
 @pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
 def test_gps_rmse_copies_the_gps_and_is_worse_against_truth():
-    drives = [simulate("urban", run=run, duration=60.0, gps="white-1m") for run in range(2)]
+    drives = [simulate("urban", run=run, duration=60.0, gps="white-1m", imu_rate=50.0) for run in range(2)]
     options = {"particles": 20, "generations": 20}
     honest, copying = (tune(drives, objective=o, **options).parameters for o in ("truth-rmse", "gps-rmse"))
     ratio = [np.mean(p.measurement_noise) / np.mean(p.process_noise[:2]) for p in (honest, copying)]
@@ -356,7 +356,7 @@ def test_an_optimizer_of_the_user_s_own_is_resumed_bit_for_bit(tmp_path: Path):
 
 
 def test_validation_drives_are_scored_but_choose_nothing():
-    training, other = DRIVES[:1], make_drive(duration=25.0, seed=9, gps_std=4.0, name="noisy")
+    training, other = DRIVES[:1], make_drive(duration=25.0, seed=9, gps_std=4.0, name="noisy", imu_rate=50.0)
     plain = tune(training, **SMALL)
     assert plain.validation is None
     assert any("of the drives it was tuned on" in remark for remark in plain.remarks)
@@ -411,9 +411,9 @@ def test_a_coefficient_of_the_swarm_is_refused_for_others(tmp_path: Path):
 
 
 def test_a_validation_drive_of_another_rate_is_run_with_the_same_noise_per_second():
-    other = make_drive(duration=25.0, seed=9, imu_rate=50.0, name="slow")
+    other = make_drive(duration=25.0, seed=9, imu_rate=25.0, name="slow")
     tuning = tune(DRIVES[:1], validation=other, **SMALL)
-    assert tuning.parameters.nominal_interval == pytest.approx(0.01)
+    assert tuning.parameters.nominal_interval == pytest.approx(0.02)
     assert tuning.validation.cost == run_batch(other, [tuning.parameters]).costs[0]
 
 
@@ -480,7 +480,7 @@ def test_patience_leaves_the_polish_to_do(tmp_path: Path):
 
 
 def test_the_worst_drives_can_count_alone():
-    drives = [DRIVES[0], make_drive(duration=25.0, seed=9, gps_std=3.0)]
+    drives = [DRIVES[0], make_drive(duration=25.0, seed=9, gps_std=3.0, imu_rate=50.0)]
     tuning = tune(drives, worst=0.5, **SMALL)
     each = [run_batch(d, [tuning.parameters]).costs[0] for d in drives]
     assert tuning.cost == max(each)

@@ -120,7 +120,7 @@ def page(report: Report) -> str:
             style=Markup(_asset("page.css")),
             script=Markup(_asset("page.js")),
             tracks=tracks and _packed(json.dumps(_view(tracks), allow_nan=False, separators=(",", ":"))),
-            plotly=tracks and _packed(_asset("plotly-basic.min.js")),
+            plotly=tracks and _plotly(),
         )
     )
 
@@ -137,6 +137,11 @@ def _environment() -> Environment:
 
 def _asset(name: str) -> str:
     return files("sigmaswarm.reports").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+@cache
+def _plotly() -> str:
+    return _packed(_asset("plotly-basic.min.js"))
 
 
 def _packed(text: str) -> str:

@@ -83,7 +83,7 @@ def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, betwee
 @everyone
 @with_and_without
 def test_a_restored_optimizer_ignores_what_its_fresh_copy_had_done(name: str, polish: int, tmp_path: Path):
-    for stop in (3, 9) if name == "bo" else range(1, 12, 2):
+    for stop in (3, 9) if name == "bo" else (2, 5, 9):
         optimizer, other = made(name, polish=polish), made(name, seed=9, polish=polish)
         generations(optimizer, most=stop)
         generations(other)  # to the end, so that its polish has begun
@@ -120,7 +120,7 @@ def test_asking_twice_is_asking_once(name: str):
     seed=st.integers(0, 2**32),
     population=st.integers(2, 12),
     dimensions=st.integers(1, 6),
-    budget=st.integers(3, 120),
+    budget=st.integers(3, 60),
     polished=st.sampled_from([0.0, 0.5]),
     corner=st.floats(-1e3, 1e3),
     width=st.floats(1e-6, 1e3),
