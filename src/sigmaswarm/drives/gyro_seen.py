@@ -33,7 +33,7 @@ MOST_BIAS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class GyroSeen:
-    """Evidence of one alignment on the gyro bias, or of several: see `together`.
+    """Evidence about the gyro bias from one alignment, or from several: see `together`.
 
     ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; the variance is infinite where
     nothing is known. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is

@@ -128,7 +128,9 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     spreads = [one.spread for one in found if one.spread]
     stated = bool(found) and len(spreads) == len(found)
     look_wrong = all(len(one.axes) == 6 for one in found)
-    reasons = ["az, gx or gy of the IMU look wrong" if look_wrong else "an IMU without az, gx and gy"]
+    reasons = [
+        "az does not show gravity, or gx or gy is constant" if look_wrong else "an IMU without az, gx and gy"
+    ]
     if six:
         reasons = ["six IMU axes"]
     if wheels:

@@ -222,10 +222,11 @@ def _clear(block: Array) -> None:
 
 @cached
 def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
-    """Return True if the acceleration is as at the beginning of the stop, at a moment of calm and constant fixes.
+    """Return True if the acceleration still agrees with that at the beginning of the stop.
 
-    ``stop`` (2,) is the stop's ax, ay, changed in place; ``passed`` (s) is the time since the last such moment.
-    ``means`` (4,) are those of ax, ay over the last second, then over the last quarter of it, m/s2.
+    The function is called when the IMU is calm and the fixes are constant. ``stop`` (2,) is the stop's ax, ay, changed
+    in place; ``passed`` (s) is the time since the last such moment. ``means`` (4,) are those of ax, ay over the last
+    second, then over the last quarter of it, m/s2.
     """
     if not passed <= FORGETS:
         stop[0] = means[0]

@@ -10,7 +10,8 @@ Three presets, planar5 UKFs, represent manual settings:
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 
-A tuning is compared with a filter of the same model and options with usual noises: ``baseline(drive, like=tuned)``.
+A tuning is compared with a filter of the same model and options with typical noise parameters: ``baseline(drive,
+like=tuned)``.
 """
 
 from collections.abc import Collection, Mapping

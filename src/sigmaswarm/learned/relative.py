@@ -1,8 +1,8 @@
 """Update a filter with a displacement between two moments.
 
 A displacement measures motion, not position. A fix at the last position plus the displacement would add the error of
-the last position again at each update. So the measurement also depends on the state at its begin, as in stochastic
-cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
+the last position again at each update. So the measurement also depends on the state at the start of the displacement,
+as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 

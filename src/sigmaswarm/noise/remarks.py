@@ -18,17 +18,17 @@ LONG = 1800.0
 LONG_TREND = 300.0
 """Shortest stretch whose trend is tested, s."""
 STATIC = 0.95
-"""Share of a static log that is at rest."""
+"""Share of a log at rest below which a remark states that the log is not static."""
 UNLIKELY = 0.1
 """Relative error of gravity above which the unit is doubtful."""
 ROUGH_GYRO = 3e-3
 """rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise above that of any sensor of a vehicle in rad/s, but usual in deg/s."""
 MANY = 30.0
-"""Smallest number of averages of an accurate Allan deviation."""
+"""Smallest number of averaging intervals (duration / tau) for an accurate Allan deviation."""
 MISFIT = 1.5
 """Ratio of the Allan deviation to the model, or its inverse, from which a misfit is reported."""
 TREND = 4.0
-"""Standard deviations by which a trend exceeds the fitted processes."""
+"""Ratio of a trend to its standard deviation under the fitted processes, above which the trend is reported."""
 COARSE = 0.5
 """Ratio of quantization step to deviation above which an axis is reported."""
 

@@ -41,7 +41,7 @@ TERMS = {
     "outage drift": "position error at the end of a time without fixes, RMS over all outages",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
-    "baseline": "the tuned filter's model with usual noises, not tuned",
+    "baseline": "the tuned filter's model with typical noise parameters, not tuned",
     "fixes alone": "a constant-velocity filter without the IMU",
     "raw GPS": "the receiver's fixes, without a filter",
     "IMU only": "the filter without fixes after its start",

@@ -41,8 +41,8 @@ AWAY = {
 """Measures of other drives and of learning curves."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
-    "One value per drive, the mean over its trials; drives on which one of the two failed are left out; 95% "
-    "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
+    "One value per drive, the mean over its trials; drives on which either compared method failed are left out; "
+    "95% intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
     "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it covers the mean of "

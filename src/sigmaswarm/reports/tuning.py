@@ -185,7 +185,7 @@ def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
 
 
 def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
-    """Return the search name, value, unit and density of every parameter of the filter."""
+    """Return the name, value, unit and density of every parameter of the filter."""
     names = {
         "process_noise": [f"q_{state}" for state in file.units.get("states", [])],
         "measurement_noise": ["r_x", "r_y"],

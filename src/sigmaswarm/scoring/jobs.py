@@ -76,7 +76,7 @@ def run_jobs(
 ) -> list[Result]:
     """Call a function with each tuple of arguments, in ``executor`` or, without one, in this thread.
 
-    After an exception or an interrupt no further job starts. It is raised after the running jobs end.
+    After an exception or an interrupt no further job starts. The exception is raised after the running jobs end.
     """
     if executor is None:
         return [function(*job) for job in jobs]

@@ -42,7 +42,10 @@ class Guard:
             refusal = PlainTextResponse("403: the address needs the workbench's token", 403)
             await refusal(scope, receive, send)
         elif int(headers.get(b"content-length", "0") or 0) > MOST_UPLOADED:
-            refusal = PlainTextResponse("413: more than 2 GB; name the log on the command line", 413)
+            refusal = PlainTextResponse(
+                "413: the upload is larger than 2 GB; name the log on the command line: sigmaswarm workbench LOG",
+                413,
+            )
             await refusal(scope, receive, send)
         else:
             await self.app(scope, self._bounded(receive), self._with_headers(send))

@@ -24,7 +24,8 @@ STANDS = 1.0
 STEP = 2.0
 """Interval over which changes of speed are compared with ax, s."""
 CLEAR, LEAST = 3.0, 0.4
-"""Smallest slope of the changes of speed on ax that shows a direction: in deviations, and its size."""
+"""Smallest slope in the regression of speed changes on the integral of ax that distinguishes forward from reverse: in
+standard deviations of the slope, and as an absolute value."""
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:

@@ -189,7 +189,10 @@ class StudentT:
 
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """Inflate the part of P that a fix observes until it explains ``size`` (m2), nu^T nu; return the innovation."""
+    """Inflate the part of P that a fix observes until the trace of S is at least ``size``; return the innovation.
+
+    ``size``, m2, is a squared innovation nu^T nu.
+    """
     cross, covariance = innovation.cross, filter.covariance
     seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))
