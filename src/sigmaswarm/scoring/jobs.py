@@ -1,7 +1,7 @@
 """Jobs of a batch: each runs some of the replays with some of the parameter sets.
 
-A kernel runs up to `most_lanes` parameter sets at once; with fewer, each of them takes more time. Therefore jobs have
-this size, except where workers would be idle at the end.
+A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time. Therefore jobs have
+`most_lanes` sets, except where workers would be idle at the end.
 """
 
 import os

@@ -86,7 +86,9 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
         listening.bind((HOST, port))
         listening.listen()
     except OSError as error:
-        raise InputError(f"--port {port}: {error.strerror or error}; leave it out, or name another") from None
+        raise InputError(
+            f"--port {port}: {error.strerror or error}; omit --port, or give another port"
+        ) from None
     token, port = secrets.token_urlsafe(24), listening.getsockname()[1]
     app, frame = FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Frame(bench)
     frame.register()
