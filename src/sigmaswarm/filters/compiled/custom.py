@@ -215,7 +215,7 @@ def _absorb(mean, covariance, nu, s, cross, root):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return whether all numbers of both are finite: zero times anything else is NaN."""
+    """Return whether all numbers of both arrays are finite: zero times any other number is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]
