@@ -348,7 +348,7 @@ def test_the_options_follow_from_the_log():
     assert found_of(planar, "use") == "tune takes --model planar8 --use lateral standstill robust"
     varied = states(drive, rng.uniform(0.5, 2.0, n))
     assert found_of(varied, "use").startswith(
-        "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated deviations"
+        "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated standard deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
     lasting = "; without truth also fix-error, since the fixes differ by less than the receiver's error"

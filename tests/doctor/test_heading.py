@@ -42,7 +42,7 @@ def with_column(heading: Array, std: Array | None = None) -> Drive:
 def test_a_good_heading_has_no_finding_and_is_recommended():
     found = {f.code: f.what for f in diagnose(good()).findings}
     assert not any(code.startswith("heading") for code in found)
-    assert found["use"].endswith("you may add heading to --use: the fixes have one")
+    assert found["use"].endswith("you may add heading to --use: the fixes have a heading")
 
 
 @pytest.mark.parametrize("name", FAULTS)

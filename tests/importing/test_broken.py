@@ -314,7 +314,9 @@ def test_times_beyond_64_bits_are_left_out(tmp_path: Path, system: str):
     lines[21] = "9" * 30 + "," + lines[21].partition(",")[2]
     (folder / "Gyroscope.csv").write_text("\n".join(lines))
     got = imported(folder)
-    assert any("2 rows of Gyroscope.csv without a time left out" in note for note in got.notes), got.notes
+    assert any("left out 2 rows of Gyroscope.csv, which have no time" in note for note in got.notes), (
+        got.notes
+    )
     np.testing.assert_allclose(got.drive.imu.ax, IMU.ax, atol=1e-9)
     assert look(Request(folder)).tables
 
@@ -330,7 +332,7 @@ def test_times_of_px4_beyond_64_bits_are_left_out(tmp_path: Path):
         data[at : at + 8] = struct.pack("<Q", 2**64 - 7)
     (tmp_path / "f.ulg").write_bytes(data)
     got = imported(tmp_path / "f.ulg")
-    assert any("without a time left out" in note for note in got.notes)
+    assert any("which have no time" in note for note in got.notes)
     np.testing.assert_array_equal(got.drive.imu.ax, np.delete(whole.imu.ax, 50))
     assert look(Request(tmp_path / "f.ulg")).tables
 

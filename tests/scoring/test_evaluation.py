@@ -239,7 +239,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     assert Evaluation(
         {"town": Evaluated(others | {"fixes_alone": sheet, "tuned": good})}
     ).worse_than_untuned == (
-        "the tuned filter is worse in 1 of 4 measures than a filter of the fixes alone: heading error "
+        "the tuned filter is worse in 1 of 4 measures than the filter that uses only the fixes: heading error "
         "0.4 deg against 0.3 deg",
     )
     farther = replace(sheet, position_rmse=0.4)

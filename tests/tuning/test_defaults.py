@@ -67,7 +67,10 @@ def test_the_rule_is_what_the_log_has():
 )
 def test_six_columns_are_not_always_six_axes(up: float, turning: float):
     assert chosen(six(PLAIN, up, turning))[0] == "planar8"
-    assert suggest_filter([six(PLAIN, up, turning)]).because == "az, gx or gy of the IMU look wrong"
+    assert (
+        suggest_filter([six(PLAIN, up, turning)]).because
+        == "az does not show gravity, or gx or gy is constant"
+    )
 
 
 def test_of_several_drives_what_all_have_counts():

@@ -43,7 +43,7 @@ def with_r(std: float):
     ("std", "noise", "said"),
     [
         (0.05, FixNoise(1.8, 0.1), "corresponds to 0.05 m per axis, and the receiver states 1.8 m"),
-        (0.05, FixNoise(NONE, 1.0), "scatter by 1 m about a path that the IMU can follow"),
+        (0.05, FixNoise(NONE, 1.0), "scatter by 1 m about a path that is consistent with the IMU"),
         (
             0.9,
             FixNoise(1.8, 0.1),
@@ -83,7 +83,7 @@ def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
     """Where the receiver states nothing, no log shows whether it smooths or is precise."""
     p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
-    assert said.startswith("TO DO: write the receiver's deviation")
+    assert said.startswith("TO DO: write the standard deviation of the receiver's fixes")
     assert "modeled as correlated, 2.1 m per axis" in said
     assert noise_warnings(p, [FixNoise(2.0, 0.1)]) == noise_warnings(p, [FixNoise(np.nan, 1.0)]) == []
 

@@ -91,7 +91,7 @@ def reference(
     )
     if about["stretched"] > 1:
         say(
-            f"hidden fixes had larger errors than the smoother's standard deviations, which were multiplied by "
+            f"the errors at hidden fixes exceeded the smoother's standard deviations, so these were multiplied by "
             f"{about['stretched']:.2g}"
         )
     say(f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out tuned")

@@ -147,7 +147,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
     yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
-        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the steps without racing"
+        yield f"racing: {tuning.steps} filter steps, {share:.0%} of those that the evaluations take without racing"
     if tuning.validation:
         gap = tuning.validation.gap
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
@@ -196,6 +196,7 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
     train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
     return [
         _evaluate(out),
-        f"one log?  this filter was tuned on all of it: sigmaswarm split {quote(str(folder))} --out parts",
+        "only one log? this filter was tuned on all of it; for a test on unused data:",
+        f"          sigmaswarm split {quote(str(folder))} --out parts",
         f"          then tune on {train}, and evaluate on {test}",
     ]

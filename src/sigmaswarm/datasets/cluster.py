@@ -86,7 +86,7 @@ class Cluster:
                 if theirs.get(name) != own[name] and address not in found:
                     found[address] = ClusterError(
                         f"worker {address}: has {name} {theirs.get(name)}, this machine {own[name]}; results would "
-                        "differ, so install the same on both"
+                        "differ, so install the same version on both"
                     )
         return found
 

@@ -1,8 +1,9 @@
 """A dataset on the workers of a Dask cluster: each worker reads its drives once and caches them.
 
 A call is one task per worker with the function, its arguments and the keys of the drives. Each result depends on one
-drive alone, so the distribution of the drives does not change it. Tasks are bound to their workers: if one is lost, its
-drives are assigned to others, which read them, and only its tasks run again. New workers get their share.
+drive alone, so the distribution of the drives does not change it. Tasks are bound to their workers: if a worker is
+lost, its drives are assigned to other workers, which read these drives, and only the lost tasks run again. New workers
+get their share.
 """
 
 import threading
@@ -26,14 +27,14 @@ from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
-"""Called with the number of drives read so far, and of all drives."""
+"""Function that is called with the number of drives read so far, and the number of all drives."""
 
 POLL_INTERVAL = 2.0
 """Time between two requests to the scheduler for its workers, s."""
 MOST_RETRIES = 3
-"""Number of rounds that end without an answer by the loss of workers, after which the drives are the likely cause."""
+"""Number of rounds without an answer, due to lost workers, after which the drives are the likely cause."""
 DRIVES_SHOWN = 10
-"""Drives in one message."""
+"""Largest number of drives that a message names."""
 
 
 class Assignment:
@@ -66,7 +67,7 @@ class Assignment:
             while not (present := self._usable_workers()):
                 if not waited:
                     what = "no worker is left" if self.workers else "there is no worker yet"
-                    message = f"{what} at {self.cluster.address}: waiting for one"
+                    message = f"{what} at {self.cluster.address}: waiting for a worker"
                     warnings.warn(message, SigmaswarmWarning, stacklevel=2)
                 waited = True
                 time.sleep(POLL_INTERVAL / 4)
@@ -88,7 +89,7 @@ class Assignment:
             if not self.workers:
                 raise error
             self._refused.add(address)
-            warnings.warn(f"{error}; it gets no tasks", SigmaswarmWarning, stacklevel=2)
+            warnings.warn(f"{error}; this worker gets no tasks", SigmaswarmWarning, stacklevel=2)
         return {address: threads for address, threads in present.items() if address not in self._refused}
 
     def submit(self, worker: str, call: bytes, drives: Sequence[int], *, with_sources: bool = False) -> Any:
@@ -223,7 +224,7 @@ def remote_dataset(
     Raises
     ------
     DriveError
-        Naming all drives that can't be read.
+        If drives can't be read; the message names all of them.
     ClusterError
         If a worker has other versions, or its drives don't fit into its memory.
     """
@@ -271,7 +272,7 @@ def remote_datasets(
 
 
 def source_of(drive: Drive | Location) -> Source:
-    """Make the source of a drive, path or URL. Paths become absolute: workers may run in other folders."""
+    """Make the source of a drive, a path or a URL. Paths become absolute: workers may run in other folders."""
     if isinstance(drive, Drive):
         return partial(_with_no_warnings, drive)
     return partial(read_with_warnings, drive if is_url(drive) else Path(drive).absolute())

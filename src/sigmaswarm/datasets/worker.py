@@ -17,11 +17,11 @@ Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 """A picklable function that returns a drive and its warnings."""
 
 USABLE_MEMORY = 0.8
-"""Share of a worker's memory: Dask pauses a worker above it."""
+"""Usable share of a worker's memory; above this share Dask pauses the worker."""
 BASE_MEMORY = 350e6
-"""Bytes of a worker without drives: interpreter, Numba, polars."""
+"""Memory of a worker without drives (interpreter, Numba, polars), bytes."""
 BYTES_PER_COLUMN_BYTE = 3.3
-"""Memory of a prepared drive per byte of its columns; with truth and two passes, `benchmarks/fleet.py`."""
+"""Memory of a prepared drive per byte of its columns, measured with truth and two passes by `benchmarks/fleet.py`."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class CachedDrive:
 
     @property
     def size(self) -> float:
-        """Estimated bytes of the drive with all that is prepared from it."""
+        """Estimated size of the drive and of all data prepared from it, bytes."""
         drive = self.drive
         tables = (drive.imu, drive.gps, drive.truth, drive.odometer)
         columns = [c for table in tables if table is not None for c in vars(table).values() if c is not None]
@@ -73,7 +73,7 @@ class DriveCache:
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
-        """Return drives by key and read those that are missing; None if a source is needed for that.
+        """Return drives by key, and read missing drives; None if this requires a source that the worker does not have.
 
         Raises
         ------
@@ -114,7 +114,7 @@ def in_gb(size: float) -> str:
 
 
 _caches: dict[str, DriveCache] = {}
-"""Caches by address of the worker; a process has several workers only in a cluster of threads."""
+"""Caches by the address of the worker; a process has several workers only in a cluster of threads."""
 _caches_lock = threading.Lock()
 
 

@@ -4,8 +4,8 @@ Within a window of some seconds the path is that of the IMU, integrated from an 
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
-observed ``late`` s later. theta is known from course and gyro; M (2, 2) and ``late`` are the same in all
-windows, p0, v0 and b (tilt, slope, bias) belong to each; b lies about a mean of all windows, which is fitted too. For a
+observed ``late`` s later. theta is known from course and gyro; M (2, 2) and ``late`` are the same in all windows, p0,
+v0 and b (tilt, slope, bias) belong to one window; b scatters about a mean of all windows, which is fitted, too. For a
 good log M is the identity.
 """
 
@@ -23,17 +23,17 @@ from sigmaswarm.drives.sensors import white_noise
 WINDOW = 10.0
 """Length of a window, s: long enough for accelerations, short enough for constant tilt and slope."""
 BIAS_SPREAD = (0.1, 0.5)
-"""Bounds of the spread of tilt, slope and bias between windows, m/s2."""
+"""Bounds of the standard deviation of tilt, slope and bias between windows, m/s2."""
 FEW = 8.0
-"""Number of windows at which the few windows double the variances."""
+"""Number of windows for which the covariance is doubled; the factor is 1 + FEW / number."""
 LEAST_NOISE = 0.03
-"""Smallest standard deviation of the IMU's path over some seconds, m."""
+"""Smallest standard deviation assumed for the IMU's path over some seconds, m."""
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)
 """Delays of the fixes to try, s."""
 DRIFT_SPAN = 6.0
 BIN = 3.0
-"""Deviation of the Gaussian over which gyro and course are aligned, and length of its bins, s."""
+"""Standard deviation of the Gaussian with which gyro and course are aligned, and length of the bins, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class AccelerationFit:
     matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
     covariance: Array  # (5, 5), of M's rows, one after the other, and of `late`
     late: float  # s, by which the fixes are late
-    bias_std: Array  # (2,) m/s2, deviation of the mean bias; steady circles do not distinguish it from M
+    bias_std: Array  # (2,) m/s2, standard deviation of the mean bias, which steady circles do not distinguish from M
     bias: Array  # (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
     rows: NDArray[np.intp]  # (k, n), the fixes of each window
     residual: Complex  # (k, n) m, east + i north
@@ -78,7 +78,10 @@ def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
 
 
 def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
-    """Return the correction of the gyro's rate by the course, minus its bias, rad/s. Parameters as of `heading_of`."""
+    """Return the correction of the gyro's rate that the course requires, rad/s: the negative of its bias.
+
+    Parameters as in `heading_of`.
+    """
     _, off = _off_course(time, course, rate, late)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:

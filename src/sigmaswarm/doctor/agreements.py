@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
 
 FEWEST = 8
-"""Number of fixes from which a course is computed."""
+"""Smallest number of fixes for which a course is computed."""
 SLOWEST = 1.0
 """Lowest speed at which a course is shown, m/s."""
 SPAN = 2.0
@@ -28,7 +28,7 @@ FINDINGS = {
     "speed": ("speed", "velocity", "odometer"),
     "course": ("course",),
 }
-"""First words of the codes of the findings that each agreement shows."""
+"""Beginnings of the codes of the findings that each agreement shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,10 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """Compare the integral of gz with the course. Each piece between two stops is shifted: only its shape counts."""
+    """Compare the integral of gz with the course.
+
+    Each piece between two stops is shifted, since only its shape matters.
+    """
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

@@ -16,12 +16,13 @@ NEAR = 4.0
 SPAN = 5.0
 """Interval over which turns are compared, s."""
 LEAST, CLEARLY = 0.8, 0.15
-"""Share of the turns that an offset must explain, and its smallest lead over any other offset."""
+"""Share of the turns that an offset must explain, and smallest lead of this share over that of any other offset."""
 FEWER = 4.0
-"""An offset is also significant if every other one leaves this many times more unexplained: turns may repeat."""
+"""Alternative to the lead: factor by which any other offset leaves a larger share of the turns unexplained. Turns may
+repeat, so other offsets may explain a large share."""
 FEWEST = 20
 LEAST_TURN = 0.15
-"""Smallest RMS change of a course within `SPAN` that shows an offset, rad."""
+"""RMS change of the course within `SPAN` below which no offset is searched, rad."""
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:

@@ -18,15 +18,16 @@ from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
 
 SEARCHED = 2.3
-"""Smallest distance of a usable offset from the bounds of the fit, s."""
+"""Offset, s, above which the fit is not used, since the tried delays end at 2.5 s."""
 USUAL = 1.0
-"""Largest usual delay of a receiver, s. A larger offset is accepted only where the search finds no other."""
+"""Largest usual delay of a receiver, s. A larger offset is accepted only if the search finds no other offset."""
 AS_RECORDED = Yaw(known=True)
-"""The yaw rate as recorded. Another column, sign or unit is accepted only where no offset explains the data."""
+"""The yaw rate as recorded. Another column, sign or unit is accepted only if no offset explains the data."""
 FEWEST = 20
 """Number of fixes below which only the checks that need no motion run."""
 KEPT = 256
-"""Number of drives whose scatter stays in memory: a tuning uses it after the diagnosis, and in each repetition."""
+"""Largest number of drives whose scatter is kept in memory: a tuning uses the scatter after the diagnosis, and in each
+repetition."""
 _scatters: dict[str, float] = {}
 
 
@@ -69,7 +70,7 @@ def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
     If the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first, up to
-    40 s. The times of the fixes are corrected by it before axes are checked.
+    40 s. The times of the fixes are corrected by this offset before axes are checked.
     """
     evidence = _read(drive)
     for old in list(_scatters)[: len(_scatters) + 1 - KEPT]:
@@ -148,7 +149,9 @@ def _spread(v: Complex) -> float:
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
     """Return the indices, among the used fixes, of those far from the IMU's path in every window."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
-    off = size > 0.2 + 4 * float(np.quantile(size, 0.9))  # m; of Gaussian noise that is 8.6 deviations
+    off = size > 0.2 + 4 * float(
+        np.quantile(size, 0.9)
+    )  # m; for Gaussian noise this is 8.6 standard deviations
     times, far = (
         np.bincount(rows.ravel(), minlength=count) for rows in (acceleration.rows, acceleration.rows[off])
     )

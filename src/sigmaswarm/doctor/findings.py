@@ -90,7 +90,7 @@ class Diagnosis:
         The drive's name.
     findings : tuple of Finding
     visible_clock_offset : float or None
-        s: the smallest offset between the clocks of IMU and GPS that would have been seen; None if none would.
+        s: the smallest offset between the clocks of IMU and GPS that would have been detected; None if no offset would.
     """
 
     drive: str
@@ -118,11 +118,11 @@ class Diagnosis:
 
 
 _HIGHEST_CONFIDENCE = 0.999
-"""Limit of a confidence: a log may have faults that no check considers."""
+"""Largest confidence: a log may have faults that no check considers."""
 
 
 def confidence_of(deviations: float) -> float:
-    """Return the confidence, 0 to 1, in a value that differs by a number of standard deviations."""
+    """Return the confidence, 0 to 1, that a value differs, from the difference in standard deviations."""
     return round(min(math.erf(abs(deviations) / math.sqrt(2)), _HIGHEST_CONFIDENCE), 3)
 
 

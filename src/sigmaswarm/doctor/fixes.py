@@ -12,15 +12,15 @@ from sigmaswarm.drives.sensors import white_noise
 Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3
-"""Fixes on each side that predict the one between them."""
+"""Number of fixes on each side that predict the fix between them."""
 HARDEST = 8.0
-"""Largest acceleration of a car, m/s2; its effect between fixes is not a jump."""
+"""Largest acceleration of a car, m/s2; a displacement that it explains is not a jump."""
 SPAN = (3.0, 6.0)
-"""Shortest and longest duration of the fixes for one velocity, s."""
+"""Shortest and longest duration of the fixes from which one velocity is computed, s."""
 SPEED_STD = 0.5
-"""Standard deviation of the velocity, m/s, that white noise of the fixes may cause; it sets the duration."""
+"""Standard deviation of the velocity due to white noise of the fixes, m/s, for which the duration is chosen."""
 SLOWEST = 3.0
-"""Lowest speed with a course, m/s; at lower speeds it is noise."""
+"""Speed above which the course is used, m/s; at lower speeds the course is noise."""
 USUAL_SHARE = 0.5
 """Share of a slow vehicle's usual speed above which the course is used, if the fixes are accurate enough."""
 
@@ -44,7 +44,7 @@ def jumps(time: Array, position: Complex) -> Mask:
     kept = np.arange(len(time))
     for _ in range(
         20
-    ):  # one at a time, the worst of its neighbors: a jump distorts its neighbors' lines, too
+    ):  # one jump at a time, the largest among its neighbors: a jump also distorts the neighbors' lines
         off = np.abs(_off_line(time[kept], position[kept]))
         limit = 12 * float(np.median(off)) + 0.5 * HARDEST * (NEIGHBORS * np.gradient(time[kept])) ** 2
         worst = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(

@@ -24,29 +24,30 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive, Imu
 
 ROUNDS = 12
-"""Most rounds: few need more than six, but those would end up to a degree before their limit."""
+"""Largest number of rounds. Few logs need more than six; with only six, these logs would be wrong by up to a degree."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
-"""Largest total deviation, rad, of a mounting that is sure, and of one that is likely."""
+"""Largest total standard deviation, rad, of a mounting with confidence "sure", and with confidence "likely"."""
 LEAST_SHARE = 0.5
 """Smallest share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
-"""Smallest lead in chi-square over any mounting that is rotated by 90 degrees or more."""
+"""Smallest lead in chi-square of a mounting over any mounting that is rotated by 90 degrees or more."""
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-"""Smallest uncertainty of the axis of turning (springs) and of gravity (roads, biases), rad."""
+"""Smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases), rad."""
 YAW_FLOOR = math.radians(0.8)
 TRAVEL_FLOOR = math.radians(0.8)
-"""Smallest uncertainty of the direction of travel (slip, suspension), rad."""
+"""Smallest standard deviation of the direction of travel (slip, suspension), rad."""
 ALIKE = 0.025
-"""Tolerance of an entry of M, for slip and for tilt in maneuvers."""
+"""Tolerance of an entry of M, which covers slip, and tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
 """Window over which the axis of turning is fitted, s."""
 LEANS = 0.5
-"""Smallest agreement of the body's leaning with springs at which accelerometers count as reversed."""
+"""Agreement of the body's leaning with springs, -1 to 1, above which accelerometers count as reversed."""
 WANDERS = math.radians(8.0)
-"""Change of gravity between windows from which the mounting is not constant, rad."""
+"""Change of gravity's direction between windows above which the mounting is not constant, rad."""
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
-"""Smallest rotation of the mounting that is used, rad, and in standard deviations."""
+"""Smallest tilt and smallest rotation about z that are corrected, rad, and smallest ratio of a rotation to its standard
+deviation."""
 SERIOUS = math.radians(7.0)
 AXES = [
     m
@@ -68,7 +69,7 @@ class Mounting:
 
     @property
     def needed(self) -> bool:
-        """True if the rotation is known, and larger than its deviation and a tolerance."""
+        """True if the rotation is known, and larger than a tolerance and a multiple of its standard deviation."""
         return self.confidence != "no" and not np.array_equal(self.repair, np.eye(3))
 
     @property
@@ -99,7 +100,7 @@ class Mounting:
 class _Round:
     """Result of one round on the rotated axes; angles in rad, margins in chi-square.
 
-    ``margin``: lead over axes turned by 90 degrees or more; ``mirrored``: that of a mirror image of the accelerations.
+    ``margin``: lead over axes turned by 90 degrees or more; ``mirrored``: lead of a mirror image of the accelerations.
     """
 
     yaw_fit: YawFit
@@ -161,7 +162,8 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 def _leaning(imu: Imu) -> Array:
     """Return how clearly the body leans out of turns, and back while the car gains speed, each from -1 to 1.
 
-    Springs do both. With a reversed axis one is negative, although turns and accelerations agree with the fixes.
+    On springs the body does both. With a reversed axis one of the values is negative, although turns and accelerations
+    agree with the fixes.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
 
@@ -186,7 +188,7 @@ def level(imu: Imu) -> Array:
 
 
 def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
-    """Convert the IMU to m/s2 and rad/s, by the size of gravity and the turns of the course; None without six axes.
+    """Convert the IMU to m/s2 and rad/s, from the size of gravity and the turns of the course; None without six axes.
 
     Also return the fit of the levelled yaw rate.
     """
@@ -209,7 +211,7 @@ def _converged(
 ) -> tuple[Array, _Round | None]:
     """Rotate the levelled axes in rounds until the rotation is zero; return the rotation and the last round.
 
-    ``yaw_fit``: that of the levelled yaw rate, if it is known.
+    ``yaw_fit``: fit of the levelled yaw rate, if this fit is known.
     """
     rotation, seen = level(imu), None
     for _ in range(ROUNDS):
@@ -257,7 +259,7 @@ def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | 
 
 
 def _mean(*estimates: tuple[float, float]) -> tuple[float, float]:
-    """Return the weighted mean of independent estimates, and its deviation."""
+    """Return the weighted mean of independent estimates, and its standard deviation."""
     weight = np.array([1 / std**2 for _, std in estimates])
     return float(weight @ [value for value, _ in estimates] / weight.sum()), 1 / math.sqrt(weight.sum())
 
@@ -273,11 +275,11 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 
 
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
-    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, their deviations, and the spread.
+    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, standard deviations, and the spread.
 
-    Gravity is the part of the accelerations that no motion explains; the axis of turning is where the integrals of gx
-    and gy follow that of gz. Both are vertical, with independent errors: the result is
-    their mean, weighted by the inverse variances.
+    Gravity is the part of the accelerations that no motion explains; about the axis of turning, the integrals of gx and
+    gy follow that of gz. Both directions are vertical, with independent errors: the result is their mean, weighted by
+    the inverse variances.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)
@@ -292,7 +294,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
     """Fit the slopes (2,) of the integrals of gx and gy on that of gz within windows, minus straight lines.
 
-    Also return their deviations.
+    Also return their standard deviations.
     """
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)

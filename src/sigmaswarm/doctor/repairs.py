@@ -24,14 +24,14 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     Parameters
     ----------
     drive : Drive
-        The one that was diagnosed.
+        The drive that was diagnosed.
     diagnosis : Diagnosis
         Of it.
 
     Returns
     -------
     Drive
-        Under the same name; ``repaired`` in its metadata lists the findings that were repaired.
+        A drive of the same name; ``repaired`` in its metadata lists the findings that were repaired.
     """
     found = [(f.code, f.repair) for f in diagnosis.findings if f.repair is not None]
     if not found:
@@ -68,7 +68,7 @@ def _rotate(drive: Drive, *rotation: float) -> Drive:
 
 
 def _gyro(drive: Drive, column: float, factor: float) -> Drive:
-    """Use a column (0, 1, 2: gx, gy, gz) times a factor as gz; multiply the others by the factor's magnitude."""
+    """Use a column (0, 1, 2: gx, gy, gz) times a factor as gz; multiply the other columns by the factor's magnitude."""
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
@@ -102,7 +102,7 @@ def _level(drive: Drive, x: float, y: float) -> Drive:
 
 
 def _state_noise(drive: Drive, std: float) -> Drive:
-    """Scale the stated deviations so that their median is ``std``, m per axis."""
+    """Scale the stated standard deviations so that their median is ``std``, m per axis."""
     x, y = drive.gps.std_x, drive.gps.std_y
     if x is not None and y is not None:
         factor = std / float(np.median(np.concatenate([x, y])))
@@ -171,4 +171,5 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
-"""Actions in their order: rows are identified by recorded times, fixes by times after a correction of the clock."""
+"""Actions in the order of their application: rows are identified by recorded times, fixes by times after a correction
+of the clock."""

@@ -5,7 +5,7 @@ A car's velocity lies along its x axis e. In the axes that the IMU has at the st
     velocity = C (speed e + rate x lever) = v0 + g t + integral of C force
 
 C is the gyro's integral, to first order in roll and pitch; speed is that of the fixes. Each window has its own v0 and g
-(gravity, slope, bias). The components across e do not contain the speed's errors: they have the larger weight.
+(gravity, slope, bias). The components across e do not contain the errors of the speed, so they have the larger weight.
 """
 
 from typing import Any
@@ -21,15 +21,16 @@ from sigmaswarm.drives.drive import Array, Imu
 WINDOW, DEGREE = 20.0, 2
 """Duration of a window, s, and degree of its polynomial in time."""
 FORWARD = 4.0
-"""Ratio of the deviations of the velocity along and across the direction of travel."""
+"""Ratio of the standard deviations of the velocity along and across the direction of travel."""
 LEAST_STRAIGHT = 0.5
-"""Smallest ratio of the mean velocity to the speed, in the sharpest turns."""
+"""Smallest assumed ratio of the mean velocity to the speed; sharper turns would have a smaller ratio."""
 
 
 def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
-    """Fit the slopes (2,) of the direction of travel to the left and up, in nearly aligned axes, with their deviations.
+    """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
 
-    None if no window is usable. ``late`` is the delay of the fixes, s.
+    The axes are nearly aligned with the vehicle. The result is None if no window is
+    usable. ``late`` is the delay of the fixes, s.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:

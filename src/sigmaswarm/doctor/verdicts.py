@@ -14,33 +14,36 @@ from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
 FAMILIAR = 1.35
-"""Largest deviation of a factor from a known one (1, -1, deg/s) that counts as the known one."""
+"""Largest ratio of a factor to a known factor (1, -1, deg/s), or inverse ratio, at which the factor counts as the known
+one."""
 LEAST_SHARE = 0.2
 """Smallest share of the course's changes that a gyro's column must explain, unless the gain is CERTAIN."""
 LEAST_TURN = 0.05
-"""Smallest RMS change of the course within 20 s that shows a mounting, rad.
+"""RMS change of the course within 20 s above which the course shows the mounting, rad.
 
-Below it a yaw rate other than as recorded must be CERTAIN, or explain LARGE_SHARE of the course's changes: the course
-of a car that only sways is mostly noise.
+Below this limit a yaw rate other than as recorded must be CERTAIN, or explain LARGE_SHARE of the course's changes: the
+course of a car that only sways is mostly noise.
 """
 LARGE_SHARE = 0.5
 CERTAIN = 12.0
-"""Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
+"""Ratio of the gain to its standard deviation above which the gain is certain, even if it explains a small share of the
+course's changes: in a city, or with outliers, errors of the fixes cause most changes."""
 CLEARLY = 16.0
-"""Smallest lead in chi-square of another interpretation over the log as it is, and largest chi-square of a log in g.
+"""Smallest lead in chi-square of another interpretation over the log as recorded, and largest chi-square of a log in g.
 
-In steady circles forces barely exceed the noise of their windows, and show no unit. Logs in g have 4.
+In steady circles forces barely exceed the noise of their windows, and show no unit. Logs in g have a chi-square of 4.
 """
 ALIKE = 0.05
-"""Tolerance of the entries of M off the diagonal, for slip and for tilt in maneuvers."""
+"""Tolerance of the entries of M off the diagonal, which covers slip, and tilt in maneuvers."""
 SCALE = 0.12
 """Tolerance of the entries on the diagonal: roll and pitch of the body add 5 to 10% to the acceleration."""
 SHOWN = 0.25
-"""Largest deviation of an entry of M that the drive shows."""
+"""Standard deviation of an entry of M below which the drive shows this entry."""
 LEAST_OFFSET = 0.1
-"""Offset between the clocks, s, below which a receiver's noise hides it."""
+"""Offset between the clocks, s, below which no offset is reported, since the receiver's noise hides it."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
-"""Standard deviations from which an offset is a note, a warning with a repair, and serious."""
+"""Ratios of an offset to its standard deviation above which the offset is a note, is a warning with a repair, and is
+serious."""
 MOUNTED = math.radians(40)
 """Rotation above which axes count as exchanged, rad."""
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
@@ -56,7 +59,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find the column, sign and unit of the gyro that agree with the course; if unclear, those of the format."""
+    """Find the column, sign and unit of the gyro that agree with the course; if unclear, return those of the format."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
@@ -79,7 +82,7 @@ class Mount:
     known: tuple[bool, bool]  # (forward, left): True if the drive shows that axis
     scale: tuple[
         tuple[float, float], tuple[float, float]
-    ]  # (forward, left): remaining factor, and its deviation
+    ]  # (forward, left): remaining factor, and its standard deviation
 
     @property
     def matrix(self) -> Array:
@@ -154,7 +157,7 @@ class ClockOffset:
 
     @property
     def visible(self) -> float | None:
-        """Return the smallest offset, s, that would have been seen with a probability of 95%; None if there is none."""
+        """Return the smallest offset, s, that would be detected with a probability of 95%; None if there is none."""
         offset = self.least + 1.65 * self.std
         return offset if offset < self.searched else None
 
@@ -169,11 +172,11 @@ class ClockOffset:
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
 ) -> ClockOffset:
-    """Combine the delays of accelerometers and gyro; the deviation grows with their disagreement."""
+    """Combine the delays of accelerometers and gyro; the standard deviation grows with their disagreement."""
     found: list[tuple[float, float]] = []
     searched = float(acceleration_fit.LATENESS[-1])
     if acceleration is not None and mount is not None:
-        # The delay and its deviation, given M: the conditional Gaussian of the fit.
+        # The delay and its standard deviation, given M: the conditional Gaussian of the fit.
         (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance
         gain = np.linalg.solve(covariance[:4, :4] + slack, covariance[:4, 4])

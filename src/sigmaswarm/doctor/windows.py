@@ -14,7 +14,7 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 Values = TypeVar("Values", Array, Complex)
 
 FAR = 4.0
-"""Scale of the Cauchy weights, in units of the usual residual."""
+"""Scale of the Cauchy weights, in units of the mean residual."""
 _NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
 _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
@@ -113,8 +113,8 @@ def _solve(
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, n, k) and the residuals (w, n).
 
-    It is that of white residuals, but at least that of the windows' disagreement (the sandwich of White, 1980, with
-    windows as clusters); doubled, since each fix is in two windows.
+    The result is the covariance for white residuals, but at least that of the windows' disagreement (the sandwich of
+    White, 1980, with windows as clusters). It is doubled, since each fix is in two windows.
     """
     inverse = np.linalg.pinv(np.einsum("wnk,wnl->kl", a, a), rcond=1e-12, hermitian=True)
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

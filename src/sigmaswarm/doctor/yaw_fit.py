@@ -11,16 +11,16 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0
-"""Windows, s, long enough for turns, and short enough that the integral of a gyro's bias is a straight line."""
+"""Length of a window, s: long enough for turns, and short enough that the integral of a gyro's bias is a straight
+line."""
 EXPLAINED = 0.7
-"""Share of the course's changes from which a column is the right one, and others are not tried."""
+"""Share of the course's changes that gz must explain so that no other column is tried."""
 CLEARLY_BETTER = 0.3
-"""Smallest share of the course's changes that another column must explain in addition."""
+"""Share of the course's changes that another column must explain in addition to the share of gz."""
 AHEAD = (0.8, 0.8)
-"""Mean and deviation of the distance of the antenna ahead of the rear axle, m.
+"""Mean and standard deviation of the distance of the antenna ahead of the rear axle, m.
 
-The rear axle does not slide sideways. At the antenna the course turns earlier than the car,
-by the distance between the two.
+The rear axle does not slide sideways. At the antenna the course turns before the car does, by this distance.
 """
 LATENESS = np.arange(-2.5, 2.51, 0.1)
 """Delays of the fixes to try, s."""

@@ -4,8 +4,8 @@ The heading of a car is not observable at standstill, and a GPS fix has none. On
 course over ground shows the heading; the gyro corrects it for turns and the accelerometer for changes of speed.
 `initial_state` fits the last seconds of fixes (`alignment_fit`).
 
-The effect of the gyro's bias is stored separately (`gyro_seen`). The bias is subtracted, and the fit repeated, only if
-the fixes contradict a gyro without bias.
+The effect of the gyro's bias is stored separately (`gyro_seen`). The bias is subtracted, and the fit is repeated, only
+if the fixes contradict a gyro without bias.
 """
 
 from dataclasses import dataclass
@@ -23,39 +23,45 @@ from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
 MIN_DURATION, MAX_DURATION = 4.0, 6.0
-"""Time from the first to the last fix of an alignment, s; the gyro's bias accumulates, so older fixes hardly help."""
+"""Shortest and longest time from the first to the last fix of an alignment, s. The gyro's bias accumulates, so older
+fixes hardly improve the fit."""
 MIN_TRAVEL = 20.0
-"""Forward travel in that time, m, for an accurate heading; it needs 12 km/h."""
+"""Smallest forward travel within `MAX_DURATION`, m, for an accurate heading; this requires 12 km/h."""
 FEWEST_FIXES = 4
-"""Least number of fixes in that time; one fix every 3 s is not enough."""
+"""Smallest number of fixes within `MAX_DURATION`; one fix every 3 s is not enough."""
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL
-"""Distance between the first and the last of these fixes, m: a cheap test before the fit."""
+"""Smallest distance between the first and the last fix of an alignment, m: a cheap test before the fit."""
 MAX_MISFIT = 0.3
-"""Largest residual as a share of the travel; larger ones are jumps of the fixes."""
+"""Largest residual of an alignment, as a share of the travel; larger residuals are jumps of the fixes."""
 MAX_HEADING_STD = np.radians(6.0)
-"""Largest standard deviation of an alignment's heading, rad; beyond it the next fix is tried."""
+"""Largest standard deviation of an alignment's heading, rad; above this limit the alignment at the next fix is
+tried."""
 REFITS = 3
-"""Number of repeated fits, after which the gyro bias has converged."""
+"""Number of repetitions of the fit, after which the gyro bias has converged."""
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """Longer windows, s, for a drive that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
-"""Least travel in such a window, m, and mean speed, m/s; the fixes of a parked receiver drift less."""
+"""Smallest travel in a window of `SLOW_DURATIONS`, m, and smallest mean speed, m/s; the fixes of a parked receiver
+drift less."""
 SLOW_CHORD = 1.5 * MIN_TRAVEL
-"""Distance between fixes within `MAX_DURATION`, m, from which a drive is not slow."""
+"""Smallest distance between two fixes within `MAX_DURATION`, m, at which a drive is not slow."""
 SLOW_HEADING_STD = np.radians(12.0)
-"""Largest standard deviation of the heading in such a window, including the effect of the gyro's bias, rad."""
+"""Largest standard deviation of the heading in a window of `SLOW_DURATIONS`, including the effect of the gyro's bias,
+rad."""
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
-"""Least number of fixes; least interval between them, s (errors of closer ones are alike); s between tried windows."""
+"""In windows of `SLOW_DURATIONS`: smallest number of fixes; smallest interval between the fixes that are used, s
+(errors of closer fixes are alike); time between two windows that are tried, s."""
 SLOW_BIAS_STD = np.radians(1.0)
-"""rad/s: prior of the gyro's bias in such a window."""
+"""Standard deviation of the prior of the gyro's bias in a window of `SLOW_DURATIONS`, rad/s."""
 
 STATED_HEADING_STD = np.radians(5.0)
-"""Smallest standard deviation of a stated heading, rad."""
+"""Smallest standard deviation that is assumed for a stated heading, rad."""
 MOST_STATED_STD = np.radians(12.0)
 """Largest stated standard deviation of a fix's heading with which a filter starts, rad."""
 STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
-"""Standard deviations of a start with a stated heading: m per axis; m/s forward and to the left, speed unknown."""
+"""Standard deviations of a start with a stated heading and unknown speed: position, m per axis; speed forward and to
+the left, m/s."""
 
 
 @dataclass(frozen=True)

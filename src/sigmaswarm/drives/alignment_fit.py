@@ -19,15 +19,15 @@ from sigmaswarm.geodesy import wrap_angle
 
 Complex = NDArray[np.complex128]
 Way = Complex
-"""Motion from each fix to the last one by the IMU, (3, f), in the body frame at the last one: per m/s of speed there
-(s), per m/s2 of tilt and bias (s2), and by the accelerometer (m)."""
+"""Motion from each fix to the last one according to the IMU, (3, f), in the body frame at the last fix: the part per
+m/s of speed there (s), the part per m/s2 of tilt and bias (s2), and the part due to the accelerometer (m)."""
 
 SLIP_STD = np.radians(1.0)
 """Standard deviation of the angle between course and heading at the IMU in ordinary driving, rad."""
 ACCELERATION_BIAS_STD = 0.5
-"""Standard deviation of the prior of b, m/s2."""
+"""Standard deviation of the prior of b (tilt and bias), m/s2."""
 MIN_POSITION_STD = 0.05
-"""Smallest standard deviation of the fixes in a fit, m per axis."""
+"""Smallest standard deviation that is assumed for the fixes in a fit, m per axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class InitialState:
     time : float
         s: time of the last fix used. Filters and scores start here.
     gyro : GyroSeen or None
-        Evidence on the gyro's bias, for filters that estimate it. None: they start with 0.
+        Evidence about the gyro's bias, for filters that estimate the bias. None: these filters start with 0.
     """
 
     mean: Array
@@ -57,7 +57,8 @@ class Fit:
     """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
     ``taken`` is the gyro bias (rad/s) that was subtracted, ``yaw_bias`` the estimated one, with standard deviation
-    ``yaw_std``, or ``bias_std`` by the fit alone, rad/s; ``turns`` is the change of the unknowns per rad/s of bias.
+    ``yaw_std``, or ``bias_std`` according to the fit alone, rad/s; ``turns`` is the change of the unknowns per rad/s of
+    bias.
     """
 
     time: float
@@ -91,7 +92,7 @@ class Fit:
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
         grid = np.concatenate([[time[0]], imu.time[inside], [end]])
         psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
-        # after the last sample before the last fix, a filter on board has no newer one: it is repeated
+        # after the last sample before the last fix, a filter on board has no newer sample: the last one is repeated
         last = int(np.searchsorted(imu.time, end, side="right")) - 1
         psi[-1] = turned[last] + imu.gz[last] * (end - imu.time[last])
         gained[-1] = sped[last] + imu.ax[last] * (end - imu.time[last])
@@ -115,7 +116,7 @@ class Fit:
         change[2] -= -1j * since * arm
         coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
         fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
-        # part of a turn may be taken for bias, which no fit shows; the square of a NumPy float may be inf
+        # part of a turn may be mistaken for bias, which no fit shows; the square of a NumPy float may be inf
         turn = np.float64(np.ptp(psi - fit.yaw_bias * grid)) / fit.span
         std = float(np.sqrt(fit.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
         return replace(fit, yaw_std=std)
@@ -130,7 +131,10 @@ class Fit:
     def _solve(
         cls, end: float, position: Complex, seen: Way, change: Way, span: float, coasting: float, taken: float
     ) -> "Fit":
-        """Solve for east, north, theta, v, b (Gauss-Newton); ``change`` is the path's derivative by the gyro's bias."""
+        """Solve for east, north, theta, v, b (Gauss-Newton).
+
+        ``change`` is the derivative of the path with respect to the gyro's bias.
+        """
         g, t = seen[0], seen[1]
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]

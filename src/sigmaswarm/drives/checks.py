@@ -15,7 +15,7 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.wording import counted
 
 FEWEST_SAMPLES, FEWEST_FIXES = 100, 10
-"""Least number of IMU samples of a drive, and of fixes within the IMU's time."""
+"""Smallest number of IMU samples of a drive, and of fixes within the IMU's time."""
 IMU_GAP = (10.0, 0.1)
 """An IMU interval is a gap if it exceeds both this many usual intervals and this many s."""
 GPS_GAP = (5.0, 2.0)
@@ -23,17 +23,18 @@ GPS_GAP = (5.0, 2.0)
 GRAVITY = 9.80665
 """Standard gravity, m/s2."""
 IMPOSSIBLE_RATE = 3.0
-"""rad/s: no car turns by half a turn in a second."""
+"""Yaw rate above which the unit is wrong, rad/s: no car makes half a turn in a second."""
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Per s."""
+"""Time units other than the second: number of each unit per second."""
 _SLOWEST = (2.0, 60.0)
-"""Intervals between samples and between fixes, s; longer ones suggest another unit."""
+"""Largest intervals between samples and between fixes, s; longer intervals suggest another unit."""
 _USUAL = (0.5, 20.0)
-"""Longest intervals in the right unit, s."""
+"""Largest intervals between samples and between fixes in the right unit, s."""
 _JUMP = 3600.0
 """Interval above which a time stamp is corrupt or the clock was set, s."""
 _WINDOW = 5.0
-"""Time over which fixes determine speed and course, s: long enough for noise of meters, short enough for turns."""
+"""Time over which speed and course are computed from the fixes, s: long enough for noise of meters, short enough for
+turns."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for times in ms, us or ns: of one sensor, by the durations, or of both, by their rates."""
+    """Check for times in ms, us or ns: of one sensor, from the durations, or of both sensors, from the rates."""
     lasts = float(np.ptp(imu)), float(np.ptp(gps))
     if min(lasts) <= 0:
         return None
@@ -208,11 +209,11 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Return the motion over consecutive windows by the fixes, and the integral of an IMU column.
+    """Return the motion over consecutive windows according to the fixes, and the integral of an IMU column.
 
     The first array is the mean velocity (k,), m/s east + i north. From the middle of each window to that of the next
     are the integral of ``body_rate`` and the change of course, rad, (k - 1,). Windows without fixes are left out, which
-    limits their number.
+    limits the number of windows.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

@@ -116,7 +116,7 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
 
 
 def place_on_plane(gps: dict[str, Array], origin: Origin | None) -> Origin:
-    """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) they refer to."""
+    """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) of x and y."""
     if origin is None:
         altitude = float(gps["alt"][0]) if "alt" in gps else 0.0
         origin = float(gps["lat"][0]), float(gps["lon"][0]), altitude

@@ -114,7 +114,7 @@ class Drive:
 
     @property
     def nominal_interval(self) -> float:
-        """The median time between IMU samples, s: the step that process noise refers to."""
+        """The median time between IMU samples, s: the step to which the process noise refers."""
         return float(np.median(np.diff(self.imu.time)))
 
     @property

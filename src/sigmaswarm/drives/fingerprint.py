@@ -12,7 +12,7 @@ START_RULE = (
     "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster); of a slower drive, "
     "10 m or more in up to 90 s; with a stated heading, the first fix that has one, if it is earlier"
 )
-"""Description of the start by `alignment`, `DriveRecord.scored_from_s`, for messages and pages."""
+"""Description of the start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
 
 
 class DriveRecord(BaseModel):
@@ -25,13 +25,13 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     sha256: str = ""
     truth_share: float | None = None
-    """Share of the scored time of an evaluated drive in which truth is known."""
+    """Share of an evaluated drive's scored time in which truth is known."""
     scored_from_s: float | None = None
     """Time at which filters and scores of an evaluated drive start, s after the first sample."""
     seen_s: float | None = None
-    """Duration of the part of an evaluated drive that drives of the tuning contain, s."""
+    """Duration of the part of an evaluated drive that the tuning's drives contain, s."""
     seen_in: list[str] = Field(default_factory=list)
-    """The names of those drives."""
+    """Names of the tuning's drives that contain a part of the evaluated drive."""
 
 
 def described(drive: Drive) -> dict[str, Any]:
@@ -60,6 +60,8 @@ def fingerprint(drive: Drive) -> str:
             if column is not None:
                 digest.update(name.encode())
                 digest.update(np.ascontiguousarray(column).data)
-    if drive.odometer is not None:  # after the others: a drive without one keeps its fingerprint
+    if (
+        drive.odometer is not None
+    ):  # after the other tables: a drive without an odometer keeps its fingerprint
         digest.update(b"odometer" + drive.odometer.time.tobytes() + drive.odometer.speed.tobytes())
     return digest.hexdigest()

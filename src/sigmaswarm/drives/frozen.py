@@ -18,17 +18,18 @@ NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
 `NO_REST`; FROZEN_MOVING: by more, so that the repeat is not evidence of a standstill)."""
 
 BEFORE = 3.0
-"""Time before a fix in which a repeated fix is searched, s; the fix before is always compared."""
+"""Time before a fix within which an equal fix is searched, s; the previous fix is always compared."""
 SPEED_WINDOW = 2.5
-"""Time of the fixes that give the speed, s, at least two fixes. At 1 Hz these are three, which still show braking."""
+"""Length of the window whose fixes determine the speed, s; at least two fixes are used. At 1 Hz the window contains
+three fixes, which still show braking."""
 REST = 0.8
-"""Speed of the fixes below which the car is at rest, m/s, as `standstill.FIX_SPEED`."""
+"""Speed according to the fixes up to which the car is at rest, m/s; equal to `standstill.FIX_SPEED`."""
 NO_REST = 2.0
 """Speed above which the beginning of a repeat is not evidence of a standstill, m/s."""
 BRAKING = 4.0
-"""Hardest braking, m/s2; more in the fixes is noise."""
+"""Largest deceleration of a car, m/s2; a larger deceleration of the fixes is noise."""
 ENOUGH = 3.0
-"""Least number of new fixes that show braking; fewer show only a mean speed."""
+"""Smallest number of new fixes that show braking; fewer fixes show only a mean speed."""
 
 
 def judged(gps: Gps) -> Array:
@@ -56,12 +57,12 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix k; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has the kinds of earlier rows.
 
-    It is compared with all fixes of the seconds before, so each of two receivers is compared with itself. A run of
+    The fix is compared with all fixes of the last seconds, so each of two receivers is compared with itself. A run of
     repeats is classified once, at its first fix.
     """
     now = fixes[k, 0]
     last = k - 1
-    while last >= 0 and not fixes[last, 0] < now:  # fixes of one time are of several receivers
+    while last >= 0 and not fixes[last, 0] < now:  # fixes with equal times are from several receivers
         last -= 1
     j = last
     while j >= 0 and (j == last or fixes[j, 0] >= now - BEFORE):
@@ -78,8 +79,9 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    It is the smaller of the speed of a straight line, and of a parabola along it at that time, since a car that brakes
-    to a halt was fast a second before. It is 0 in a log that begins with repeats.
+    The result is the smaller of two speeds: that of a straight-line fit, and that of a parabola along this line at the
+    given time, since a car that brakes to a halt was fast a second before. In a log that begins with repeated fixes the
+    result is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

@@ -1,7 +1,7 @@
 """Gaps in the IMU: intervals without samples.
 
-An interval is compared with the ones before it. So a live filter finds the same gaps as a filter over a drive, at any
-rate of the IMU.
+Each interval is compared with the previous intervals. So a live filter finds the same gaps as a filter over a drive, at
+any rate of the IMU.
 """
 
 import numpy as np
@@ -10,11 +10,12 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
 MANY, SHORTEST = 5.0, 0.05
-"""A gap exceeds this many usual intervals, and this many s."""
+"""An interval is a gap if it exceeds both this many usual intervals and this many s."""
 OVER = 32.0
 """Approximate number of intervals in the mean that defines the usual one."""
 MOST = 3.0
-"""Limit of an interval in that mean, in usual intervals, so that a gap does not become usual."""
+"""Largest value of an interval in the mean of `OVER` intervals, in usual intervals, so that a gap does not become
+usual."""
 
 
 def gaps_before(time: Array) -> Array:

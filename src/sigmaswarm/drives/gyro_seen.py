@@ -1,8 +1,9 @@
 """Gyro bias from the last seconds before a start, and its use by filters.
 
-A cheap gyro may have a bias of 20 deg/s when it is turned on. Then its path curves differently from the fixes, and its
-roll angle drifts. Both measure the bias to about 1 deg/s. That is worse than the ``bias_std`` of a good gyro, so its
-start is unchanged, and far better than the prior of a cheap one.
+A cheap gyro may have a bias of 20 deg/s when it is turned on. Then the path according to the gyro curves differently
+from the fixes, and the integrated roll angle drifts. Both measure the bias to about 1 deg/s. This is less accurate than
+the ``bias_std`` of a good gyro, whose start is therefore unchanged, and far more accurate than the prior of a cheap
+gyro.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,29 +16,31 @@ from sigmaswarm.drives.tables import Array
 UP = 2
 """Index of the rate about the vertical axis."""
 CONTRADICTS = 5.0
-"""An alignment subtracts a bias about up that exceeds this many standard deviations."""
+"""Number of standard deviations above which an alignment subtracts a bias about the vertical axis."""
 STRANGE = 1e-5
-"""Prior probability of a gyro far worse than that of the tuning; five sigmas confirm it. A larger prior would increase
-the uncertainty of a good gyro: 1e-3 by 0.07 deg/s."""
+"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms this. A larger
+prior would increase the uncertainty of a good gyro: 1e-3 by 0.07 deg/s."""
 STRANGE_STD = 0.2
-"""rad/s: standard deviation of the bias of such a gyro; an uncalibrated MPU-6050 may have 20 deg/s."""
+"""Standard deviation of the bias of a gyro that is far worse than that of the tuning, rad/s; an uncalibrated MPU-6050
+may have a bias of 20 deg/s."""
 YAW_STD = np.radians(1.0)
-"""rad/s: lowest standard deviation of the bias, since the car slips and receivers smooth their fixes."""
+"""Smallest standard deviation of the bias, rad/s, since the car slips and receivers smooth their fixes."""
 TURN_SHARE = 0.3
 """Share of the mean rate of a turn that may be mistaken for bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
-"""Change of roll and pitch within some seconds, rad, such as where a road begins to climb."""
+"""Standard deviation of the change of roll and pitch within some seconds, rad, for example where a road begins to
+climb."""
 MOST_BIAS = 0.5
-"""rad/s: largest bias of a gyro; fixes that show a larger one have jumped."""
+"""Largest bias of a gyro, rad/s; fixes that show a larger bias have jumped."""
 
 
 @dataclass(frozen=True, eq=False)
 class GyroSeen:
-    """Evidence of one alignment on the gyro bias, or of several: see `together`.
+    """Evidence about the gyro bias from one alignment, or from several: see `together`.
 
     ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; the variance is infinite where
     nothing is known. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is
-    the change of x, y, vx, vy, theta per rad/s of it.
+    the change of x, y, vx, vy, theta per rad/s of bias.
     """
 
     bias: Array
@@ -46,7 +49,7 @@ class GyroSeen:
     turns: Array
 
     def beside(self, known: float) -> "GyroSeen":
-        """Return the evidence on the gyro itself, if a known bias about up, rad/s, was subtracted before."""
+        """Return the evidence about the gyro itself, if a known bias about up, rad/s, was subtracted before."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
@@ -54,10 +57,10 @@ class GyroSeen:
     def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
         """Add the evidence to a filter's states at the start, ``mean`` (..., n) and ``covariance`` (..., n, n).
 
-        The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed one. Or
-        the filter was not tuned for this gyro (`STRANGE`), and the bias may be far larger (`STRANGE_STD`). The
-        likelihood of all axes weights the two cases. ``places`` maps each axis, 0 to 2, with an estimated bias to the
-        index of this state; both arrays change in place.
+        The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed bias.
+        Otherwise the filter was not tuned for this gyro (`STRANGE`), and the bias may be far larger (`STRANGE_STD`).
+        The likelihood of all axes weights the two cases. ``places`` maps each axis, 0 to 2, with an estimated bias to
+        the index of this state; both arrays change in place.
         """
         std, axes = np.asarray(std)[..., None], [*places]
         usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))
@@ -75,7 +78,7 @@ class GyroSeen:
                 covariance[..., :5, place] = covariance[..., place, :5] = across
 
     def _measured(self, std: Array, axes: list[int]) -> tuple[Array, Array, Array]:
-        """Return biases and variances, (..., k), for a prior deviation ``std``, and its log-likelihood, (..., 1)."""
+        """Return biases and variances, (..., k), for a prior standard deviation, and its log-likelihood, (..., 1)."""
         seen, variance = self.bias[..., axes], self.variance[..., axes]
         left = std**2 / (1.0 + std**2 / variance)
         surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)

@@ -1,8 +1,8 @@
 """Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
 Errors of readings are not white (scale, quantization, tires), so the mean over a tenth of a second contains as much
-information as readings of 83 Hz, with less quantization error. It is used at an IMU sample with its age as latency.
-Slow wheels give few pulses and read zero while the car still creeps.
+information as readings of 83 Hz, with less quantization error. The mean is used at an IMU sample; its latency is the
+mean age of the readings. Slow wheels give few pulses, and the odometer reads zero while the car still creeps.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Odometer
 
 INTERVAL = 0.1
-"""Shortest time between two measurements, and age of the oldest reading in one, s."""
+"""Shortest time between two measurements, and largest age of a reading in a measurement, s."""
 SLOW = 0.5
-"""Highest speed at which the wheels may read less than that, m/s."""
+"""Speed below which the odometer may read too low, m/s; the square is added to the variance of lower readings."""
 STALE = 1.0
-"""Age above which a reading does not show if the wheels turn, s."""
+"""Age above which a reading does not show whether the wheels turn, s."""
 
 SPEED, AGE, MORE = range(3)
 """Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""
@@ -30,8 +30,8 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE; ``turn`` (k,) those at whose
-    end the wheels turn, so that the car does not stand.
+    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE; ``turn`` (k,) marks the steps
+    at whose end the wheels turn, so that the car does not stand.
     """
 
     absorbs: NDArray[np.bool_]
@@ -79,7 +79,7 @@ def _measure_all(
 
 @register_jitable
 def slot_of(t: Any, start: float, interval: float) -> Any:
-    """Return the number of the interval since the start that contains a time; each constraint is used once in it."""
+    """Return the number of the interval that contains a time; each constraint is used once per interval."""
     return np.floor((t - start) / interval + 1e-6)
 
 

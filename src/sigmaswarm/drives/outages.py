@@ -1,6 +1,6 @@
-"""Artificial GPS outages: windows of time in which fixes are hidden from a filter.
+"""Artificial GPS outages: time windows in which fixes are hidden from a filter.
 
-Windows are arrays of shape (k, 2): the start and the end of each, s.
+Windows are arrays of shape (k, 2): the start and the end of each window, s.
 """
 
 import numpy as np
@@ -10,13 +10,13 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 
 SECONDS_PER_OUTAGE = 15.0
-"""Driving time per window of ``random_windows`` without a count, s."""
+"""Driving time per window in `random_windows` if no count is given, s."""
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
     """Return a mask of the fixes (n,) s in an outage (k, 2) s, both ends included.
 
-    Drift is measured at the end of a window, before any new fix, so a fix exactly there is hidden, too.
+    Drift is measured at the end of a window, before any new fix, so a fix exactly at the end is hidden, too.
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
@@ -36,14 +36,15 @@ def random_windows(
 ) -> Array:
     """Draw outages (k, 2) between two times, s, uniformly among all placements with the required distances.
 
-    Each has the given ``length``, or one of that range. The first begins at least ``first_after`` s after the start,
-    and they are at least ``apart`` s apart. There are at most ``count``, by default one per 15 s, and at least one.
+    Each outage has the given ``length``, s, or a random length of that range. The first outage begins at least
+    ``first_after`` s after the start, and the outages are at least ``apart`` s apart. There are at most ``count``
+    outages, by default one per 15 s, but at least one.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
         raise InputError(
             f"outages of length {length} s, first_after {first_after:g} s, apart {apart:g} s can't be drawn; "
-            "use a positive length (shortest first) and distances of 0 or more"
+            "use a positive length, or two in ascending order, and first_after and apart of 0 or more"
         )
     available = end - start - first_after
     wanted = max(round(available / SECONDS_PER_OUTAGE), 1) if count is None else count
@@ -69,12 +70,13 @@ def balanced_windows(
 ) -> Array:
     """Draw one outage in each ``every`` seconds between two times, s, (k, 2).
 
-    Each has a random length of a range, s, and begins at least ``apart`` s after the start and the one before.
+    Each outage has a random length of a range, s, and begins at least ``apart`` s after the start and after the
+    previous outage.
     """
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
             f"outages of length {length} s, apart {apart:g} s, one in every {every:g} s can't be drawn; "
-            "use a positive length (shortest first), and enough seconds for each"
+            "use positive lengths in ascending order, and every at least the longest length plus apart"
         )
     # one slot for each window; the remaining time extends all slots
     count = int((end - start) / every) or int(end - start >= apart + length[1])
@@ -87,9 +89,9 @@ def balanced_windows(
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), in order of time, so that each ends exactly on an IMU sample (n,), s.
 
-    Each moves to the first sample at or after its end, or later if it would be closer than ``apart`` to the one before;
-    its length is unchanged. A window that would end after the last sample moves to that sample; if it is then too close
-    to the one before, it is left out.
+    The end of each window moves to the first sample at or after it, or to a later sample if the window would be closer
+    than ``apart`` to the previous window; the length is unchanged. A window that would end after the last sample ends
+    at that sample; if it is then too close to the previous window, it is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

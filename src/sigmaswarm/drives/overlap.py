@@ -1,4 +1,4 @@
-"""Find the part of a drive that other drives contain, by content, even in renamed, cut or repaired copies.
+"""Find the part of a drive that other drives contain, from the content, even in renamed, cut or repaired copies.
 
 Two kinds of landmarks are equal in all copies of a drive and in no other drive: positions with the receiver's noise,
 and yaw rates with the gyro's noise. Equal landmarks vote for the offset between two clocks (as in Wang, "An
@@ -29,35 +29,36 @@ SEEN_FILE = "seen.npz"
 """File in a tuning's folder with the landmarks of its training drives."""
 MICRO = 1_000_000
 SAME_TIME = 1000
-"""us: largest difference between the times of one landmark, after the clocks' offset."""
+"""Largest difference between the times of one landmark in two files, minus the offset of the clocks, us."""
 SAME_PLACE = 3.0
-"""cm, or 1e-7 deg (1.1 cm to the north): largest difference between the positions of one fix in two files."""
+"""Largest difference between the positions of one fix in two files, cm, or 1e-7 deg (1.1 cm to the north)."""
 SAME_RATE = 2e-4
-"""Largest difference between the logarithms of a yaw rate in two units with 8 decimals."""
+"""Largest difference between the logarithms of one yaw rate in two units with 8 decimals."""
 MOVING = 1.5
-"""Lowest speed between fixes of a landmark, m/s."""
+"""Speed to a neighboring fix above which a fix is a landmark, m/s."""
 UNITS = math.log(180 / math.pi)
 """ln of the ratio of rad/s to deg/s: landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4
-"""Part of the range `UNITS` with landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s."""
+"""Width of the part of the range `UNITS` whose yaw rates are landmarks: a tenth of all samples, about those of 1 to 1.5
+deg/s."""
 MOST = 20_000
-"""Largest number of yaw rates of a drive; a long one uses a smaller part of the range."""
+"""Largest number of yaw-rate landmarks of a drive; a long drive uses a smaller part of the range `UNITS`."""
 COMMON = 100
-"""Yaw rates that occur more often in a drive, such as those of a coarse gyro, are ignored."""
+"""Number of occurrences in a drive above which a yaw rate is ignored, such as those of a coarse gyro."""
 FEWEST = 8
-"""Smallest number of landmarks of different value that must agree."""
+"""Smallest number of landmarks with different values that must agree."""
 SHARE = 0.5
-"""Share of the landmarks in the common time that must agree."""
+"""Smallest share of the landmarks in the common time that must agree."""
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
     """The landmarks of a drive, a thousandth of its size.
 
-    ``sha256`` is its `fingerprint`, which identifies a whole drive without landmarks; ``span`` is start and end of its
-    IMU, s. ``fixes`` (n, 3) has time (us) and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and
-    x (cm). ``rates`` (k, 2) has time (s) and the yaw rate as ln|gz| modulo ``UNITS``, the same in rad/s and deg/s and
-    for both signs; rates below ``width`` are landmarks.
+    ``sha256`` is the `fingerprint` of the drive, which identifies a whole drive without landmarks; ``span`` is start
+    and end of the IMU samples, s. ``fixes`` (n, 3) has time (us) and position: latitude and longitude (1e-7 deg) if
+    ``geographic``, else y and x (cm). ``rates`` (k, 2) has time (s) and the yaw rate as ln|gz| modulo ``UNITS``, the
+    same in rad/s and deg/s and for both signs; rates below ``width`` are landmarks.
     """
 
     name: str
@@ -117,7 +118,7 @@ def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
 
 
 def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
-    """Compute the duration, s, of the parts of a drive that others contain, and name these."""
+    """Compute the duration, s, of the parts of a drive that other drives contain, and name these drives."""
     found = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
     covered, until = 0.0, -math.inf
     for start, end in sorted(part for _, part in found):
@@ -133,7 +134,7 @@ def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | No
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
-    """Return start and end, s on its clock, of the part of ``one`` that is in ``other``; None if there is none."""
+    """Return start and end, s on the clock of ``one``, of its part that ``other`` contains; None if there is none."""
     if one.sha256 == other.sha256:
         return one.span
     for offset in (_by_fixes(one, other), _by_rates(one, other)):
@@ -145,14 +146,14 @@ def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
 
 
 def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
-    """Return the offset, s, of one's clock from the other's by equal fixes; None without enough of them."""
+    """Return the offset, s, between two drives' clocks from equal fixes; None without enough equal fixes."""
     if one.geographic != other.geographic:
         return None
     return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), SAME_PLACE)
 
 
 def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
-    """Return the offset, s, by equal yaw rates."""
+    """Return the offset, s, between two drives' clocks from equal yaw rates."""
     width = min(one.width, other.width)
 
     def rates(marks: Landmarks) -> Array:
@@ -166,8 +167,8 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Return the offset, s, between the clocks of landmarks (time in us, values ...) with most equal pairs.
 
-    Some pairs always agree by chance. So half of the landmarks in the common time must agree, of the drive with fewer,
-    since one may be decimated; and with different values, since a standing car repeats one.
+    Some pairs always agree by chance. So in the drive with fewer landmarks (a copy may be decimated) half of those in
+    the common time must agree. Their values must differ, since a standing car repeats one value.
     """
     if min(len(a), len(b)) < FEWEST:
         return None
@@ -229,7 +230,7 @@ class SavedLandmarks(Sequence[Landmarks]):
         return len(self.names)
 
     def __getitem__(self, k: Any) -> Any:
-        """Load the landmarks of a drive, or those of several."""
+        """Load the landmarks of one drive, or of several."""
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(len(self)))]
         with np.load(self.path, allow_pickle=False) as file:

@@ -11,7 +11,7 @@ from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
 SMALL = 500_000
-"""Largest number of steps of a time line that stays in memory: more than an hour, 40 MB."""
+"""Largest number of steps of a time line that is kept in memory: more than an hour, 40 MB."""
 
 
 class PreparedDrive:
@@ -67,7 +67,7 @@ class PreparedDrive:
     def forget(self) -> None:
         """Drop the time lines, each a quarter of a gigabyte for ten hours at 100 Hz.
 
-        A small time line of all fixes is kept, since others are derived from it.
+        A small time line of all fixes is kept, since other time lines are derived from it.
         """
         self._timelines = {
             (hidden, removed): line

@@ -11,27 +11,27 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
 VARIES = 1.5
-"""Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
+"""Ratio of the 95% to the 5% quantile of the stated standard deviations, above which they are informative."""
 STARTED = 20.0
 """Distance from the first fix beyond which the car is moving, m."""
 NEAR_GRAVITY = 0.3
-"""Largest deviation of the median of az from gravity, as a share of it."""
+"""Largest deviation of the median of az from gravity, as a share of gravity."""
 
 WHITE = 0.4
-"""Least share of white noise in the error of fixes, for `has_white_errors`: 1 for KITTI and colorado, 0.25 for a u-blox
-M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
+"""Share of white noise in the error of fixes above which `has_white_errors` is true: 1 for KITTI and colorado, 0.25 for
+a u-blox M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
 UNSTATED_GPS_STD = 2.1
-"""Standard deviation of receivers that state none, m per axis: u-blox M8, 2.5 m CEP."""
+"""Standard deviation assumed for the fixes of receivers that state none, m per axis: u-blox M8, 2.5 m CEP."""
 SHOWN = 0.25 * UNSTATED_GPS_STD
-"""White noise from fix to fix, m per axis, from which a receiver that states no deviation does not smooth.
+"""White noise from fix to fix, m per axis, above which a receiver that states no standard deviation does not smooth.
 
-Its fixes show its error. The error of a receiver whose fixes differ by less is unknown.
+The fixes of such a receiver show their error. The error of a receiver with less noise is unknown.
 """
 FEWEST_FIXES = 250
-"""Number of fixes of all logs from which a tuning without truth models correlated errors.
+"""Smallest number of fixes, over all logs, at which a tuning without truth uses states of correlated errors.
 
-Of eight simulated M8 logs of 142 s at 1 Hz, the states made the drift over 30 s worse in six, and one filter diverged
-(1319 m); with 300 and 600 fixes the drift was the same on average, and the position 3 to 6% better.
+Of eight simulated M8 logs of 142 s at 1 Hz, these states made the drift over 30 s worse in six, and one filter
+diverged (1319 m); with 300 and 600 fixes the drift was the same on average, and the position 3 to 6% better.
 """
 
 
@@ -114,13 +114,13 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
       are not taken for motion. Otherwise **planar8**.
     - **lateral** and **standstill** always: they determine the heading, which position fixes do not.
     - **odometer** if every log has one.
-    - **accuracy** if every receiver states its deviation, and it varies.
+    - **accuracy** if every receiver states standard deviations, and these vary.
     - **robust** always: it costs little without outliers, and is needed with some.
 
     Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity and
-    heading (no log with truth had them) and latency. Models are not chosen by scores: held-out likelihood and
-    forecasts chose 18 to 24% worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to
-    12% worse. The figures are in docs/results.md, "Default filter".
+    heading (no log with truth had them) and latency. Models are not chosen by scores: the models chosen by held-out
+    likelihood and forecasts were 18 to 24% worse than the best ones on average, and 61 to 122% at worst; one good model
+    for all drives was 4 to 12% worse. The figures are in docs/results.md, "Default filter".
     """
     found = [sensors_of(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)
@@ -128,7 +128,9 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     spreads = [one.spread for one in found if one.spread]
     stated = bool(found) and len(spreads) == len(found)
     look_wrong = all(len(one.axes) == 6 for one in found)
-    reasons = ["az, gx or gy of the IMU look wrong" if look_wrong else "an IMU without az, gx and gy"]
+    reasons = [
+        "az does not show gravity, or gx or gy is constant" if look_wrong else "an IMU without az, gx and gy"
+    ]
     if six:
         reasons = ["six IMU axes"]
     if wheels:
@@ -152,7 +154,7 @@ def has_attitude(drive: Drive) -> bool:
 
 
 def stated_spread(drive: Drive) -> tuple[float, float] | None:
-    """Return the 5% and 95% quantiles of the stated deviations, m; None if they hardly vary."""
+    """Return the 5% and 95% quantiles of the stated standard deviations, m; None if they hardly vary."""
     std_x, std_y = drive.gps.std_x, drive.gps.std_y
     if std_x is None or std_y is None:
         return None
@@ -163,7 +165,8 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 def stated_std(drive: Drive) -> tuple[float, float] | None:
     """Return the standard deviation east and north that the receiver states, m; None if the log has none.
 
-    It is the median over the fixes if each has one, and otherwise ``gps_std_m`` of drive.toml.
+    The result is the median over the fixes if each fix has a standard deviation, and otherwise ``gps_std_m`` of
+    drive.toml.
     """
     gps = drive.gps
     if gps.std_x is not None and gps.std_y is not None:
@@ -175,7 +178,8 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Standard deviation of the fixes of a drive's receiver, m east and north.
 
-    It is the stated one; else the white noise that its fixes show, if that is large; else that of a u-blox M8.
+    The result is the stated standard deviation; else the white noise of the fixes, if it is large; else the standard
+    deviation of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated
@@ -198,7 +202,8 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 def has_white_errors(drive: Drive) -> bool:
     """Return whether most of the error of the fixes is white, as far as the log shows.
 
-    If a receiver smooths, or its errors are correlated, neighboring fixes differ by far less than their error.
+    If a receiver smooths its fixes, or their errors are correlated, neighboring fixes differ by far less than their
+    error.
     """
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
@@ -206,10 +211,10 @@ def has_white_errors(drive: Drive) -> bool:
 
 
 def has_lasting_errors(drive: Drive) -> bool:
-    """Return whether the receiver's errors, see `receiver_std`, would show from fix to fix if white, and do not.
+    """Return whether white errors of size `receiver_std` would be visible from fix to fix, but are not.
 
-    They are correlated then, or the receiver is better than it states. Where a white error of the stated deviation is
-    small next to the motion between fixes, as with RTK, nothing is known. A repeated fix counts once.
+    Then the errors are correlated, or the receiver is more accurate than it states. If a white error of the stated size
+    is small compared with the motion between fixes, as with RTK, nothing is known. A repeated fix counts once.
     """
     position, least = drive.gps.x + 1j * drive.gps.y, WHITE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)

@@ -95,7 +95,7 @@ def split_time(
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
-    """Return the part of a drive with start <= t < end, s on its clock; DriveError if no two IMU samples are left."""
+    """Return the part of a drive with start <= t < end, s on its clock; DriveError without two IMU samples."""
 
     def inside(table: AnyTable) -> AnyTable:
         return table.select((table.time >= start) & (table.time < end))

@@ -2,13 +2,14 @@
 
 At constant speed on a smooth road the IMU is as calm as at a standstill, so the fixes must agree. Fixes show a
 departure late, so the IMU must agree. A gentle departure is calm, too, but changes the acceleration, which must
-therefore be as at the beginning of the stop. The same functions serve a drive and a live filter.
+therefore agree with that at the beginning of the stop. The same functions serve a drive and a live filter.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
 last second is the current, incomplete block and the 20 before it; the last quarter is that block and the 5 before.
 Blocks are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing
-sample variances, 1979). None is subtracted, so that rounding does not accumulate: the blocks form two stacks of 20.
-Each block of the older stack is merged with the later ones; those of the newer stack are single, and merged in FRESH.
+sample variances, 1979). No block is subtracted, so that rounding does not accumulate: the blocks form two stacks of 20.
+Each block of the older stack is merged with the later blocks of this stack; the blocks of the newer stack are stored
+singly, and their merged total is in FRESH.
 """
 
 import math
@@ -23,40 +24,41 @@ from sigmaswarm.drives.frozen import FROZEN_MOVING
 BLOCK = 0.05
 """Length of a block, s."""
 SECOND = 20
-"""Number of complete blocks in a second, which must be calm."""
+"""Number of complete blocks in the second that must be calm."""
 MOST_OF_IT = 16.0
-"""Least number of blocks since the oldest of these, for a full second."""
+"""Smallest age of the oldest block, in blocks, at which the second counts as complete."""
 QUARTER = 5
-"""Number of complete blocks in a quarter of a second, which show a departure."""
+"""Number of complete blocks in the quarter of a second whose means show a departure."""
 CALM = 2.5
-"""Largest ratio of the deviations in a calm second to the usual ones at rest."""
+"""Largest ratio of the standard deviations in a calm second to the usual ones at rest."""
 SETTLES = 0.5
 """Time constant with which the estimated noise at rest falls, s."""
 RISES = 0.1
-"""per s: rate at which it rises while the car is nearly calm, so that it does not depend on a single second."""
+"""Rate at which the estimated noise at rest rises while the car is nearly calm, per s, so that the estimate does not
+depend on a single second."""
 DEPARTS = 0.12
-"""Change of the acceleration, forward or left, that shows a departure, m/s2."""
+"""Change of the acceleration, forward or left, above which the car departs, m/s2."""
 FOLLOWS = 1.0
-"""Time constant, s, with which the acceleration of the stop follows the sensors, which warm up."""
+"""Time constant, s, with which the stored acceleration of the stop follows sensors that warm up."""
 FORGETS = 3.0
 """Time after the last moment of calm and constant fixes after which a new stop begins, s."""
 FIX_WINDOW = 3.0
-"""Time of fixes that must be constant, s."""
+"""Length of the window in which the fixes must be constant, s."""
 FILLED = 1.5
 """Largest time between the start of the window and the first fix, in mean intervals of fixes."""
 FIX_SPEED = 0.8
-"""Highest speed of the fixes at standstill, m/s."""
+"""Speed of the straight-line fit to the fixes below which they count as constant, m/s."""
 CLOSE = 1e-5
 """Time before a fix leaves the window at which the line is fitted again, s."""
 TURNING = math.radians(1.5)
-"""rad/s: largest yaw rate at a standstill, by a gyro's bias."""
+"""Largest yaw rate at a standstill, rad/s, which is due to the gyro's bias."""
 
 # A detector's memory, shape (N_MEMORY, 8). Rows: the stacks, from row PLACE on the older one; the current block; the
 # newer stack, merged; the complete blocks of the last second, merged; of the last quarter; the level of calm; means of
 # ax, ay over the second, then over the quarter.
 NOW, FRESH, WHOLE, PART, LEVEL, MEANS = range(SECOND, SECOND + 6)
 N_MEMORY = SECOND + 6
-# Columns of a block: how many samples, means of ax, ay, gz, sums of squares about the means, row of the first of them.
+# Columns of a block: number of samples, means of ax, ay, gz, sums of squares about the means, row of the first of them.
 COUNT, MEAN, SQUARES, FIRST = 0, 1, 4, 7
 # Columns of LEVEL behind the usual deviations of calm (negative: unknown): the row of the stacks that comes next, the
 # age of the oldest block of WHOLE in blocks, the current block's number, the time of the last sample.
@@ -67,7 +69,7 @@ PIECE = 100_000
 
 
 def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
-    """Detect standstill at each IMU sample, (n,), by earlier data; ``kinds`` are those of the fixes, see `frozen`."""
+    """Detect standstill at each IMU sample, (n,), from earlier data; ``kinds`` of the fixes are as in `frozen`."""
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
     fixes = np.column_stack([gps.time, gps.x, gps.y])
@@ -157,7 +159,7 @@ def calm_after(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: f
 
 @cached
 def _begin_block(memory: Array, begun: int) -> None:
-    """Complete the current block and those without samples, and merge the blocks of the last second."""
+    """Complete the current block and any blocks without samples, and merge the blocks of the last second."""
     level, now, fresh, whole = memory[LEVEL], memory[NOW], memory[FRESH], memory[WHOLE]
     place = int(level[PLACE])
     for _ in range(begun):
@@ -193,7 +195,7 @@ def _merge_quarter(memory: Array) -> None:
 
 @cached
 def _merge(total: Array, block: Array) -> None:
-    """Merge a block into the total of those before it."""
+    """Merge a block into the total of the blocks before it."""
     if total[COUNT] == 0.0:
         _copy(block, total)
     elif block[COUNT] > 0.0:
@@ -222,10 +224,11 @@ def _clear(block: Array) -> None:
 
 @cached
 def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
-    """Return True if the acceleration is as at the beginning of the stop, at a moment of calm and constant fixes.
+    """Return True if the acceleration still agrees with that at the beginning of the stop.
 
-    ``stop`` (2,) is the stop's ax, ay, changed in place; ``passed`` (s) is the time since the last such moment.
-    ``means`` (4,) are those of ax, ay over the last second, then over the last quarter of it, m/s2.
+    The function is called when the IMU is calm and the fixes are constant. ``stop`` (2,) is the stop's ax, ay, changed
+    in place; ``passed`` (s) is the time since the last such moment. ``means`` (4,) are those of ax, ay over the last
+    second, then over the last quarter of it, m/s2.
     """
     if not passed <= FORGETS:
         stop[0] = means[0]
@@ -241,12 +244,12 @@ def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
 
 @cached
 def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
-    """Return True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
+    """Return True if a straight-line fit to the last seconds' fixes has a low speed; rows begin with t, x, y.
 
     Of the first ``n`` rows, those up to ``now`` are read. The result is valid until ``until[0]`` if no fix is added.
-    ``kinds`` has the kind of each, see `frozen`; stale fixes of a driving car are not used. After an outage the window
-    must be full first: the slope of half of it is three times as noisy, and a car that departs with constant
-    acceleration would appear to stand.
+    ``kinds`` has the kind of each fix, see `frozen`; stale fixes of a driving car are not used. After an outage the
+    window must be full first: the slope over half a window is three times as noisy, and a car that departs with
+    constant acceleration would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

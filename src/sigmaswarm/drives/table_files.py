@@ -18,8 +18,8 @@ from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
-"""Larger than any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in mm, mg or mdeg/s, which can be
-repaired."""
+"""Largest accepted value: above any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in units that can be
+repaired (mm, mg or mdeg/s)."""
 _METERS, _NO_STD = "give meters from an origin near by", "leave the column out where no deviation is stated"
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
@@ -36,7 +36,8 @@ RANGES: dict[str, tuple[float, float, str]] = {
 """Lowest and highest value allowed in a column, and the remedy."""
 
 _LONGEST_LEAP = 1e12
-"""Longest interval between two rows, in usual intervals: 300 years at 100 Hz. A clock that was set jumps by less."""
+"""Longest interval between two rows, in usual intervals: 300 years at 100 Hz. The jump of a clock that was set is
+smaller."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 """File formats of a drive's tables."""
@@ -56,7 +57,7 @@ class TableFile:
     """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
     Cells of a CSV file are numbers if all are finite, which takes a fifth of the memory, and otherwise text (None if
-    empty), which messages quote. Those of a Parquet file have the types of the file. A table in memory has a name
+    empty), which messages quote. Cells of a Parquet file have the types of the file. A table in memory has a name
     instead of a path, and its rows count from 0.
     """
 
@@ -105,7 +106,7 @@ class TableFile:
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """Return the known columns as numbers, each (n,), with ``t`` renamed ``time``; others cause a remark."""
+        """Return the known columns as numbers, each (n,), with ``t`` renamed ``time``; other columns cause a remark."""
         new: list[str] = []
         try:
             found = self._known_columns(required, optional, new)
@@ -207,12 +208,14 @@ def _leap(time: Array) -> int:
 
 
 def _parquet(path: Path) -> pl.DataFrame:
-    """Read the numeric columns of a Parquet file; others are null."""
+    """Read the numeric columns of a Parquet file; other columns are null."""
     try:
         scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
         schema = scan.collect_schema()
         _require_size(path, 0, len(schema))
-        _require_size(path, int(scan.select(pl.len()).collect().item()), len(schema))  # by the footer
+        _require_size(
+            path, int(scan.select(pl.len()).collect().item()), len(schema)
+        )  # according to the footer
         kept = [pl.col(n) if kind.is_numeric() else pl.lit(None, kind).alias(n) for n, kind in schema.items()]
         cells = scan.select(kept).collect()
     except (*BROKEN, OSError):

@@ -74,7 +74,7 @@ class Imu(Table):
 
 
 NO_HEADING = np.pi
-"""Stated standard deviation of a heading that the receiver has not found, rad."""
+"""Stated standard deviation, rad, at or above which a fix has no heading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,8 @@ class Gps(Table):
     lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, of two antennas or a compass; filters can start with it without travel
+    heading : rad, counter-clockwise from east, of two antennas or a compass; a filter can start with this heading
+    without travel
     std_heading : rad, its stated standard deviation; `NO_HEADING` or more if the fix has no heading
     """
 

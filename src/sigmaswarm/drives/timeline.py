@@ -1,12 +1,12 @@
 """The merged time line: the steps of a filter, and the measurements at their ends.
 
 The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both driven by
-the same sample, and updates the filter at its own time. Two fixes of one time, by two receivers, update it one after
-the other; the step of the second has length 0. Each step uses its true dt. Process noise is the variance added per
-nominal interval (the median) and scales with dt / nominal.
+the same sample, and updates the filter at its own time. Two fixes with equal times, from two receivers, update the
+filter one after the other; the step of the second fix has length 0. Each step uses its true dt. Process noise is the
+variance added per nominal interval (the median) and scales with dt / nominal.
 
 A gap in the IMU's samples is driven by the mean of the two samples around it, and marked (`drives.gaps`). Stale fixes
-are left out (`drives.frozen`). Neither rule is applied to a drive taken as recorded.
+are left out (`drives.frozen`). With ``as_recorded`` neither rule is applied.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,8 @@ from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
-"""The numbers of a step: three of its own, and the IMU's axes, the last three only if the IMU has them."""
+"""Indices of the numbers of a step: length, scale of Q, gap, and the IMU's axes; the last three only if the IMU has
+them."""
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 """The IMU's axes in the order of a step; every IMU has the first three."""
@@ -62,7 +63,7 @@ class Timeline:
     lever : (3,) m forward, left and up from the IMU to the antenna
     cornering : (k,) bool, True if the tires slip at high lateral acceleration
     drive : Drive without the hidden fixes
-    kinds : (g,) the kind of each fix of that drive, see `drives.frozen`; all `NEW` if it is taken as recorded
+    kinds : (g,) the kind of each fix of that drive, see `drives.frozen`; all `NEW` with ``as_recorded``
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
@@ -146,7 +147,7 @@ class Timeline:
         """Return the steps of the drive without some fixes, (g,), bit-identical to those of `build_timeline`."""
         absorbs = self.absorbs.copy()
         absorbs[self.absorbs] = ~hidden[_usable(self.drive, self.start, self.kinds)]
-        moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share one
+        moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share a time
         meets = np.bincount(moment[absorbs], minlength=len(self.end) + 1) > 0
         keeps = absorbs | (self.sampled & ~meets[moment])
         of_imu = np.zeros(len(meets), dtype=np.bool_)
@@ -178,8 +179,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,) are those of the fixes, if
-    they were classified with more fixes.
+    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): the kinds of the fixes, if
+    they were classified together with more fixes.
     """
     imu = drive.imu
     if kinds is None:

@@ -29,7 +29,7 @@ def without_secrets(url: str) -> str:
 
 
 def drive_urls(url: str) -> list[str]:
-    """Return the URL itself if it is that of a drive, or those of all drives in that folder, sorted by name."""
+    """Return the URL itself if it is that of a drive, or else the URLs of all drives in that folder, sorted by name."""
     url = url.rstrip("/")
     with _errors_in_one_line(url):
         system, path = _opened(url)

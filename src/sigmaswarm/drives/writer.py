@@ -92,7 +92,7 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
     if drive.origin is None:
         del about["origin"]  # TOML has no null
     if drive.name == folder.name:
-        del about["name"]  # reading takes that of the folder, so a renamed copy has its new name
+        del about["name"]  # reading takes the name of the folder, so a renamed copy has its new name
     try:
         contents = {"drive.toml": tomli_w.dumps(about).encode()}
     except TypeError as error:

@@ -108,7 +108,7 @@ def replay_events(
     InputError
         If the drive's IMU lacks an axis that the model reads.
     AlignmentError
-        If the drive never moves far enough for a start.
+        If the vehicle never moves far enough in the drive for the filter to start.
     """
     schedule.require_axes(drive, model)
     initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
@@ -212,7 +212,7 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
 
 
 _STATE_NAMES = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
-"""C names of states that differ from the model's names."""
+"""C names of the states whose names differ from those of the model."""
 
 
 def _texts_of_states(p: FilterParameters) -> dict[str, str]:

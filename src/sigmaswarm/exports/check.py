@@ -67,7 +67,7 @@ def check_export(
     InputError
         If there is no C compiler, the build fails, or a drive lacks an input of the filter.
     AlignmentError
-        If a drive never moves far enough for a start.
+        If the vehicle never moves far enough in a drive for the filter to start.
     """
     all_lanes = Lanes(lanes, seed)
     built = [_shared_object(folder, "libins_gps.so")]

@@ -1,6 +1,6 @@
 """Files with the noise of an IMU, in the units of other packages, and as keys of drive.toml.
 
-The model of the biases is the package's: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
+The model of the biases is that of the package: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
 """
 
 from collections.abc import Callable, Sequence
@@ -67,7 +67,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return the random walk of an axis' bias, unit/sqrt(s); a usual sensor's value if no bias was measured."""
+    """Return the random walk of an axis' bias, unit/sqrt(s); the value of a typical sensor if no bias was measured."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)

@@ -25,11 +25,11 @@ DEFAULT_PROCESS_NOISE = (
 )
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; the accelerations (reset)."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Initial variances: of states that stay at 0; lower bound for x and y, m2."""
+"""Initial variance of states that stay at 0, and smallest initial variance of x and y, m2."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
 """Measures listed in the exported README.md."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
-"""Initial variances of vx, vy, yaw, ax, ay, yaw rate, for an initial_state set as in README.md."""
+"""Initial variances of vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as in README.md."""
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:

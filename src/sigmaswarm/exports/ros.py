@@ -33,7 +33,7 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
     f"/sigmaswarm/{name}" for name in ("innovation", "innovation_sigma", "nis")
 )
 INTERVAL = 0.1
-"""Interval between two messages of SIGMA or FIX, s."""
+"""Interval between two messages of the topic SIGMA, and of the topic FIX, s."""
 NOT_ESTIMATED = 1e6
 """Variance of quantities that a filter does not estimate: height, rates, and roll and pitch of a planar model."""
 RawMessage = tuple[int, Any, Any]

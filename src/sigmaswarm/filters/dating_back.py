@@ -26,7 +26,7 @@ from sigmaswarm.filters.schedule import start_of
 LONGEST = 60.0
 """Longest time before the start from which fixes are used, s."""
 PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])
-"""Standard deviations of the prior at the first of these fixes, m, m/s, rad; similar to an alignment's."""
+"""Standard deviations of the prior at the first fix that is used, m, m/s, rad; similar to those of an alignment."""
 
 
 def dated_back(

@@ -27,19 +27,20 @@ from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0
-"""Duration of a contradiction that is a divergence, s; longer than errors in a city and a robust filter's recovery."""
+"""Duration of a contradiction after which the filter has diverged, s; longer than errors of fixes in a city and the
+recovery of a robust filter."""
 FEWEST_CHECKS = 5
-"""Least number of checks in that time."""
+"""Smallest number of checks within the contradiction for a divergence."""
 MANY_SIGMAS = 5.0
-"""Least difference for a divergence, in combined standard deviations of filter and fixes."""
+"""Smallest difference for a divergence, in combined standard deviations of filter and fixes."""
 HEADING_OFF = np.radians(20.0)
-"""Least difference between the headings of filter and alignment for a divergence, rad."""
+"""Smallest difference between the headings of filter and alignment for a divergence, rad."""
 POSITION_OFF = 20.0
-"""Least difference between a fix and the filter's prediction for a divergence, m."""
+"""Smallest difference between a fix and the filter's prediction for a divergence, m."""
 SUSPECT = np.radians(10.0)
 """Difference between the filter's heading and a rough course, rad, above which an alignment is computed."""
 SPEED_STD = 10.0
-"""Standard deviation of the velocity per axis while the estimate is the last fix, m/s."""
+"""Standard deviation of the velocity per axis after a reset to the last fix, m/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,7 @@ class Check:
 
     @property
     def position_contradicts(self) -> bool:
-        """Return True if the fix is far from its prediction."""
+        """Return True if the fix is far from the filter's prediction."""
         x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
         east, north = self.fix.tolist()  # Python numbers are faster here
@@ -272,7 +273,7 @@ _ABSURD = 1e12
 
 
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align with the last seconds of a stream: samples (k, 4 or 6): time, ax, ay, gz, gx, gy; fixes (m, 3): s, m, m.
+    """Align with the last seconds of a stream: samples (k, 4 or 6) of time, ax, ay, gz, gx, gy; fixes (m, 3), s and m.
 
     ``gyro_bias``: known gyro bias about the up axis, rad/s.
     """

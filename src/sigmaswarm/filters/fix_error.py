@@ -1,4 +1,4 @@
-"""Correlated fix errors as two Gauss-Markov states: an option of every model with the IMU as input.
+"""Correlated fix errors as two Gauss-Markov states b: an option of every model with the IMU as input.
 
 Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
 the model's states. They do not enter its process. A fix measures p + b + v; between two fixes dt apart
@@ -117,7 +117,7 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """The number of a model's n states that a start with ``given`` states sets."""
+    """Number of a model's n states that a start with ``given`` states sets."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)

@@ -1,4 +1,4 @@
-"""A Kalman filter on the fixes alone: constant velocity with white acceleration, no IMU.
+"""A Kalman filter that uses only the fixes: constant velocity with white acceleration, no IMU.
 
 This filter is a reference that a filter with an IMU should beat. The two noises are the median over the training drives
 of maximum-likelihood estimates from the fixes. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications
@@ -24,12 +24,12 @@ from sigmaswarm.filters.run import replay_of
 UNKNOWN_SPEED = 30.0
 """Standard deviation of the velocity before the first fix, m/s."""
 FIRST_GUESS = (0.0, 0.0)
-"""Starting points of the search, log10 of the noises."""
+"""Starting point of the search: log10 of the two noise parameters."""
 
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """The noises of the filter.
+    """The noise parameters of the filter.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ def _filter(
 
 
 def _variances(line: Timeline) -> Array:
-    """Return the variances of the fixes, m2: as stated, else a usual value."""
+    """Return the variances of the fixes, m2: as stated, else a typical value."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
     return (
         stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)

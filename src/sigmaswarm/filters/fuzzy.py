@@ -21,6 +21,7 @@ the filter is the unscented filter.
 """
 
 LARGEST_RATIO = 10.0
-"""Upper limit of the ratio, so that an outlier is soon forgotten; for good fixes, one ratio in 20 000 is larger."""
+"""Upper limit of the ratio, so that the effect of an outlier is short; for good fixes, one ratio in 20 000 is
+larger."""
 SLOWER = 4.0
 """Ratio of the time constants of the second average and the first."""

@@ -39,9 +39,10 @@ Starts = dict[InitialState, tuple[Array, Array]]
 """Initial state rows (N_STATE, columns) and headings (columns,), rad; one column if all columns are equal."""
 
 MOST_STARTS = 20_000
-"""Number of column starts, 3 kB each, that are computed in advance; further starts are computed when they are used."""
+"""Largest number of column starts, 3 kB each, that are computed in advance; further starts are computed when they are
+used."""
 MOST_CACHED = 1_000
-"""Number of cached starts, 3 kB each, that the next generations reuse."""
+"""Largest number of cached starts, 3 kB each, that the next generations reuse."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +255,7 @@ def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
 
 
 def _constants(table: ParameterTable) -> Array:
-    """The kernel's constants, shape (N_CONSTANTS, n). Q is per the sets' own interval; PATIENCE is 0."""
+    """The kernel's constants, shape (N_CONSTANTS, n). Q refers to the sets' own interval; PATIENCE is 0."""
     constants = np.zeros((len(CONSTANTS), len(table)))
     for row, value in _values(table.field, table.like.kernel).items():
         constants[row - CONSTANT_ROWS.start] = value

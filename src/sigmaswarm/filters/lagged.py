@@ -12,7 +12,7 @@ from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 
 NEARLY = 1e-6
-"""Rounding error of a lag, s."""
+"""Largest rounding error of a lag, s."""
 
 
 class FixedLag:

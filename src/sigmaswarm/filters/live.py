@@ -31,7 +31,7 @@ from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
 MOST_RESTARTS = 1000
-"""Number of resets in the record of reset times."""
+"""Largest number of resets in the record of reset times."""
 MOST_READINGS = 2000
 """Largest number of stored odometer readings: ten seconds at 200 Hz."""
 FASTER_IMU = 4
@@ -261,7 +261,7 @@ class LiveFilter:
             raise InputError(f"a reading of the odometer that is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
-        """Reset the filter after a sample if it has diverged; ``due``: it is time for a check."""
+        """Reset the filter after a sample if it has diverged; ``due``: the time of a check has come."""
         fix, monitor = self._last_fix(now), self._monitor
         if fix is None or monitor is None:
             return
@@ -338,7 +338,7 @@ class LiveFilter:
         return fixes[(fixes[:, live.KIND] < FROZEN) & finite]
 
     def _reset(self, start: InitialState) -> None:
-        """Reset the filter; the history for late fixes is that of the diverged one."""
+        """Reset the filter; late fixes still refer to the history of the diverged filter."""
         rows = KernelArray((self.parameters,)).start([start], [self._interval])
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory.arrays.counts

@@ -38,7 +38,7 @@ the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C are named after it.
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 
 THETA = 4
-"""Index of the heading, in every model."""
+"""Index of the heading in the state of every model."""
 ACCEL_BIAS = 5
 """Index of the accelerometer bias (forward), in models with this state."""
 GYRO_BIAS = 7
@@ -93,7 +93,7 @@ def velocity(state: Array) -> Array:
 
 
 def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
-    """Distance (m) from the point of a car without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+    """Distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
 
     The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. So the lateral
     velocity at the rear axle is -tire_slip v^2 yaw_rate. The filters take v^2 from the mean before the update.
@@ -127,7 +127,7 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
 
 
 def heading(near: float) -> Callable[[Array], Array]:
-    """Heading (rad) of two antennas or a compass; planar models need not know the angle that it is ``near``."""
+    """Heading (rad) of two antennas or a compass; planar models ignore ``near``."""
     del near
     return lambda state: state[THETA : THETA + 1].copy()
 
@@ -160,7 +160,7 @@ class Tilts:
 
 
 VARIANCE = (1e-5, 10.0)
-"""Bounds of all variances in the paper, Q per nominal IMU step."""
+"""Bounds of all variances in the paper; Q is per nominal IMU step."""
 SMALL_VARIANCE = (1e-12, 10.0)
 """Bounds of Q for position and velocity."""
 HEADING_VARIANCE = (1e-10, 1e-1)
@@ -330,7 +330,8 @@ _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
 _TILT_START = np.radians(3.0)
-"""Standard deviation of the slopes of roads, rad. It is not tuned: it would fit the starts of the training drives."""
+"""Standard deviation of the slopes of roads, rad. It is not tuned, since a tuned value would fit the starts of the
+training drives."""
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),

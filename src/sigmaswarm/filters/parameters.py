@@ -282,7 +282,7 @@ class FilterParameters:
 
 
 _EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof", "fix-error": "fix_error"}
-"""Options that exclude other options, and the fields that activate them."""
+"""Options that exclude other options, and the fields that activate these options."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
 """Fields with variances or factors of variances, in addition to Q and R."""
 RULES_SINCE = (0, 3)

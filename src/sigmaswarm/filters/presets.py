@@ -10,7 +10,8 @@ Three presets, planar5 UKFs, represent manual settings:
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 
-A tuning is compared with a filter of the same model and options with usual noises: ``baseline(drive, like=tuned)``.
+A tuning is compared with a filter of the same model and options with typical noise parameters: ``baseline(drive,
+like=tuned)``.
 """
 
 from collections.abc import Collection, Mapping
@@ -43,7 +44,7 @@ MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
 """Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as for an
-ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the MPU-6050 does not state it."""
+ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the MPU-6050 does not state this growth."""
 BY_HAND = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
@@ -54,14 +55,15 @@ BY_HAND = {
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Usual values of parameters without a data sheet: m2/s2, rad2; 99% gate; the receiver's stated accuracy unchanged."""
+"""Typical values of parameters without a data sheet: m2/s2, rad2; 99% gate; the receiver's stated accuracy
+unchanged."""
 HALF_A_WHEELBASE = 1.3
 """Distance from the rear axle to an IMU in the middle of a car, m."""
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
 It is added to the densities of the sensors.
-IMUs at standstill show 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With the densities of data sheets
+IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With the densities of data sheets
 alone a filter drifted 1.3 to 60 times as far over 5 s as the tuned one, on six drives.
 """
 ACCURACY_FLOOR = 0.1**2
@@ -111,7 +113,7 @@ def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterP
 
 
 def _bias_walk(drive: Drive, sensor: str) -> float:
-    """Growth of the variance of a sensor's bias per second: as drive.toml states it, or a usual one."""
+    """Growth of the variance of a sensor's bias per second: as drive.toml states it, or a typical value."""
     stated = drive.metadata.get(f"{sensor}_bias_walk")
     return BIAS_WALKS[sensor] if stated is None else float(stated) ** 2
 

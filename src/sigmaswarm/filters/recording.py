@@ -57,7 +57,7 @@ def joined(pieces: Iterable[Piece]) -> Piece:
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Innovations of a filter: each fix minus its prediction, before the update.
+    """Innovations of a filter: each fix minus the prediction of the fix, before the update.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class Recording:
         return lost
 
     def _next_check(self, stops: NDArray[np.intp], row: int) -> int:
-        """Number of stops from a row to the next check."""
+        """Return the number of stops from a row to the next check."""
         assert self._checks is not None
         if self._monitor.lost:
             return row + 1

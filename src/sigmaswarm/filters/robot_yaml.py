@@ -22,11 +22,11 @@ PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
 PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 IMU_NOISE = (1e-4, 1e-2)
-"""Usual variances of gz ((rad/s)2) and ax ((m/s2)2)."""
+"""Typical variances of gz ((rad/s)2) and ax ((m/s2)2)."""
 HEADING_NOISE = math.radians(0.5) ** 2
-"""Usual variance of a dual-antenna heading, rad2."""
+"""Typical variance of a dual-antenna heading, rad2."""
 SPEED_NOISE = 0.1**2
-"""Usual variance of a measured speed, (m/s)2."""
+"""Typical variance of a measured speed, (m/s)2."""
 SMALLEST = 1e-9
 """Lower limit of measurement variances in robot_localization."""
 NOT_FUSED = 1e9

@@ -29,21 +29,23 @@ COMPARED = 128  # the heading is compared with truth in the interval that ends o
 HEADING = 256  # the fix has a heading
 
 LATERAL_INTERVAL = 0.1
-"""Interval between two lateral updates, s. The error is not white, so more updates add no information."""
+"""Interval between two lateral updates, s. The error of the constraint is not white, so more updates add no
+information."""
 STANDSTILL_INTERVAL = 0.1
 """Interval between two standstill updates, s."""
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
 """Variance of the gyro around its bias at standstill, rad2/s2."""
 SLIP_GATE = 9.0
-"""Largest accepted NIS of a wheel speed: three sigmas. Wheels that slip or lock are wrong for seconds, with
-equal readings, so that a small weight for each would still add up. Unlike fixes, the last of a long run of them is
-rejected, too: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
+"""Largest accepted NIS of a wheel speed: three sigmas. Readings of wheels that slip or lock are wrong for seconds, and
+equal, so that small weights of the readings would add up. Unlike fixes, readings are rejected without a limit of their
+number: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
 HEADING_GATE = 9.0
-"""The largest NIS of a heading: one farther off has a larger variance, so that its NIS is this (G. Chang, Robust Kalman
-filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). So wrong headings
-move the filter little, and a filter that is wrong recovers."""
+"""Largest NIS of a heading: the variance of a heading with a larger NIS is increased until the NIS has this value (G.
+Chang, Robust Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014).
+So wrong headings change the estimate little, and a filter with a wrong heading recovers."""
 MOST_REJECTED = 5
-"""Number of consecutive fixes that the gate may reject; the next one is used, so that a diverged filter can recover."""
+"""Largest number of consecutive fixes that the gate rejects; the next fix is used, so that a diverged filter can
+recover."""
 
 GAP_TURN_STD = 0.1
 """Standard deviation of the turn rate in an IMU gap, around the mean of the adjacent samples, rad/s.
@@ -57,13 +59,13 @@ GAP_TILT_STD = 0.01
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:
-    """Return the names in `MEASURED` of a parameter set's measurements; "ay" if it has its own noise."""
+    """Return the names in `MEASURED` of a parameter set's measurements, and "ay" if ay has its own noise."""
     used = {name for name, noise in NOISE_OF.items() if getattr(p, noise) is not None}
     return frozenset(used | ({"ay"} if len(p.imu_noise) > 2 else set()))
 
 
 def require_odometer(drive: Drive) -> None:
-    """Refuse a drive without an odometer for a filter that uses it.
+    """Raise an error if a filter uses an odometer and the drive has none.
 
     Raises
     ------
@@ -78,7 +80,7 @@ def require_odometer(drive: Drive) -> None:
 
 
 def require_accuracy(line: Timeline) -> None:
-    """Raise an error if a filter weights fixes by stated accuracy and a fix of the drive states none.
+    """Raise an error if a filter weights fixes by stated accuracy and a fix of the drive has no stated accuracy.
 
     Raises
     ------
@@ -213,7 +215,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """Return the gyro observations and the indices of their starts, combined if all starts have one, to save calls."""
+    """Return the gyro observations and the indices of their starts, combined if all starts have observations."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]

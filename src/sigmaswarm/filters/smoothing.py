@@ -79,7 +79,7 @@ class _Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of some steps of the forward pass, in the form that `smooth_back` reads, and where the filter is lost."""
+    """Log of some steps of the forward pass for `smooth_back`, with marks where the filter is lost."""
 
     steps: Array
     start: Array

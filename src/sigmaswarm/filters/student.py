@@ -5,13 +5,13 @@ weight from a gamma distribution of mean 1; an outlier's weight is small.
 """
 
 ITERATIONS = 3
-"""Iterations of the variational update, which fits state and weight of a fix to each other."""
+"""Number of iterations of the variational update, which alternately fits the state and the weight of a fix."""
 OUTLYING = 0.25
 """Weight below which a fix is an outlier."""
 OUTLIERS = 3
-"""Least number of consecutive outliers after which the filter, not the fixes, is wrong; see also `OUTLIERS_SPAN`."""
+"""Smallest number of consecutive outliers after which the filter, not the fixes, is wrong; see also `OUTLIERS_SPAN`."""
 OUTLIERS_SPAN = 5.0
-"""Least duration of such a run of outliers, s."""
+"""Smallest duration of a run of outliers after which the filter, not the fixes, is wrong, s."""
 
 # c of an objective is 2 x with x e^x E1(x) = v / (v + 2), E1 being the exponential integral. Then the mean of
 # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as it is for
@@ -22,4 +22,4 @@ INNOVATION_DOF, INNOVATION_SCALE = 4.0, 2.9069903810286775
 FORECAST_DOF, FORECAST_SCALE = 8.0, 6.609907797270899
 """v and c of `forecast-t`."""
 LARGEST_TAIL = 1e38
-"""Upper limit of 1 + NIS / c in `innovation-t`: a product of eight of them does not overflow."""
+"""Upper limit of 1 + NIS / c in `innovation-t`: a product of eight such numbers does not overflow."""

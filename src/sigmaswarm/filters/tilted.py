@@ -26,8 +26,8 @@ ATTITUDE = (8, 9, 4)
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
 """Indices of the biases: forward, left; and about forward, left, up."""
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
-"""The states whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Any
-square root is right. With these states fixed, process and measurements are linear in all others."""
+"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Any
+square root is valid. With these states fixed, process and measurements are linear in all others."""
 N = 12
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
@@ -145,7 +145,7 @@ def tilted12(state: Array, dt: float, imu: Array) -> Array:
 
 
 def transition(state: Array, dt: float, imu: Array) -> Array:
-    """F, (12, 12): propagation of a small error by a step."""
+    """F, (12, 12): propagation of a small error over a step."""
     r, _, a = _middle(state, dt, imu)
     of_error = np.zeros((2, N))  # of the acceleration, e x a and -R b
     of_error[:, [*ATTITUDE]] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
@@ -186,7 +186,7 @@ class Antenna:
 
 @dataclass(frozen=True)
 class RearAxle:
-    """The velocity to the left (m/s) at the rear axle: 0 for a car on its wheels, as the velocity up from the road.
+    """The velocity to the left (m/s) at the rear axle: 0 for a car on its wheels, like the velocity up from the road.
 
     Attributes
     ----------

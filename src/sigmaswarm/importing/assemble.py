@@ -179,9 +179,7 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
     apart = [gps[n][inside] - np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")]
     (east, north), spread = np.mean(apart, axis=1), np.std(apart, axis=1) / np.sqrt(np.count_nonzero(inside))
     lat, lon, _ = enu_to_geodetic(np.array([[east, north, 0.0]]), origin)[0]
-    state = (
-        f"state it with --origin, as --origin {lat:.8f},{lon:.8f},{origin[2]:.3f}, which fits the fixes best"
-    )
+    state = f"state it; --origin {lat:.8f},{lon:.8f},{origin[2]:.3f} fits the fixes best"
     if np.all(np.abs([east, north]) < 5 * spread):
         return f"{said}; {state}"
     return f"{said}; but the fixes lie {east:.2f} m east and {north:.2f} m north of the truth on average: {state}"

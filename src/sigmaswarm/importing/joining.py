@@ -94,7 +94,7 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
         keep = part.part.columns["keep"]
         say(f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {keep} is not true")
     if part.timeless:
-        say(f"{role}: {part.timeless} rows of {table} without a time left out")
+        say(f"{role}: left out {part.timeless} rows of {table}, which have no time")
     if not len(time):
         why = "no usable row; --show shows its contents"
         if part.timeless:

@@ -226,7 +226,8 @@ def _said(calibration: Calibration, stated: float | None) -> str:
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:
         return f"{fitted}; mx and my turn the wrong way round (x forward, y left): corrected by the course"
-    found = f"{np.degrees(calibration.declination):+.1f} deg by the course of the fixes"
-    if stated is None:
-        return f"{fitted}; declination, with the sensor's turn about z, {found}"
-    return f"{fitted}; declination {stated:+.1f} deg as stated, with the sensor's turn about z {found}"
+    total = (
+        f"{np.degrees(calibration.declination):+.1f} deg for declination plus the sensor's rotation about z"
+    )
+    stating = "" if stated is None else f"; declination {stated:+.1f} deg as stated"
+    return f"{fitted}{stating}; the course of the fixes gives {total}"

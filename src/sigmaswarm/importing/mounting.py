@@ -20,7 +20,7 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     """Turn the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note."""
     mounting = gather(drive).mounting
     if mounting is None or mounting.confidence == "no":
-        reason = mounting.reason if mounting else "it needs ax, ay, az, gx, gy, gz and a moving vehicle"
+        reason = mounting.reason if mounting else "required: ax, ay, az, gx, gy, gz and a moving vehicle"
         raise InputError(
             f"mount auto: the log does not show the mounting ({reason}); state it, as in mount 0,10,90"
         )

@@ -161,7 +161,7 @@ def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
 
 
 def _optimizer(learning_rate: float) -> Any:
-    """Return Adam with weight decay and clipped gradients; steps that are not finite are skipped."""
+    """Return Adam with weight decay and clipped gradients; updates that are not finite are skipped."""
     import optax
 
     steps = optax.chain(

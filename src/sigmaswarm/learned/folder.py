@@ -40,7 +40,7 @@ class NetworkRecord(BaseModel):
     learning_rate: float
     axes: list[str] = Field(default_factory=list)
     inflation: float | None = None
-    """Factor of the variances; None: infinite."""
+    """Factor of the forecasts' variances; None: infinite."""
     unsure: float = 1.0
     numbers: int
 
@@ -52,7 +52,7 @@ class TrainingRecord(BaseModel):
     search: int
     driven_s: float
     labelled_s: float = 0.0
-    """Seconds of driving with truth; always 0."""
+    """Duration of the training data with truth, s; always 0, since training does not use truth."""
     epochs: int
     loss_before: float
     loss: float

@@ -64,7 +64,7 @@ class Learner(Protocol):
     def finish(
         self, settings: Settings, weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Complete the best network: return its weights and further entries of its record."""
+        """Complete the best network; return its weights and further entries of the record."""
         ...
 
 

@@ -7,7 +7,7 @@ the filter. The filter's speed is not an input: the network would return this sp
 Errors of the forecasts persist on one road and in one car; they are modeled as Gauss-Markov processes. While there are
 fixes, the error of a forecast is its difference from the filter's velocity. In an outage the last known error is
 subtracted, with decay. The remaining error is still correlated in time. The velocity covariance of a filter that was
-tuned with fixes is often too small in an outage. So two factors are fitted, one of the forecasts' variance and one of
+tuned with fixes is often too small in an outage. So two factors are fitted, one for the forecasts' variance and one for
 the velocity's Q in an outage: they maximize the likelihood of hidden fixes on validation drives. If the gain over the
 filter alone is not significant, the network is not used.
 """

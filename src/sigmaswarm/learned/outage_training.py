@@ -30,15 +30,15 @@ from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
 LENGTHS = (10.0, 40.0)
-"""Shortest and longest calibration outage, s."""
+"""Lengths of the shortest and the longest calibration outage, s."""
 PLACEMENTS = 4
-"""Placements of outages in each drive."""
+"""Number of placements of outages in each drive."""
 EVERY = 0.25
 """Interval between examples, s."""
 BORDER = 5.0
 """Gap between the training and validation data, s."""
 INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)
-"""Candidates of the calibration: see `OutageLstm`."""
+"""Values of ``inflation`` and ``unsure`` that the calibration tries: see `OutageLstm`."""
 LAGS = (2, 4, 8, 12, 20, 40, 80, 120)
 """Lags of the autocorrelation of errors, in units of `EVERY`."""
 FIXED = ("center", "spread", "usual", "scale", "kept", "lasts")
@@ -54,7 +54,7 @@ class Track:
     mean : ndarray, shape (n, 5)
         The smoothed track with all fixes: x, y, vx, vy, theta at the IMU samples.
     held_back_from : float
-        Begin of the validation data, s.
+        Start of the validation data, s.
     """
 
     ready: PreparedDrive
@@ -210,8 +210,8 @@ def calibrate(
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
-    The inflation is infinite if the mean gain over the filter alone is below its standard error. Only outages of the
-    same placement count as independent.
+    The inflation is infinite if the mean gain over the filter alone is below its standard error. Only outages of one
+    placement count as independent of each other.
     """
     windows = [
         outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases

@@ -13,9 +13,9 @@ from sigmaswarm.errors import InputError
 HORIZON = 1.0
 """Duration of a displacement, s."""
 OUTAGE_AFTER = 2.0
-"""Time without a fix before an outage begins, s; a working receiver has 1 Hz or more."""
+"""Time since the last fix after which an outage begins, s; a working receiver has a rate of 1 Hz or more."""
 STEPS = 40
-"""Steps of a resampled window."""
+"""Number of steps of a resampled window."""
 _QUIET = 1e-3
 """Offset added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
 _GRAVITY = 9.80665

@@ -1,8 +1,8 @@
 """Update a filter with a displacement between two moments.
 
 A displacement measures motion, not position. A fix at the last position plus the displacement would add the error of
-the last position again at each update. So the measurement also depends on the state at its begin, as in stochastic
-cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
+the last position again at each update. So the measurement also depends on the state at the start of the displacement,
+as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
@@ -27,7 +27,7 @@ from sigmaswarm.filters.replay import Replay, run_steps
 _SMALL = 1e-3
 """Step of the finite differences, in standard deviations."""
 GATE = 13.8
-"""Largest accepted NIS of a displacement; rejects one in a thousand (chi-square, two degrees of freedom)."""
+"""Largest accepted NIS of a displacement, which rejects one in a thousand (chi-square, two degrees of freedom)."""
 
 
 class Begin(NamedTuple):
@@ -113,7 +113,7 @@ class Displacements:
         return mean[0], covariance[0]
 
     def _transported(self, begin: Begin, x0: Array, p0: Array, stop: int) -> Array:
-        """Return A, the transition of an error from the begin, (n, n)."""
+        """Return A, the transition of an error since the start of the displacement, (n, n)."""
         n, step = len(x0), _SMALL * np.sqrt(np.diag(p0))
         moved = np.array([x0, *(self._plus(x0, e) for e in np.diag(step))])
         moved = np.vstack([moved, np.broadcast_to(x0, (LANES - n - 1, n))])

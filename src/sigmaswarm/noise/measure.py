@@ -46,7 +46,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Raises
     ------
     InputError
-        The log can't be read, moves, is too short, or no axis shows its noise.
+        The log can't be read or is too short, the IMU moves, or no axis shows its noise.
     """
     if isinstance(log, Imu):
         return _measured("IMU", log, None)
@@ -139,7 +139,7 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
 
 
 def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[str]) -> AxisNoise:
-    """Measure one axis on its static stretches; add what looks wrong to the remarks."""
+    """Measure one axis on its static stretches; add faults of the axis to the remarks."""
     longest = max(values, key=len)
     found = fit(spectrum_of(values, interval), len(longest) * interval)
     tau, deviation = allan_deviation(values, interval)

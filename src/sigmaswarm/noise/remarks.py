@@ -14,23 +14,24 @@ from sigmaswarm.noise.static import Stretches, step_of
 from sigmaswarm.wording import counted
 
 LONG = 1800.0
-"""Shortest stretch that shows more than white noise, s."""
+"""Shortest stretch that shows bias instability and rate random walk, s."""
 LONG_TREND = 300.0
 """Shortest stretch whose trend is tested, s."""
 STATIC = 0.95
-"""Share of a static log that is at rest."""
+"""Share of a log at rest below which a remark states that the log is not static."""
 UNLIKELY = 0.1
-"""Relative error of gravity above which the unit is doubtful."""
+"""Relative difference between the measured specific force and gravity above which the unit looks wrong."""
 ROUGH_GYRO = 3e-3
-"""rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise above that of any sensor of a vehicle in rad/s, but usual in deg/s."""
+"""rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise above which the unit looks wrong; a gyro in rad/s has less, and a gyro in
+deg/s usually has more."""
 MANY = 30.0
-"""Smallest number of averages of an accurate Allan deviation."""
+"""Smallest number of averaging intervals (duration / tau) for an accurate Allan deviation."""
 MISFIT = 1.5
 """Ratio of the Allan deviation to the model, or its inverse, from which a misfit is reported."""
 TREND = 4.0
-"""Standard deviations by which a trend exceeds the fitted processes."""
+"""Ratio of a trend to its standard deviation under the fitted processes, above which the trend is reported."""
 COARSE = 0.5
-"""Ratio of quantization step to deviation above which an axis is reported."""
+"""Ratio of the quantization step to the standard deviation above which an axis is reported."""
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
@@ -84,8 +85,8 @@ def on_step(axis: str, values: Array) -> list[str]:
     if step <= COARSE * deviation:
         return []
     return [
-        f"{axis} is quantized in steps of {step:.3g}, {step / deviation:.1f} times its deviation: the white noise "
-        "includes that of the steps"
+        f"{axis} is quantized in steps of {step:.3g}, {step / deviation:.1f} times its standard deviation: the white "
+        "noise includes quantization noise"
     ]
 
 
@@ -96,7 +97,7 @@ def on_trend(axis: str, trend: float) -> list[str]:
         return []
     return [
         f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its random processes explain, as "
-        "when a sensor warms up: log it after half an hour of running"
+        "when a sensor warms up: start the log after half an hour of running"
     ]
 
 

@@ -21,26 +21,29 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1
-"""Ratio of the highest frequency used to the sampling rate: sensors filter higher ones, and engines add to them."""
+"""Ratio of the highest frequency used to the sampling rate: sensors filter higher frequencies, and engines add
+vibration there."""
 ENOUGH = 200
 """Smallest number of frequencies used, if necessary up to half the sampling rate."""
 FIRST = 2
-"""Lowest frequency used, periods per stretch: the trend, which is subtracted, contains most of the lower ones."""
+"""Lowest frequency used, periods per stretch: the trend, which is subtracted, contains most of the lower
+frequencies."""
 PER_DECADE = 24
-"""Bands of frequencies that are averaged."""
+"""Number of frequency bands per decade; the periodogram is averaged over each band."""
 TAPER = 1.5
-"""Neighboring frequencies that count as one, as the sine taper correlates them."""
+"""Number of neighboring frequencies that count as one, since the sine taper correlates them."""
 CERTAIN = 5.99
-"""Deviance of the points of a 95% interval above the smallest one: chi-square with two degrees of freedom, since the
-unknown correlation time widens the others' intervals. They cover 93 to 100% (benchmarks/imu_noise.py)."""
+"""Largest deviance inside a 95% interval, minus the smallest deviance: chi-square with two degrees of freedom, since
+the unknown correlation time widens the intervals of the other parameters. The intervals cover 93 to 100%
+(benchmarks/imu_noise.py)."""
 POINTS = 11
-"""Values of a parameter at which its profile is computed in each pass."""
+"""Number of values of a parameter at which its profile is computed in each pass."""
 PASSES = 3
-"""Passes that refine an end of an interval."""
+"""Number of passes that refine an end of an interval."""
 TIMES = 8
-"""Finite correlation times that are tried."""
+"""Number of finite correlation times that are tried."""
 STEPS = 15
-"""Iterations of Fisher's scoring until convergence."""
+"""Number of iterations of Fisher's scoring until convergence."""
 SHORTEST = 10.0
 """Correlation time below which noise looks like a sensor's low-pass filter, s."""
 

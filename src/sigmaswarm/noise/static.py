@@ -16,25 +16,27 @@ SHORTEST = 10.0
 FEWEST = 50
 """Smallest number of samples of a stretch."""
 BLOCK = 1.0
-"""Length of the blocks whose mean and deviation show motion, s."""
+"""Length of the blocks whose mean and standard deviation show motion, s."""
 SMALLEST = 20
-"""Smallest number of samples of a block: the deviations of fewer scatter too much."""
+"""Smallest number of samples of a block: the standard deviation of fewer samples scatters too much."""
 JUMP = {"a": 0.1, "g": np.radians(0.5)}
-"""Change of a sensor's mean from one block to the next that shows motion, m/s2 and rad/s."""
+"""Change of a sensor's mean from one block to the next above which the IMU moves, m/s2 and rad/s."""
 RESTLESS = 3.0
-"""Ratio of a block's deviation to that of the quietest ones that shows motion, unless it is below `CALM`."""
+"""Ratio of a block's standard deviation to that of the quietest blocks above which the IMU moves, unless the block's
+standard deviation is below `CALM`."""
 CALM = {"a": 0.02, "g": np.radians(0.1)}
-"""Largest deviation that never shows motion, m/s2 and rad/s."""
+"""Standard deviation of a block below which the IMU does not move, m/s2 and rad/s."""
 ROUGH = 0.3
-"""Deviation of an accelerometer that always shows motion, m/s2."""
+"""Standard deviation of an accelerometer in a block above which the IMU moves, m/s2."""
 FIX_SPEED = 0.5
-"""Speed of a straight line through a stretch's fixes that shows motion, m/s."""
+"""Speed of the straight-line fit to a stretch's fixes above which the vehicle moves, m/s."""
 SAMPLE = 100_000
-"""Number of samples from which the quantization step is determined."""
+"""Approximate largest number of samples from which the quantization step is determined."""
 PILED = 3.0
-"""Ratio of samples at the end of an axis's range to those at the next value that shows saturation."""
+"""Ratio of the number of samples at the end of an axis's range to the number at the next value, above which the axis is
+saturated."""
 LEAST_PILED = 1e-3
-"""Smallest share of samples at the end of the range that shows saturation."""
+"""Smallest share of samples at the end of the range for saturation."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
         raise InputError(
-            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU at rest, for an hour to show all noises"
+            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU at rest; an hour shows all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
@@ -92,7 +94,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 def _calm_blocks(
     imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return a mask of the blocks that are as quiet as the quietest, with the means of their neighbors."""
+    """Return a mask of the blocks that are nearly as quiet as the quietest, with means like their neighbors'."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

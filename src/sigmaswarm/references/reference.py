@@ -1,9 +1,9 @@
 """`reference`: the fixes of a good receiver, smoothed with the drive's IMU, as truth with standard deviations.
 
 The filter is tuned on these fixes alone, and smoothed (`filters.smoothing`). The smoother's standard deviations are
-checked: fixes are hidden from it for some seconds, several times, and the deviations are multiplied until they cover
-these fixes. The receiver's own deviation is added, since its errors are correlated, and the mean of many fixes is not
-better than one.
+checked: fixes are hidden from the smoother for some seconds, several times, and the standard deviations are multiplied
+until they cover these fixes. The standard deviation of the receiver's fixes is added: their errors are correlated, so
+the mean of many fixes is not more accurate than one fix.
 """
 
 import math
@@ -39,14 +39,15 @@ ACCURACY = 0.1
 HIDDEN = (2.0, 20.0)
 """Times, s, for which fixes are hidden from the smoother: IMUs of cars bridge the shorter one to a decimeter."""
 HIDDEN_FIRST = 10.0
-"""Time from the start before fixes are hidden, and between two windows, s."""
+"""Time from the start to the first window of hidden fixes, and between two windows, s."""
 PLACEMENTS = 3
 """Number of placements of the hidden windows."""
 COVERED = 0.95, 1.96
-"""Required share of the hidden fixes within this many sigma, per axis."""
+"""Required share of the hidden fixes inside an interval, and half the width of this interval in sigmas, per axis."""
 OBJECTIVE = "innovation-t"
 SLIP = math.radians(0.1)
-"""Addition to the heading's deviation, rad, for sideways slip of the rear axle, which fixes do not show."""
+"""Addition to the standard deviation of the heading, rad, for sideways slip of the rear axle, which fixes do not
+show."""
 
 
 class ReferenceOptions(TypedDict, total=False):
@@ -86,8 +87,8 @@ def reference(
     """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
 
     A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes with a
-    stated deviation above ``accuracy``, are left out: their errors are correlated, so a mean of them is not better. The
-    IMU bridges them.
+    stated standard deviation above ``accuracy``, are left out: their errors are correlated, so a mean of such fixes is
+    not more accurate. The IMU bridges the gaps.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def reference(
     fix_std : float, optional
         m per axis: lower limit of a fix's standard deviation, which fixes without a stated one get.
     seed : int
-        Decides the tuning, and which fixes are hidden; 0 by default.
+        Seed of the tuning, and of the windows of hidden fixes; 0 by default.
 
     Returns
     -------
@@ -175,8 +176,8 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the filter that suits the drive on the good receiver's fixes.
 
-    It does not use ``standstill``: tuned on fixes accurate to a centimeter, its noise is so small that one wrongly
-    detected standstill, in an outage, moves the track by meters and leaves the covariance small.
+    The filter does not use ``standstill``: tuned on fixes accurate to a centimeter, the noise of this constraint is so
+    small that one wrongly detected standstill, in an outage, moves the track by meters and leaves the covariance small.
     """
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
@@ -197,7 +198,7 @@ def _log(fixes: "str | Path | Drive | Gps", drive: Drive, offset: float) -> tupl
 
 
 def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
-    """Return the fixed solutions with a stated deviation of at most ``accuracy``, m."""
+    """Return the fixed solutions with a stated standard deviation of at most ``accuracy``, m."""
     gps, start, end = log.gps, drive.imu.time[0], drive.imu.time[-1]
     accuracy, fix_std = options.accuracy, options.fix_std
     if (gps.std_x is None or gps.std_y is None) and fix_std is None:
@@ -228,7 +229,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor of the smoother's deviations that covers hidden fixes; at least 1."""
+    """Return the factor with which the smoother's standard deviations cover the hidden fixes; at least 1."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):

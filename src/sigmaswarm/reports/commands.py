@@ -57,7 +57,7 @@ def evaluate_command(
 
 
 def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the defaults of `tune`, some of which depend on the model and the objective."""
+    """Return the default options of `tune`, some of which depend on the model and the objective."""
     usual = DEFAULTS | dict.fromkeys(GUARDS, 0.0)
     with suppress(ValidationError, KeyError):  # of another version
         usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind

@@ -25,9 +25,11 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """Tabulate each optimizer: medians with intervals, worst runs and tests; print it with to_markdown() and others."""
+    """Tabulate medians with intervals, worst runs and tests of each optimizer; to_markdown() formats the table."""
     same = all(c.config.objective == "truth-rmse" for c in comparison.contenders)
-    shown = [m for m in comparison.measures if not (same and m == "held_out_cost")]  # that is the RMSE
+    shown = [
+        m for m in comparison.measures if not (same and m == "held_out_cost")
+    ]  # this measure is the RMSE
     tested = comparison.seeds >= FEWEST_SEEDS
     digits = "{:.4g}".format
     columns = [Column("optimizer"), Column("scale")]
@@ -47,7 +49,7 @@ def comparison_table(comparison: Comparison) -> Table:
         rows.append((*cells, row["steps_share"], str(row["touched_bounds"]).replace(" ", ", ") or "-"))
     alone = comparison.fixes_alone_rmse
     rival = (
-        f" A filter of the fixes alone, without the IMU, has a held-out RMSE of {alone:.4g} m."
+        f" A filter that uses only the fixes, without the IMU, has a held-out RMSE of {alone:.4g} m."
         if alone
         else ""
     )

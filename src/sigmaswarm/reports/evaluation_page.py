@@ -37,11 +37,11 @@ SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 """Verdicts on the consistency that are warnings."""
 BANK = (
-    "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate "
-    "depend on how well they predicted the last minute. Every 10 s while the vehicle moves, those with the lowest "
+    "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate depend "
+    "on how well they predicted the last minute. Every 10 s while the vehicle moves, the filters with the lowest "
     "weights are replaced by the results of a search over the last minute. Where the parameters move far from the "
-    "tuning, the vehicle, its sensors or its surroundings differ from those that the filter was tuned for: one "
-    "decade is a factor of ten in a variance."
+    "tuning, the vehicle, its sensors or its surroundings differ from those that the filter was tuned for: one decade "
+    "is a factor of ten in a variance."
 )
 
 

@@ -1,4 +1,4 @@
-"""A report as one HTML file: it needs no network and no other file.
+"""A report as one HTML file, which needs no network and no other file.
 
 Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are interactive by plotly.js, whose basic bundle is
 in the page (MIT license, see assets/); the bundle and the tracks are compressed.
@@ -41,7 +41,7 @@ TERMS = {
     "outage drift": "position error at the end of a time without fixes, RMS over all outages",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
-    "baseline": "the tuned filter's model with usual noises, not tuned",
+    "baseline": "the tuned filter's model with typical noise parameters, not tuned",
     "fixes alone": "a constant-velocity filter without the IMU",
     "raw GPS": "the receiver's fixes, without a filter",
     "IMU only": "the filter without fixes after its start",
@@ -56,7 +56,8 @@ _TERM = re.compile(
     "|".join(rf"(?<!\w){re.escape(term)}(?!\w)" for term in sorted(TERMS, key=len, reverse=True))
 )
 MOST_NUMBERS = 250_000
-"""Numbers of all tracks of a page; more drives are drawn with fewer points each, so that it stays below 2 MB."""
+"""Largest number of values in all tracks of a page, so that the page stays below 2 MB; with more drives each track has
+fewer points."""
 
 
 @dataclass(frozen=True, eq=False)

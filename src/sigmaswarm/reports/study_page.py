@@ -19,7 +19,7 @@ CONSISTENT = 2.0
 BEYOND_CHANCE = (1.0, 4.0)
 """Bounds outside of which a mean NIS means wrong covariances, for any number of fixes."""
 UNLUCKY = 1.2
-"""Ratio to the lowest cost above which a trial's search was unlucky."""
+"""Ratio of a trial's cost to the lowest cost above which the trial's search counts as unlucky."""
 IN_CONDITIONS = (
     ("untuned", "raw-gps"),
     ("untuned", "ukf-defaults"),

@@ -27,7 +27,7 @@ ROWS = [
 ]
 """Protocol and method of each row of a study, and the paper's row next to it."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
-"""The paper's rows of the timed filters."""
+"""Filter types whose run times are measured, by the paper's row."""
 MANUAL = "ukf-datasheet"
 """The manually tuned filter of equation 5."""
 LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
@@ -38,11 +38,11 @@ AWAY = {
     DRIFT: "drift over 5 s, m",
     "outage_drift_30_s_m": "drift over 30 s, m",
 }
-"""Measures of other drives and of learning curves."""
+"""Measures in the tables of other drives and of learning curves, with their titles."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
-    "One value per drive, the mean over its trials; drives on which one of the two failed are left out; 95% "
-    "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
+    "One value per drive, the mean over its trials; drives on which either compared method failed are left out; "
+    "95% intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
     "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it covers the mean of "
@@ -204,7 +204,7 @@ def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> 
         columns += [_figures(title, 4), _figures("95% of the calls", 4, joined=True)]
     note = (
         "Medians over one drive of the live filter, called from Python, on the machine that ran the study; in brackets "
-        "the range of 95% of the calls. Tuning does not change them. The paper's limit for real time is "
+        "the range of 95% of the calls. Tuning does not change these times. The paper's limit for real time is "
         f"{results.paper['real_time_limit_ms']:g} ms."
     )
     return Table("Table III, run time: ms per update", tuple(columns), tuple(rows), note=note)
@@ -223,10 +223,10 @@ def objectives_compared(results: Results) -> str:
     if None in (means := [each and each.mean for each in found]):
         return ""
     return (
-        "There are two objectives, since the paper's compares the estimate with the GPS fix that the filter has just "
-        "used: a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from the fixes but {:.2f} m "
-        "from the truth; the fixes themselves are {:.2f} m from the truth. Tuned against truth by the same swarm, the "
-        "PSO-UKF is {:.2f} m from the truth."
+        "There are two objectives, since the paper's objective compares the estimate with the GPS fix that the "
+        "filter has just used: a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from "
+        "the fixes but {:.2f} m from the truth; the fixes themselves are {:.2f} m from the truth. Tuned against truth "
+        "by the same swarm, the PSO-UKF is {:.2f} m from the truth."
     ).format(*means)
 
 

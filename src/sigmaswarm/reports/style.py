@@ -61,6 +61,6 @@ LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
 
 
 def many_looks(n: int, width: float) -> list[Look]:
-    """Return looks of many lines; line styles distinguish those that repeat a color."""
+    """Return looks of many lines; line styles distinguish lines of equal color."""
     colors, styles = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK), ("-", "--", ":", "-.")
     return [Look(colors[i % 7], width, styles[i // 7 % 4]) for i in range(n)]

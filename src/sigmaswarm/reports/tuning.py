@@ -104,7 +104,7 @@ def tuning_report(folder: Path) -> Report:
         how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
         figures.append(("cost on held-out drives", f"{cost:.4g}", how))
         held_out = (
-            f"On {counted(len(result.validation_drives), 'drive')} that the search did not use its cost is "
+            f"On {counted(len(result.validation_drives), 'drive')} that the search did not use the cost is "
             f"{cost:.4g}, {how}; on the training drives it is {result.cost:.4g}."
         )
     figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
@@ -185,7 +185,7 @@ def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
 
 
 def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
-    """Return the search name, value, unit and density of every parameter of the filter."""
+    """Return the name, value, unit and density of every parameter of the filter."""
     names = {
         "process_noise": [f"q_{state}" for state in file.units.get("states", [])],
         "measurement_noise": ["r_x", "r_y"],
@@ -224,7 +224,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
-    """List the drives; for evaluated ones state whether they were held out, if that is known."""
+    """List the drives; for evaluated drives state whether they were held out, if that is known."""
 
     def held_out(drive: DriveRecord) -> Cell:
         if drive.seen_s:

@@ -19,7 +19,8 @@ from sigmaswarm.filters.run import Innovations, run_innovations
 GATE_95 = -2 * math.log(0.05)
 """95% quantile of NIS for a consistent filter: 5.99."""
 FAR_NEES = 4.0
-"""Mean NEES above which errors are clearly too large, by a factor of 1.4; a fixed limit, since NEES has no band."""
+"""Mean NEES above which errors are clearly too large (by a factor of 1.4); the limit is fixed, since NEES has no
+band."""
 RIGHT_NEES = 1.5
 """Lowest mean NEES for which a filter's position covariance counts as right; the highest is `FAR_NEES`."""
 LAGS = 10
@@ -132,12 +133,12 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Kind of a verdict, by the innovations relative to their covariances.
+"""Kind of a verdict, which depends on the innovations relative to their covariances.
 
 ``optimistic``: larger (overconfident). ``pessimistic``: smaller. ``alike``: smaller, and consecutive innovations are
-nearly equal, so the error is unknown without truth. ``lasting``: smaller, although errors against truth agree with the
-covariances, since predictions share the fixes' errors. ``correlated``: of the right size, but consecutive innovations
-are correlated; only without truth.
+nearly equal, so the position error is unknown without truth. ``lasting``: smaller, although errors against truth agree
+with the covariances, since predictions share the fixes' errors. ``correlated``: of the right size, but consecutive
+innovations are correlated; only without truth.
 """
 ALIKE = 0.5
 """Lag-1 correlation above which consecutive innovations count as nearly equal."""
@@ -171,7 +172,7 @@ VERDICTS: dict[Kind, str] = {
 
 
 def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
-    """Return sentences on the consistency on several drives, one for each kind of verdict."""
+    """Return sentences on the consistency on several drives, one sentence for each kind of verdict."""
     known = [one for one in found if one]
     of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)

@@ -30,13 +30,13 @@ SMOOTHED = "smoothed"
 SWARM = "swarm"
 """A filter bank of the tuned filter."""
 LEARNED = ("outage-lstm", "noise-gru")
-"""Networks that help the tuned filter: see `learned`."""
+"""Networks that support the tuned filter: see `learned`."""
 OWN = "against"
 """Another tuning, or the user's own filter."""
 FIXES = "fixes_alone"
 """A constant-velocity filter that uses the fixes only, without the IMU."""
 UNTUNED = "untuned"
-"""The baseline: the tuned filter's model with typical noises instead of tuned ones."""
+"""The baseline: the tuned filter's model with typical noise parameters instead of tuned ones."""
 
 
 class Run(Protocol):
@@ -79,7 +79,7 @@ class Outages:
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
-        """Add an existing estimate that uses no fixes, and so is the same with the fixes hidden."""
+        """Add an existing estimate that uses no fixes, and so does not change if fixes are hidden."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
     def run(
@@ -114,7 +114,9 @@ class Outages:
             run, ends = make(outages), self._ends[len(self._each.get(method, ()))]
             places = [np.empty((0, 2))]
             for piece in run:
-                here = ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])]  # each is a sample's time
+                here = ends[
+                    (ends >= piece.time[0]) & (ends <= piece.time[-1])
+                ]  # each end is the time of a sample
                 places.append(piece.mean[np.searchsorted(piece.time, here), :2])
             self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
 

@@ -92,8 +92,8 @@ class Options:
     more : mapping of str to callable
         Further methods, with names from `ALSO`: functions that run a method on a replay, such as a trained network.
     fixes_alone : MotionNoise, optional
-        Noises of the filter of the fixes alone, as in ``tuning.fixes_alone``. By default they are fitted to each
-        evaluated drive, so the scores of this filter are lower bounds.
+        Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default they are
+        fitted to each evaluated drive, so the scores of this filter are lower bounds.
     """
 
     against: FilterParameters | None = None
@@ -171,7 +171,7 @@ class Evaluation:
     parameters : FilterParameters or None
         Evaluated filter.
     fixes_alone : MotionNoise or None
-        Noises of the filter of the fixes alone; None if they were fitted to each drive.
+        Noise parameters of the filter that uses only the fixes; None if they were fitted to each drive.
     """
 
     drives: Mapping[str, Evaluated]
@@ -474,7 +474,7 @@ def _tracked(
         run = make(replay)
         tracker.follow(method, run)
         scores[method] = tracker.scores[method]
-        if method != FIXES:  # it is never reset
+        if method != FIXES:  # dead reckoning is never reset
             restarts[method] = tuple(run.restarts)
     radius = _radius(ready.drive, filters["tuned"], tracker.stated)
     tracker.stated = NOTHING_STATED  # frees three arrays of the length of truth
@@ -489,7 +489,7 @@ def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed
 
 
 def score_fixes_alone(ready: PreparedDrive, noise: MotionNoise, length: float, seed: int) -> Score:
-    """Score the filter of the fixes alone: errors against truth, and drift at the ends of the outages."""
+    """Score the filter that uses only the fixes: errors against truth, and drift at the ends of the outages."""
     whole = estimate_of(FixesAlone(tracking_replay(ready), noise), recover=False)
     windows = outage_windows(ready.drive, whole.initial, length=length, seed=seed)
     hidden = estimate_of(FixesAlone(outage_replay(ready, length=length, seed=seed), noise), recover=False)

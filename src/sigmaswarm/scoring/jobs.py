@@ -1,7 +1,7 @@
 """Jobs of a batch: each runs some of the replays with some of the parameter sets.
 
-A kernel runs up to `most_lanes` parameter sets at once; with fewer, each of them takes more time. Therefore jobs have
-this size, except where workers would be idle at the end.
+A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time. Therefore jobs have
+`most_lanes` sets, except where workers would be idle at the end.
 """
 
 import os
@@ -76,7 +76,7 @@ def run_jobs(
 ) -> list[Result]:
     """Call a function with each tuple of arguments, in ``executor`` or, without one, in this thread.
 
-    After an exception or an interrupt no further job starts. It is raised after the running jobs end.
+    After an exception or an interrupt no further job starts. The exception is raised after the running jobs end.
     """
     if executor is None:
         return [function(*job) for job in jobs]

@@ -17,7 +17,7 @@ METHODS = {
     "imu_only": "IMU only",
 }
 """Rows of every comparison: display names by their keys in files."""
-HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noises are fitted to {}"
+HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noise parameters are fitted to {}"
 """Sentence that defines the filter without an IMU."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 """Hint for users who did not compare another filter."""
@@ -59,13 +59,13 @@ def how_untuned(tuned: str) -> str:
         )
     return (
         "The baseline is the tuned filter's model without tuning: R from the accuracy of the fixes, stated or shown "
-        "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's) and usual errors of the model"
+        "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's) and typical errors of the model"
     )
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A measure: its title, its unit, and a function that takes its value from a score."""
+    """A measure: title, unit, and a function that takes the value from a score."""
 
     title: str
     unit: str

@@ -1,7 +1,8 @@
 """Radius within which a position error lies with a stated probability, and its coverage.
 
 A filter averages the fixes. Correlated errors do not average out, and a log does not show them. The position error
-keeps their variance, which the filter's covariance may not contain. The total variance per axis is estimated as
+contains the variance of the correlated errors, which the filter's covariance may not contain. The total variance per
+axis is estimated as
 
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
 
@@ -29,7 +30,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate
 
 DOF = 7.0
-"""Degrees of freedom, chosen on the parts of the development drives that tunings with seed 0 did not use."""
+"""Degrees of freedom of Student's t for error / sigma, chosen on the parts of the development drives that tunings with
+seed 0 did not use."""
 LEVELS = 0.95, 0.999
 """Probabilities of the radii that an evaluation reports."""
 TRACKING = "tracking"
@@ -66,7 +68,7 @@ def position_radius(
     estimate : Estimate
         Result of `run_filter` or `smooth`.
     drive : Drive
-        Drive of the estimate; its fixes determine the white part of their errors.
+        Drive of the estimate; the fixes determine the white part of their errors.
     parameters : FilterParameters
         Parameters of the filter.
     level : float

@@ -18,7 +18,7 @@ SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "again
 Measured = dict[str, float | None]
 """Scores by measure; None if unknown."""
 FEW = 4
-"""Outages per placement below which all placements hide nearly the same fixes."""
+"""Number of outages per placement below which all placements hide nearly the same fixes."""
 
 
 class DriftRecord(BaseModel):
@@ -52,7 +52,7 @@ class ScoresRecord(BaseModel):
     radius: dict[str, dict[str, RadiusRecord]] = Field(default_factory=dict)
     """Radii of the tuned filter by drive for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
-    """Number of stale fixes by drive; they repeat an earlier fix though the vehicle may have moved."""
+    """Number of stale fixes by drive; a stale fix repeats an earlier fix although the vehicle may have moved."""
 
     def drift_said(self, measure: str, method: str = "tuned") -> str:
         """Describe the number of outages behind a drift, and the range of the drifts of single placements.
@@ -108,7 +108,8 @@ class EvaluationRecord(BaseModel):
     truth_offsets: dict[str, str] = Field(default_factory=dict)
     """Sentence on a constant offset between fixes and truth, by drive."""
     fixes_alone: MotionNoise | None = None
-    """Noises of the filter of the fixes alone, from the tuning; None if they were fitted to each drive."""
+    """Noise parameters of the filter that uses only the fixes, from the tuning; None if they were fitted to each
+    drive."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files of the evaluation, by name; empty in files before 0.4.0."""
 

@@ -16,9 +16,10 @@ from sigmaswarm.wording import counted
 ALL_OF_IT = 0.99
 """Share of the time with truth above which gaps in the truth are not reported."""
 FAR_BELOW = 1.0
-"""Mean NIS, half of its expected value, below which predictions of the fixes do not measure the error."""
+"""Mean NIS, half of the expected value, below which predictions of the fixes do not measure the position error."""
 NOTABLE = 0.9
-"""Ratio of the baseline's error to the tuned filter's below which it is reported as lower."""
+"""Ratio of the error of a method without tuning to the tuned filter's error, below which the method is reported as
+better."""
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
@@ -28,7 +29,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
-    """Describe the number of drives, and the parts of them that the tuning used."""
+    """Describe the number of drives, and the parts of these drives that the tuning used."""
     called = counted(len(data), "drive")
     each = [
         f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
@@ -70,7 +71,7 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
     """Return a sentence for each method without tuning that is better on average over the drives."""
     said: list[str] = []
-    for method, name in ((UNTUNED, "the baseline"), (FIXES, "a filter of the fixes alone")):
+    for method, name in ((UNTUNED, "the baseline"), (FIXES, "the filter that uses only the fixes")):
         known = {
             m: (tuned, other)
             for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
@@ -104,7 +105,10 @@ def said_of_first_look(look: FirstLook) -> str:
         others = ", ".join(
             f"{METHODS[m]} {rmse[m]:.2g} m" for m in (UNTUNED, "raw_gps") if np.isfinite(rmse[m])
         )
-        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: expect larger errors on others"
+        return (
+            f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: "
+            "expect larger errors on other drives"
+        )
     if look.consistency is None or not look.consistency.own_sigma:
         return ""
     return _without_truth(name, look.consistency)
@@ -128,7 +132,7 @@ def said_of_position(found: Consistency) -> str:
         guess = ""
         if expected > own:
             fixes = (expected**2 - own**2) ** 0.5
-            guess = f", perhaps {fixes:.2g} m, the error that the filter assumes of the fixes"
+            guess = f", perhaps {fixes:.2g} m, the error that the filter assumes for the fixes"
         return (
             f"not known{guess}. The filter estimates {own:.2g} m (RMS) for itself, but the fixes deviate "
             f"from its predictions by less than expected ({nis}): the receiver smooths its fixes, or their errors "
@@ -141,5 +145,5 @@ def said_of_position(found: Consistency) -> str:
     if found.mean_nis < low:
         return f"{said}, or somewhat less: {included}, less than expected ({nis})"
     if alike:
-        return f"{said}, or more: {included}, as expected, but neighboring fixes share a part of it"
+        return f"{said}, or more: {included}, as expected, but the errors of neighboring fixes are correlated"
     return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not included"

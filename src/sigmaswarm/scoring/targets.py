@@ -22,9 +22,9 @@ FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 """Lengths, s, of outages over which the drift of a tuned filter is compared with that of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""Wanted number of outages per drive; they determine the drift to about 10%."""
+"""Number of outages per drive for which placements are made; so many outages determine the drift to about 10%."""
 MOST_PLACEMENTS = 8
-"""Largest number of placements of outages on a drive; more would hide the same fixes again."""
+"""Largest number of placements of outages on a drive; more placements would hide the same fixes again."""
 OUTAGE_FIRST_AFTER = 10.0
 """Shortest time, s, from the start to the first outage."""
 OUTAGE_APART = 5.0

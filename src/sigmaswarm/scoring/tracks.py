@@ -36,9 +36,9 @@ NIS = ".nis"
 SHARES, MOVED = ".shares", ".moved"
 """Suffixes of two series of a filter bank: its weights, and its distance from the tuned parameters."""
 MOST_POINTS = 1500
-"""Number of points of a series in a file; more than the pixel columns of most charts."""
+"""Largest number of points of a series in a file; more than the pixel columns of most charts."""
 MOST_DRAWN = 20_000
-"""Number of points of a series in a static plot."""
+"""Largest number of points of a series in a static plot."""
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
 CLOSE_UP = 50.0
 """Side of the close-up of a track, m."""

@@ -15,11 +15,11 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-It is the accuracy of the best filters with cheap receivers. Without it, stretches under open sky would have nearly all
-the weight, where the reference is most accurate and every filter is good.
+This is the accuracy of the best filters with cheap receivers. Without this limit, stretches under open sky would have
+nearly all the weight, where the reference is most accurate and every filter is good.
 """
 HEADING_FLOOR = math.radians(0.3)
-"""The same for the heading, rad."""
+"""Standard deviation of the true heading, rad, below which the weight hardly increases."""
 BLOCKS = 8
 """Number of parts of a drive; the spread of their means shows the effect of correlated errors."""
 CLEAR = 5.0
@@ -108,7 +108,7 @@ def truth_offset(drive: Drive) -> str:
     causes = [
         cause
         for cause, clear, other in ((lever, body_clear, world_clear), (origin, world_clear, body_clear))
-        if clear > CLEAR and clear > other / 2  # a straight road does not distinguish them
+        if clear > CLEAR and clear > other / 2  # a straight road does not distinguish the frames
     ]
     return (
         f"the fixes of {drive.name} lie {abs(offset):.2f} m from the truth on average ({world.real:+.2f} m east, "

@@ -22,7 +22,8 @@ VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 WORSE = 1.05
 """Ratio of forecast errors after and before a repair above which it is withheld."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
-"""Noise densities of planar8's states, unit/sqrt(s), with which it follows the fixes over seconds and else the IMU."""
+"""Noise densities of planar8's states, unit/sqrt(s), with which the filter follows the fixes over seconds and the IMU
+over shorter times."""
 LEAST_STD = 0.5
 """Smallest standard deviation, m, that is assumed for the fixes."""
 
@@ -54,14 +55,14 @@ def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all repairable faults repaired, except repairs that make forecasts worse.
 
-    A filter with fixed noises runs over the log before and after; for repairs of clocks the baseline of the default
-    filter does, too. They forecast the next fix, and fixes hidden for 3 to 5 s. If any forecast error increases by more
-    than 5%, the responsible repair of axes or clocks is withheld.
+    A filter with fixed noises runs over the log before and after the repairs; for repairs of clocks the baseline of the
+    default filter also runs. These filters forecast the next fix, and fixes hidden for 3 to 5 s. If any forecast error
+    increases by more than 5%, the responsible repair of axes or clocks is withheld.
 
     Parameters
     ----------
     drive : Drive
-        The diagnosed drive.
+        The drive that was diagnosed.
     diagnosis : Diagnosis
         Its findings.
     only : collection of str, optional
@@ -104,7 +105,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     if not withheld:
         return mended
     withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in withheld))
-    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since with it a filter predicts"
+    what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since after this repair a filter predicts"
     warnings.warn(SigmaswarmWarning(f"{what} the fixes worse; check the log by hand"), stacklevel=2)
     return replace(mended, metadata={**mended.metadata, "withheld": withheld})
 

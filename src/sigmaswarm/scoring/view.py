@@ -25,7 +25,7 @@ _Row = tuple[str, str, Mapping[str, float | None]]
 """Row of a table: drive, method, and scores by measure."""
 
 LATE = 5.0
-"""Time, s, after the start of a drive; if the scores start later, this is reported."""
+"""Time, s, from the start of a drive to the start of its scores above which this start is reported."""
 NO_TRUTH = (
     "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
     "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
@@ -243,7 +243,7 @@ class EvaluationView:
         said: list[str] = []
         if any(drive.seen_s for drive in data):
             said.append(
-                "the filter was tuned on some of these drives, where its errors are smaller than on others"
+                "the filter was tuned on some of these drives, where its errors are smaller than on other drives"
             )
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             said.append(f"the tuned filter failed on {', '.join(failed)}")
@@ -257,7 +257,9 @@ class EvaluationView:
         ]
         said += self.setup.truth_offsets.values()
         if len(data) == 1 and data[0].duration_s:
-            said.append(f"the scores come from one drive of {data[0].duration_s:.0f} s: others may differ")
+            said.append(
+                f"the scores come from one drive of {data[0].duration_s:.0f} s: other drives may differ"
+            )
         return tuple(map(_sentence, said))
 
     def findings(self) -> tuple[str, ...]:
@@ -320,7 +322,7 @@ def explained_radius() -> str:
     return (
         "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
         "Its variance per axis is the filter's plus that of correlated fix errors, which the log does not show: the "
-        "square of what the receiver states, else of 2.1 m, minus the white noise of the fixes. The radii are "
+        "square of the stated standard deviation, else of 2.1 m, minus the white noise of the fixes. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} sigma, from Student's t with {DOF:g} degrees of freedom, since a "
         "training drive determines a covariance from few independent errors. The filter's own covariances, in "
         "estimates and in exports, do not contain this addition."
@@ -351,7 +353,7 @@ def explained_scores(view: EvaluationView) -> str:
 
 
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
-    """Mark a drive as a training drive if it has the same hash as one and is not marked yet.
+    """Mark a drive as a training drive if it has the hash of a training drive and is not marked yet.
 
     Other drives stay unmarked, since they may contain a part of a training drive.
     """

@@ -142,7 +142,10 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
-    """Add vibration to the specific force and angular rate, sampled at ``rate`` Hz; strength 1 is the recordings'."""
+    """Add vibration to the specific force and angular rate, sampled at ``rate`` Hz.
+
+    Strength 1 gives the vibration of the recorded cars (`FORCE_DENSITY`, `RATE_DENSITY`).
+    """
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level

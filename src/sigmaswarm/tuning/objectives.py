@@ -143,7 +143,7 @@ OBJECTIVES = {
         ),
         Objective(
             "forecast-t",
-            "mean negative log-likelihood under Student's t of the forecasts of fixes hidden for 3 to 5 s, nats",
+            "mean negative log-likelihood of fixes hidden for 3 to 5 s under Student's t about their forecasts, nats",
             lambda scores: scores.forecast_t,
             needs_forecasts=True,
             likelihood=True,

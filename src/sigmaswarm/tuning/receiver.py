@@ -38,7 +38,7 @@ PRIOR_DECIDED = 0.02
 SMOOTH = 0.5
 """Scatter of the fixes, m, below which the receiver either smooths them or uses RTK."""
 UNKNOWN = "without truth a log does not show the error that they share"
-STATE = "write the receiver's deviation, m per axis, as gps_std_m into drive.toml"
+STATE = "write the standard deviation of the receiver's fixes, m per axis, as gps_std_m into drive.toml"
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -109,7 +109,7 @@ def noise_warnings(
     if r * FAR_BELOW < stated:
         why = f"the receiver states {stated:.2g} m"
     elif r * FAR_BELOW < scatter:
-        why = f"the fixes scatter by {scatter:.2g} m about a path that the IMU can follow"
+        why = f"the fixes scatter by {scatter:.2g} m about a path that is consistent with the IMU"
     elif lasting:
         why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
         return [to_do(remedy, f"{why}: their errors are correlated, and {UNKNOWN}")]

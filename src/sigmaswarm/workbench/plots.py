@@ -12,11 +12,12 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 PIXELS = 600
-"""Columns of a plot, each with two points."""
+"""Number of columns of a plot, each with two points."""
 EAST = "east, m"
-"""Label of the axis of a map, whose axes have one scale."""
+"""Label of the horizontal axis of a map; both axes have one scale."""
 MOST_PLACES, MOST_POINTS = 3000, 600
-"""Largest numbers of points of a line on a map, and of markers, each of which is an element of the page."""
+"""Largest number of points of a line on a map, and largest number of markers, each of which is an element of the
+page."""
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
 """Times (n,) and values (n,), or places east and north (n,), m."""

@@ -1,4 +1,4 @@
-"""Tunings that run in threads of the server. A killed one can be resumed from its folder."""
+"""Tunings that run in threads of the server. A killed tuning can be resumed from its folder."""
 
 import threading
 import time
@@ -21,7 +21,7 @@ class Run:
     Attributes
     ----------
     history : lowest cost by trial, and after each generation
-    track : of the best filter so far over the drive that is held back, or else over the first one
+    track : track of the best filter so far, over the drive that is held back or else over the first drive
     """
 
     name: str
@@ -46,7 +46,7 @@ class Run:
         return "last checks" if done else "running" if self.progress else "compiling"
 
     def advance(self, progress: Progress) -> bool:
-        """Note the progress; False stops the tuning."""
+        """Store the progress; return False to stop the tuning."""
         self.history.setdefault(progress.trial, []).append(progress.best_cost)
         self.progress = progress
         if progress.parameters is not None and time.monotonic() - self.drawn_at > 1.5:  # s
@@ -86,7 +86,7 @@ class Runs:
     def begin(
         self, name: str, drives: Sequence[Drive], held: Sequence[Drive], options: Mapping[str, Any]
     ) -> None:
-        """Start a tuning, or go on with it."""
+        """Start a tuning, or continue it."""
         run, folder = Run(name, (held or drives)[0]), self.bench.path("tunings", name)
         if options.get("resume"):
             run.history = {n: list(best) for n, best in saved_history(folder).items()}
@@ -104,7 +104,7 @@ class Runs:
         self.begin(name, drives, held, {**options, "resume": True})
 
     def stop_all(self) -> None:
-        """Stop after the current generation, and wait for it."""
+        """Stop all tunings after the current generation, and wait for their ends."""
         for run in self.runs.values():
             run.stop()
         for thread in self._threads:

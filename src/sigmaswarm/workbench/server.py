@@ -42,7 +42,10 @@ class Guard:
             refusal = PlainTextResponse("403: the address needs the workbench's token", 403)
             await refusal(scope, receive, send)
         elif int(headers.get(b"content-length", "0") or 0) > MOST_UPLOADED:
-            refusal = PlainTextResponse("413: more than 2 GB; name the log on the command line", 413)
+            refusal = PlainTextResponse(
+                "413: the upload is larger than 2 GB; name the log on the command line: sigmaswarm workbench LOG",
+                413,
+            )
             await refusal(scope, receive, send)
         else:
             await self.app(scope, self._bounded(receive), self._with_headers(send))
@@ -83,7 +86,9 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
         listening.bind((HOST, port))
         listening.listen()
     except OSError as error:
-        raise InputError(f"--port {port}: {error.strerror or error}; leave it out, or name another") from None
+        raise InputError(
+            f"--port {port}: {error.strerror or error}; omit --port, or give another port"
+        ) from None
     token, port = secrets.token_urlsafe(24), listening.getsockname()[1]
     app, frame = FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Frame(bench)
     frame.register()

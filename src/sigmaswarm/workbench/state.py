@@ -14,14 +14,14 @@ from sigmaswarm.files import make_folder, write_json
 
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
-"""The files by which the folder of a drive and of a tuning are known."""
+"""Files that identify the folder of a drive, and the folder of a tuning."""
 LEFT_OUT = "leave it out"
 """Choice for a drive in the plan of a tuning."""
 CHECKED = "-checked"
 """Ending of the name of a drive's repaired and cut copy; its drive.toml lists the ``steps``."""
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
 MOST_UPLOADED = 2_000_000_000
-"""Bytes of one drop; a larger log is named on the command line."""
+"""Largest size of an upload, bytes; a larger log is named on the command line."""
 T = TypeVar("T")
 
 
@@ -60,7 +60,7 @@ class Workbench:
         return [p.name for p in sorted(found, key=lambda p: (p.stat().st_mtime, p.name))]
 
     def free(self, kind: str, name: str) -> str:
-        """Return the name, with a number where it is taken."""
+        """Return the name, with a number appended if the name exists."""
         name = re.sub(r"[^\w.+-]+", "-", name).strip("-.") or kind.removesuffix("s")
         numbered = (f"{name}-{i}" for i in range(2, 10_000))
         return next(n for n in (name, *numbered) if not self.path(kind, n).exists())

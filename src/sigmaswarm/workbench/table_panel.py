@@ -13,7 +13,7 @@ from sigmaswarm.workbench.parts import number, select, table, text
 from sigmaswarm.workbench.plots import sparkline
 
 MOST_COLUMNS = 30
-"""Columns of a table that can be edited; columns in use come first."""
+"""Largest number of columns of a table that can be edited; columns in use come first."""
 
 
 class TablePanel:

@@ -29,7 +29,7 @@ TARGETS = {
     ),
     "robot_localization": (
         "ROS robot_localization",
-        "Needs ROS 2 and robot_localization. Its filter has no IMU biases, so these are initial values.",
+        "Needs ROS 2 and robot_localization, whose filter has no IMU biases: the exported values are only a start.",
         "ros2 launch ekf.launch.py",
     ),
 }

@@ -33,7 +33,7 @@ MODELS = {
 STARTING = "reading the drives, to tune on them"
 """Work in progress that a changed choice must not replace."""
 COMPARED = 6
-"""Tunings, the newest, whose convergence is shown."""
+"""Number of the newest tunings whose convergence is shown."""
 Update = Callable[[], None]
 
 
@@ -155,7 +155,7 @@ class TunePage(Page):
         self.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
-        """Read the drives; split those that are to be split, as `sigmaswarm split` does."""
+        """Read the drives, and split some of them as chosen, like `sigmaswarm split`."""
         drives: list[Drive] = []
         held: list[Drive] = []
         for name, what in self.plan.items():

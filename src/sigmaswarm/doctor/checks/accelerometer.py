@@ -15,19 +15,20 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""Rotations about z, rad, from which a finding is a warning, and serious."""
+"""Rotations about z, rad, above which a finding is a warning, and is serious."""
 TILT = (0.5, 1.2)
-"""The same limits for the residual of ax, ay, m/s2. Roads and cheap sensors' biases stay below the second limit."""
+"""Residuals of ax, ay, m/s2, above which a finding is a warning, and is serious. Roads and cheap sensors' biases stay
+below the second limit."""
 SIZE = (0.3, 1.0)
-"""Differences of the usual specific force from gravity, m/s2, from which a finding is a note, and a warning.
+"""Differences of the median specific force from gravity, m/s2, above which a finding is a note, and is a warning.
 
 Cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Standard deviations from which a rotation is a note, and from which it is repaired."""
+"""Ratios of a rotation to its standard deviation above which the rotation is a note, and is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
-"""Acceleration below which the scale is unknown, m/s2."""
+"""RMS acceleration below which the scale is unknown, m/s2."""
 WHERE = "imu.csv, ax, ay"
 
 
@@ -81,7 +82,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
             "left" if angle > 0 else "right",
         )  # a = R(angle) u: where x points
         what = (
-            f"the IMU {'is' if clear else 'may be'} turned by {abs(degrees):.0f} deg (deviation "
+            f"the IMU {'is' if clear else 'may be'} turned by {abs(degrees):.0f} deg (standard deviation "
             f"{math.degrees(std):.0f}) to the {side} about the vertical"
         )
         remedy = f"turn (ax, ay) and (gx, gy) by {degrees:+.0f} deg{'' if clear else ' if other drives show it too'}"
@@ -92,7 +93,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     for name, (scale, std), row in zip(("forward", "left"), mount.scale, force, strict=True):
         pushed = np.std(smoothed(imu.time, row, second, 1.0))
         if pushed > LEAST_PUSH and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
-            what = f"the car's acceleration {name} is {scale:.2f} times that of the IMU (deviation {std:.2f})"
+            what = f"the car's acceleration {name} is {scale:.2f} times that of the IMU (standard deviation {std:.2f})"
             remedy = "check the sensor's range setting and low-pass filter"
             confidence = confidence_of((scale - 1) / std)
             yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)

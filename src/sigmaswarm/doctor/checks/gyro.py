@@ -1,8 +1,9 @@
 """The gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
 Within half a second the direction of the specific force turns against the body as the body turns (g' = -w x g). The
-car's own acceleration turns it too, but a body that rolls and pitches on its springs leans the same way: in a left
-turn the force points to the left and the left side comes up. So flat roads show the signs, too, but not the scales.
+car's own acceleration also turns this direction, but a body that rolls and pitches on its springs leans the same way:
+in a left turn the force points to the left and the left side rises. So flat roads show the signs, too, but not the
+scales.
 """
 
 from collections.abc import Iterator
@@ -19,11 +20,11 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
 WRONG = 0.1
-"""Deviation of a gain from 1 from which it is a warning."""
+"""Difference of a gain from 1 above which a finding is a warning."""
 LEAST_TURN = np.radians(1.0)
-"""Smallest change of course within some seconds that is a turn, not swaying, rad."""
+"""Change of course within some seconds above which the car turns and does not only sway, rad."""
 BIAS = (np.radians(0.1), np.radians(1.0))
-"""rad/s: biases from which a finding is a note, and a warning."""
+"""Biases of the gyro, rad/s, above which a finding is a note, and is a warning."""
 
 SMOOTHED, LAG = 0.3, 0.5
 """Windows, s, over which the force is averaged, and over which its direction changes.
@@ -32,11 +33,12 @@ Longer ones contain more of the car's own acceleration, shorter ones more vibrat
 sign is significant by 9.5 standard deviations or more.
 """
 CLEAR = 7.0
-"""Standard deviations from which a sign is significant. Neighboring changes share samples, so they are too small."""
+"""Number of standard deviations above which a sign is significant. Neighboring changes share samples, so these standard
+deviations are too small."""
 CLEARER = 2.0
 """Smallest ratio of the significances of the two columns."""
 OUTLYING = 3.0
-"""Standard deviations from which a change is an outlier."""
+"""Number of standard deviations above which a change is an outlier."""
 
 Follows = tuple[int, float, float]
 """Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations."""
@@ -55,7 +57,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return
     where, confidence = f"imu.csv, {yaw.column}", confidence_of(fit.gain / fit.std / 6 * 3)
-    seen = f"course = {fit.gain:.3g} x integral of {yaw.column}, deviation {fit.std:.2g}"
+    seen = f"course = {fit.gain:.3g} x integral of {yaw.column}, standard deviation {fit.std:.2g}"
     column = float("xyz".index(yaw.column[1]))
     for wrong, code, what, remedy, repair in (
         (
@@ -113,14 +115,14 @@ def _whole_gain(evidence: Evidence) -> float:
 
 
 def check_tilt(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of gx and gy; none where a column of the three axes is missing, or gravity is not in az."""
+    """Find faults of gx and gy; none if a column of the three axes is missing, or gravity is not in az."""
     follows = _tilt_rates(evidence)
     if not follows or upside_down(evidence):
         return
     seen, span = [axis for axis in follows if axis], evidence.span
     if any(axis and axis[0] != right for right, axis in enumerate(follows)):
         if [axis[0] for axis in seen] != [1, 0]:
-            return  # one of them alone, or both following one column: no exchange of axes explains this
+            return  # one rate alone, or both following one column: no exchange of axes explains this
         roll, pitch = (f"{'-' if sign < 0 else ''}{('gx', 'gy')[column]}" for column, sign, _ in seen)
         yield Finding(
             "gyro-tilt", "warning",
@@ -151,7 +153,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
 
 
 def upside_down(evidence: Evidence) -> bool:
-    """Return true if az, gx and gy are those of an IMU upside down and no course shows the other axes."""
+    """Return True if az, gx and gy are those of an IMU upside down and no course shows the other axes."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
         return False
@@ -161,7 +163,7 @@ def upside_down(evidence: Evidence) -> bool:
 
 
 def _tilt_rates(evidence: Evidence) -> list[Follows | None]:
-    """Find the rates that roll and pitch follow, as `_follows`; none where a column or gravity is missing."""
+    """Find the rates that roll and pitch follow, as in `_follows`; none if a column or gravity is missing."""
     read = _force_and_rates(evidence)
     return _follows(evidence.drive.imu.time, *read) if read else []
 
@@ -199,7 +201,7 @@ def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
 
 
 def _deviations(angle: Array, change: Array) -> Array:
-    """Fit the factors of the turns about x and y in the change by robust least squares; divide by their deviations.
+    """Fit the factors of the turns about x and y in the change by robust least squares, over their standard deviations.
 
     The turn about z is a regressor, too, since a tilted sensor and cornering contain it.
     """

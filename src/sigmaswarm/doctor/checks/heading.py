@@ -22,11 +22,12 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
 }
 """Conventions of a heading; the first one is that of a drive."""
 ALIKE = math.radians(15)
-"""Largest median difference, apart from a constant, of a heading that follows the course, rad."""
+"""Largest median difference from the course, apart from a constant, at which a heading follows the course, rad."""
 TURNED = math.radians(2), math.radians(10)
-"""Constant differences from the course, rad, from which a finding is a warning, and serious."""
+"""Constant differences from the course, rad, above which a finding is a warning, and is serious."""
 LATE, WORSE = 0.15, 0.8
-"""Delay, s, from which a finding is a warning, and the ratio of the misfits with and without it."""
+"""Delay, s, above which a finding is a warning, and ratio of the misfits with and without the delay below which it is
+significant."""
 WINDOW = 5.0
 """Time over which turns of the heading and of the gyro are compared, s."""
 FEWEST = 30

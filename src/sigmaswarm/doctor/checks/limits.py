@@ -14,9 +14,9 @@ from sigmaswarm.drives.sensors import FEWEST_FIXES, has_lasting_errors, stated_s
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
-"""RMS change of the course within windows, in standard deviations, from which the car certainly turns."""
+"""RMS change of the course within windows, in standard deviations, above which the car certainly turns."""
 LEAST_TURN = np.radians(5.0)
-"""Smallest change that is not the swaying of a car, rad."""
+"""RMS change of the course within windows above which the car does not only sway, rad."""
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
@@ -27,7 +27,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
     if not evidence.drives:
         what = "the fixes show no motion: heading, axes, units and clocks can't be checked"
-        remedy = "use a longer drive, or one that is faster"
+        remedy = "use a longer or faster drive"
         yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
         return
     if not evidence.yaw.known:
@@ -72,11 +72,13 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
         return
     drive = evidence.drive
     chosen = suggest_filter([drive])
-    reasons = dict.fromkeys(chosen.use, "")  # every car has it, unless the log gives a reason
+    reasons = dict.fromkeys(
+        chosen.use, ""
+    )  # every car's filter has this model, unless the log gives a reason
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv has the wheels' speed"
     if stated := stated_spread(drive):
-        reasons["accuracy"] = f"the stated deviations run from {stated[0]:.2g} to {stated[1]:.2g} m"
+        reasons["accuracy"] = f"the stated standard deviations run from {stated[0]:.2g} to {stated[1]:.2g} m"
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
     if chosen.model == "tilted12":
@@ -84,7 +86,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     because = "; ".join(filter(None, reasons.values()))
     may = ["velocity to --use: the receiver gives speed and course"] if agrees(evidence) else []
     if drive.gps.heading is not None and not any(check_heading(evidence)):
-        may.append("heading to --use: the fixes have one")
+        may.append("heading to --use: the fixes have a heading")
     what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
     if has_lasting_errors(drive) and len(drive.gps) >= FEWEST_FIXES:
         what += "; without truth also fix-error, since the fixes differ by less than the receiver's error"

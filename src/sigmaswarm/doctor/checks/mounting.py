@@ -13,18 +13,19 @@ from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.drive import Array, Drive
 
 MOVED, STANDS_OUT = math.radians(18.0), 4.0
-"""Smallest change of gravity's direction for an IMU that was moved, rad, and in typical deviations of a median.
+"""Change of gravity's direction above which the IMU was moved: in rad, and as a ratio to the typical error of a median.
 
-On windows of sound drives, with 20 s of hard maneuvers at one end, up to 16 degrees were found.
+In windows of fault-free drives, with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 """
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 STANDS = 1.0
 """Speed below which a car may change between forward and reverse, m/s."""
 STEP = 2.0
-"""Interval over which changes of speed are compared with ax, s."""
+"""Interval over which changes of speed are compared with the integral of ax, s."""
 CLEAR, LEAST = 3.0, 0.4
-"""Smallest slope of the changes of speed on ax that shows a direction: in deviations, and its size."""
+"""Smallest slope in the regression of speed changes on the integral of ax that distinguishes forward from reverse: in
+standard deviations of the slope, and as an absolute value."""
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:

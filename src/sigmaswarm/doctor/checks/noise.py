@@ -1,4 +1,4 @@
-"""The receiver's stated deviation against the fixes' scatter, correlated errors, and outliers."""
+"""The receiver's stated standard deviation compared with the fixes' scatter, correlated errors, and outliers."""
 
 from collections.abc import Iterator
 
@@ -10,19 +10,23 @@ from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0
-"""Ratio of the observed noise to the stated one from which the stated one is too small."""
+"""Ratio of the observed noise to the stated noise above which the stated noise is too small."""
 TOO_LARGE = 6.5
-"""Usual ratio of the stated to the observed white noise: a receiver's slow errors do not show."""
+"""Ratio of the stated noise to the observed white noise above which the stated noise is too large. Smaller ratios are
+usual, since a receiver's slow errors are not observed."""
 LASTS = 2.5
-"""Ratio of the stated deviation to the scatter about a path of 10 s, from which most of the error lasts longer."""
+"""Ratio of the stated standard deviation to the scatter about a path of 10 s, above which most of the error lasts
+longer than 10 s."""
 FAR_FIRST = 1000.0
-"""Distance from the first fix to the next good one, m, from which the first fix, as the origin, displaces the drive."""
+"""Distance from the first fix to the next good fix, m, above which the first fix, as the origin, displaces the
+drive."""
 WHITE = 0.7
-"""Ratio of the noise from fix to fix to the scatter about a path of 10 s; white noise has 1."""
+"""Ratio of the noise from fix to fix to the scatter about a path of 10 s, below which errors are correlated; the ratio
+of white noise is 1."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Find a stated deviation that the fixes contradict, and outliers."""
+    """Find a stated standard deviation that the fixes contradict, correlated errors, and outliers."""
     yield from _stated(evidence)
     gps, off = evidence.drive.gps, evidence.outlying
     time = gps.time[off]
@@ -59,11 +63,11 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
             what = (
                 f"the fixes scatter by {noise:.2g} m per axis from one to the next and by {scatter:.2g} m about a path "
                 f"of ten seconds, but the receiver states {stated:.2g} m: their errors are correlated, so the mean of "
-                "many fixes is hardly more accurate than one; without truth, neither the stated deviation nor a "
-                "filter's error can be checked"
+                "many fixes is hardly more accurate than one; without truth, neither the stated standard deviation nor "
+                "a filter's error can be checked"
             )
             remedy = (
-                "expect larger errors than the filter's position deviation, which covers the scatter alone"
+                "expect larger errors than the filter's standard deviations, which cover the scatter alone"
             )
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
@@ -71,7 +75,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     factor = max(stated / scatter, scatter / stated)
     what = (
-        f"the stated deviation, {stated:.2g} m, is {factor:.0f} times {how} than the fixes' scatter, "
+        f"the stated standard deviation, {stated:.2g} m, is {factor:.0f} times {how} than the fixes' scatter, "
         f"{scatter:.2g} m per axis"
     )
     remedy = (

@@ -13,19 +13,19 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
 SPAN = (6.0, 20.0)
-"""Bounds of the duration of the compared paths, s, which is a tenth of the drive's. Longer paths
-are less sensitive to noise, and the gyro's bias matters little within 20 s."""
+"""Bounds of the duration of the compared paths, s; within these bounds it is a tenth of the drive's duration. Longer
+paths are less sensitive to noise, and the gyro's bias matters little within 20 s."""
 SHORTEST = 15.0
 """Shortest straight distance of a compared path, m."""
 FEWEST = 6
 """Smallest number of compared paths."""
 WRONG = 0.02
-"""Smallest error of the scale that is reported; it must also be three times its uncertainty."""
+"""Smallest error of the scale that is reported; the error must also be three times its standard deviation."""
 FAMILIAR = 1.25
-"""A factor beyond which the unit is wrong, not the size of the tires."""
+"""Ratio of the speeds, or its inverse, above which the unit is wrong, not the size of the tires."""
 
 LATE = 0.15
-"""Delay that causes a warning, s; the latency of a filter corrects smaller delays."""
+"""Delay above which a finding is a warning, s; the latency of a filter corrects smaller delays."""
 LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4
 """Largest delay that is tried, the step, and the time over which both accelerations are averaged, s."""
 ALIKE = 0.6
@@ -34,17 +34,18 @@ ALIKE = 0.6
 STUCK = 4.0
 """Shortest constant reading that counts as stuck, if the fixes move at another speed, s."""
 APART = 2.5
-"""Smallest median difference between a stuck reading and the speed of the fixes, m/s."""
+"""Smallest median difference between a stuck reading and the speed of the fixes that shows the fault, m/s."""
 
 JUMP = 2.5
-"""Change of the wheel speed within `WITHIN` without acceleration, m/s, from which wheels spin or lock.
+"""Change of the wheel speed within `WITHIN` without acceleration, m/s, above which the wheels spin or lock.
 
-A slope of 10% looks like 1 m/s, a delay of 0.3 s like 2 m/s during full braking.
+A slope of 10% causes an apparent change of 1 m/s, a delay of 0.3 s a change of 2 m/s during full braking.
 """
 WITHIN, LASTS_AT_MOST = 1.0, 10.0
 """Longest duration of a jump, and longest time until the wheels return from it, s."""
 AGREE = 0.5
-"""Largest median difference of the two changes of speed at which the accelerometer can check the wheels, m/s."""
+"""Largest median difference between the changes of speed of wheels and accelerometer at which the wheels can be
+checked, m/s."""
 
 Spans = list[tuple[float, float]]
 """Start and end, s."""
@@ -201,7 +202,7 @@ def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tupl
         if known and chord > SHORTEST and float(np.max(np.diff(inside))) < 1.0:
             way = float(abs(np.diff(np.interp(ends, time, place))[0]))
             ahead = float(np.diff(np.interp(ends, time, along))[0])
-            if way > 0.5 * abs(ahead):  # and no U-turn
+            if way > 0.5 * abs(ahead):  # the path has no U-turn
                 found.append((math.copysign(way, ahead) / chord, chord))
         first = i
     return found
@@ -224,7 +225,9 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     if abs(late) >= LATE and alike[best] > max(ALIKE, float(alike[len(lags) // 2]) + 0.05):
         way = "late" if late > 0 else "early"
         what = f"the wheels' speed changes {abs(late):.2f} s {way} relative to the acceleration"
-        remedy = f"add {-late:+.2f} s to its times, or let `tune --use odometer` find its latency"
+        remedy = (
+            f"add {-late:+.2f} s to the times of odometer.csv, or let `tune --use odometer` find its latency"
+        )
         repair = Repair("shift-odometer", (-late,))
         yield Finding(
             "odometer-clock", "warning", what, "odometer.csv, t", evidence.span, 0.9, remedy, repair

@@ -17,18 +17,19 @@ GRAVE = 0.3
 SLOW_IMU = 8.0
 """Rate below which turns are lost between samples, Hz."""
 UNEVEN = 0.5
-"""Spread of the middle 90% of the intervals, as a share of the median, from which they are uneven."""
+"""Range of the middle 90% of the intervals, as a share of the median interval, above which the intervals are uneven."""
 HELD = 0.2
-"""Share of IMU samples that repeat the previous one, from which a slower sensor was logged too often."""
+"""Share of IMU samples that repeat the previous sample, above which a slower sensor was logged too often."""
 LONG_GAP = 0.5
-"""Time without IMU samples from which a filter's step is inaccurate, s."""
+"""Time without IMU samples above which a filter's step is inaccurate, s."""
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
-"""An interval of fixes is longer by this many usual intervals if fixes are missing in a gap of the IMU."""
+"""Smallest excess of an interval between fixes, in usual intervals, at which fixes are missing in a gap of the IMU."""
 AROUND = 2.0
 """Time on each side of a gap in which the speed is measured, s."""
 SIGMAS = 3.0
-"""Standard deviations by which the time that passed must be nearer to a pause than to a jump, or the reverse."""
+"""Number of standard deviations by which the estimated time must be nearer to a pause than to a jump of the clock, or
+nearer to a jump than to a pause."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
@@ -50,10 +51,11 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         grave = abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std)
         yield Finding(
             "clock-offset", ("serious" if grave else "warning") if clear else "note",
-            f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU (deviation {std:.2f} s)",
+            f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
+            f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
             f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
-            "(--use latency); that estimate gives the best forecasts, and may differ by a few deviations",
+            "(--use latency); that estimate gives the best forecasts, and may differ by a few standard deviations",
             Repair("shift-fixes", (-late,)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
@@ -123,7 +125,7 @@ def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> 
 
 
 def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
-    """Find times that both sensors lack: the logger paused, or its clock jumped."""
+    """Find intervals without data of both sensors: the logger paused, or its clock jumped."""
     interval, fix_interval = np.diff(imu), np.diff(gps.time)
     usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
     for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
@@ -150,7 +152,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
                 "warning",
                 "subtract the jump from all later times in all files",
             )
-            # Only a jump that both clocks have in full can be closed: lost samples can't be restored.
+            # A jump can be closed only if both sensors have the full jump: lost samples can't be restored.
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
@@ -161,7 +163,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 
 
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
-    """Estimate the time, s, that the car needs from fix j to the next at the speed around them, with its deviation.
+    """Estimate the time, s, from fix j to the next, from the speed around them, and its standard deviation.
 
     The speed is that of a line through the fixes of `AROUND` seconds on each side, since single fixes are too noisy. If
     the two speeds differ, the car may have had either.

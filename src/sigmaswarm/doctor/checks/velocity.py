@@ -1,4 +1,4 @@
-"""The receiver's own speed and course against its positions: units, convention, delay."""
+"""The receiver's own speed and course compared with its positions: units, convention, delay."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
 """Conventions of a course other than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
 LATE = 0.2
-"""Delay that causes a warning, s."""
+"""Delay above which a finding is a warning, s."""
 FEWEST = 30
 REMEDY = (
     "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
@@ -82,7 +82,7 @@ def agrees(evidence: Evidence) -> bool:
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
     """Find the delay of speed and course relative to the positions, s, that fits best.
 
-    Also return the ratio of the misfits with and without it.
+    Also return the ratio of the misfits with and without this delay.
     """
     course = evidence.course
     assert course is not None

@@ -41,9 +41,10 @@ SEARCH_TAKES = 1.0
 REPLAYED = 60.0
 """Length of the samples that a search replays, s."""
 FASTER = 2.0
-"""Lowest speed for replacing lanes, m/s; at lower speeds, fixes hardly determine headings and biases."""
+"""Speed below which no lanes are replaced, m/s: at low speeds, fixes hardly determine headings and biases."""
 REPLACED = 7
-"""Lanes replaced after a search: one by the result, the others by copies of good lanes with random changes."""
+"""Number of lanes that are replaced after a search: one by the result, the others by copies of good lanes with random
+changes."""
 JITTER = 0.6
 """Standard deviation of the random changes, in standard deviations of an offset."""
 
@@ -89,7 +90,7 @@ class _Snapshot:
     """(N_KEPT, LANES)"""
     evidence: Array
     ancestors: NDArray[np.intp]
-    """Number of the snapshot's lane from which each current lane was copied, (LANES,)."""
+    """Indices of the snapshot's lanes from which the current lanes were copied, (LANES,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +218,7 @@ class LiveFilterBank(LiveFilter):
         return self._belief[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
-        """Start some lanes, and set the evidence of all to 0."""
+        """Start some lanes, and set the evidence of all lanes to 0."""
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = self._started(start)[:, lanes]
         rows[CONSTANT_ROWS, lanes] = self.spread.constants(self._own_constants, self.offsets[lanes])
@@ -273,7 +274,7 @@ class LiveFilterBank(LiveFilter):
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
         number = max(0, n - self._settled) // live.MARK_EVERY * live.MARK_EVERY
         place = number - (n - kept)
-        if place < 0:  # it was before the last reset
+        if place < 0:  # the checkpoint was before the last reset
             return None
         record = history[(int(counts[live.OLDEST]) + place) % len(history)]
         return place, record, marks[number // live.MARK_EVERY % len(marks)]
@@ -350,7 +351,7 @@ class LiveFilterBank(LiveFilter):
             of = snapshot.ancestors.copy()
             snapshot.ancestors[worst] = of[[led, *parents]]
             snapshot.ancestors[failed] = of[leads]
-        new = [*worst, *failed]  # the constants of others may have been adapted
+        new = [*worst, *failed]  # the constants of the other lanes may have been adapted
         rows[CONSTANT_ROWS, new] = self.spread.constants(self._own_constants, self.offsets[new])
         rows[np.ix_(np.array(SCALED), np.array(new))] = 1.0
         numbers[swarm.AGAINST] = self.spread.penalty(self.offsets)
@@ -403,7 +404,7 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Known gyro bias, rad/s; without it, an alignment's heading would be wrong."""
+        """Known gyro bias, rad/s, without which the heading of an alignment would be wrong."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
@@ -449,7 +450,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def bank_restarts(self) -> list[float]:
-        """Times at which all lanes but the first were reset after a divergence of the mixture, s."""
+        """Times at which all lanes except the first were reset after a divergence of the mixture, s."""
         return [] if self._together is None else self._together.restarts
 
     @property
@@ -504,7 +505,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def lost(self) -> bool:
-        """True if the mixture has diverged and can't yet be reset; its position is that of the last fix."""
+        """True if the mixture has diverged and can't yet be reset; the position is then that of the last fix."""
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:

@@ -79,7 +79,7 @@ class BankLog:
 
 
 class BankRun:
-    """A run of a filter bank over a replay, as an iterator of pieces; its log is complete after the last piece.
+    """A run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
 
     ``seed``, ``searches``, ``recover`` and ``as_recorded`` are those of `LiveFilterBank`. ``failure`` reports the first
     time at which all lanes had failed, in the pieces so far.
@@ -169,7 +169,7 @@ class BankRun:
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far, one per sample: those of the last fix before it."""
+        """Innovations of the mixture in the pieces so far; each sample has the innovation of the last fix before it."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 

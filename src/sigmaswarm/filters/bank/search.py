@@ -36,9 +36,9 @@ WEIGHT, CROSSOVER = 0.7, 0.9
 NOT_SCORED = 2.0
 """Unscored time at the start of a replay, s, in which a filter with new offsets converges."""
 FEWEST_FIXES = 8
-"""Least number of scored fixes for a result."""
+"""Smallest number of scored fixes for which a search has a result."""
 FARTHEST = 8.0
-"""Bound of an offset, in its standard deviations."""
+"""Bound of an offset, in standard deviations of the offset."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Evidence:
     at: float
 
     def then(self, time: Array, lost: Array) -> "Evidence":
-        """Add fixes at some times, s; each fix lowers the evidence by its loss."""
+        """Add fixes at some times, s; each fix lowers the evidence by the loss of the fix."""
         if not len(time):
             return self
         left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)

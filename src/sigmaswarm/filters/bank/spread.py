@@ -15,17 +15,19 @@ from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0
-"""Degrees of freedom of the offsets' Student's t: most offsets are small, but another sensor has large ones."""
+"""Degrees of freedom of Student's t, the distribution of the offsets: most are small, but another sensor has large
+offsets."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
 R_DOWN_STD = 0.45
-"""Standard deviation in the penalty of an R below the tuning's, decades; in a city, fixes are good until they jump."""
+"""Standard deviation in the penalty of an R below that of the tuning, decades; in a city, fixes are good until they
+jump."""
 SCALE_STD = 0.7
 """Standard deviation of a common factor of all variances, decades; this factor hardly changes the estimates."""
 START_STD = 1.5
-"""Standard deviation of the biases' initial variance, decades; this variance is never less than the tuning's."""
+"""Standard deviation of the biases' initial variance, decades; this variance is never below that of the tuning."""
 AXLE_STD = 0.7
-"""Standard deviation of the position of the rear axle, m."""
+"""Standard deviation of the offset of the rear axle's position, m."""
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = (
     {},
@@ -37,8 +39,8 @@ FIXED = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the first lanes, which are never replaced: the tuning; other biases; other receivers, two of them with
-other biases."""
+"""Offsets of the first lanes, which are never replaced: the tuning; other biases; other receivers, two of these lanes
+with other biases."""
 
 FAR, FAR_AXLE = 0.5, 0.5
 """Largest offsets without a warning, in decades and in m."""

@@ -135,7 +135,10 @@ def _draw(mean, covariance, gamma, root, sigmas):
 
 @_kernel
 def _root(a, root):
-    """Write the Cholesky factor of ``a`` to the lower half of ``root``; False if there is none (or NaN)."""
+    """Write the Cholesky factor of ``a`` to the lower half of ``root``.
+
+    Return False if ``a`` is not positive definite, or not finite.
+    """
     for j in range(a.shape[0]):
         for i in range(j, a.shape[0]):
             s = a[i, j]
@@ -212,7 +215,7 @@ def _absorb(mean, covariance, nu, s, cross, root):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return whether all numbers of both are finite: zero times anything else is NaN."""
+    """Return whether all numbers of both arrays are finite: zero times any other number is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

@@ -24,7 +24,7 @@ def _again(sources):
 def again_call():
     """``(step, v, counts, fixes, speeds, history, marks, first, corrects)``: a live filter's samples again.
 
-    ``v`` is the state before number ``first``; ``corrects`` as in `live.take_again`. For a smoother ``step`` is the
-    address of `single_step` with its tape at N_TAPED.
+    ``v`` is the state before the stored sample number ``first``; ``corrects`` as in `live.take_again`. For a smoother
+    ``step`` is the address of `single_step` with its tape at N_TAPED.
     """
     return cached_by_sources(_again, "live again")

@@ -33,7 +33,7 @@ def kernel(function, **known):
 
 
 _FLUSH_SUBNORMALS = 0x8040
-"""Bits of the control register of an x86 processor: subnormal numbers are read and written as 0."""
+"""Bits of the control register of an x86 processor with which subnormal numbers are read and written as 0."""
 
 
 @intrinsic
@@ -89,7 +89,7 @@ def _series(z):
 FAR = (math.pi / 4) ** 2
 """Largest squared angle for `sinc_cos`."""
 TINY = 1e-100
-"""Added to divisors that may be 0; too small to change others."""
+"""Number that is added to divisors that may be 0; too small to change other divisors."""
 
 
 def sinc_cos(z):

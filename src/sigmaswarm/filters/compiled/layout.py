@@ -20,7 +20,8 @@ WIDEST = 8
 """Lanes in the widest vector of any processor. An array of rows has as many lanes, or a multiple of it."""
 
 BLOCKS = 2
-"""Largest multiple of LANES of a run: the lanes from LANES on are in rows of their own, after all of the first."""
+"""Largest multiple of LANES of a run: the lanes from LANES on are in rows of their own, after the rows of the first
+LANES lanes."""
 
 
 def most_lanes(kernel: str) -> int:
@@ -60,13 +61,13 @@ CONSTANTS = (
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
     "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
-    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix that states none
+    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix without a stated variance
 )  # fmt: skip
 """Rows of a parameter set's constants."""
 SUMS = (
     "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
     "DET", "TAIL", "OK", "REJECTED", "RECENT",
-    "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of them
+    "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of these
     "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and the factors in force
     "HEADING",  # of models with tilts, whose mean has no row for it
     # planar5's heading's, right where FACED is 1: whoever writes a heading makes it 0, in a kernel FACED_ALL, too.
@@ -87,7 +88,7 @@ SCRATCH = (
     "ARM",  # of the lateral constraint: see `models.lateral_arm`
     # A prediction's: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
-    "NU1", "NU2",  # nu of the last fix, for whoever records it
+    "NU1", "NU2",  # nu of the last fix, for a run that records innovations
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
     # The unscented filter's: the square root of P, what its points give, the centre's vertical acceleration, and the

@@ -1,4 +1,4 @@
-"""A live filter's memory, and its change by an IMU sample and a fix: one compiled call each.
+"""A live filter's memory, and its change due to an IMU sample and due to a fix: one compiled call each.
 
 The filter is the first lane of the rows in `layout`; a step is in `single`, and is called by its address, so that this
 file is compiled once for all models. The memory is eight arrays:
@@ -86,17 +86,18 @@ NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a se
 BEHIND = 8 * math.ceil(N_ALL / 8)
 """Index at which the numbers after the state begin, a multiple of the widest vectors."""
 MARK_EVERY = 16
-"""Samples between two checkpoints: the numbers after the state are many and rarely needed."""
+"""Number of samples between two checkpoints: the numbers after the state are many and rarely needed."""
 
 CHECK_EVERY = MARK_EVERY
-"""Samples from one check of the covariance to the next; it is checked after each fix, too."""
+"""Number of samples from one check of the covariance to the next; the covariance is also checked after each fix."""
 ROUNDING = 1e-8
-"""Limit of a negative eigenvalue of the correlations, for rounding."""
+"""Largest magnitude of a negative eigenvalue of the correlations that counts as rounding."""
 
 LEAP = 10.0
 """Largest lead of a time stamp over the filter, s; a sample or fix farther ahead waits for a second one."""
 AGREES = 1.0 + 1e-6
-"""Largest difference between these two stamps, s: one second, plus the rounding of times that count from 1970."""
+"""Largest difference between two stamps that are too far ahead at which they agree, s: one second, plus the rounding of
+times that count from 1970."""
 
 # The numbers (DT ... GY) of the step that ends at a sample's time; whether the last second was calm, and its means.
 S_TIME = N_BELIEF
@@ -221,7 +222,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 @_plain
 def _until(rows, n, now):
-    """Return the number of the first n rows, which begin with their times, up to a time."""
+    """Return how many of the first n rows, which begin with their times, are up to a time."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -254,7 +255,7 @@ def _keep(v, counts, fixes, history, z):
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
-        for needed in (WATCHED, FIX_WINDOW):  # s; of too many the watch does without some
+        for needed in (WATCHED, FIX_WINDOW):  # s; if there are too many fixes, the monitor does without some
             while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - needed:
                 old += 1
             if old > 0:
@@ -266,7 +267,7 @@ def _keep(v, counts, fixes, history, z):
             last = fixes[counts[N_FIXES] - 1, FIX_TIME]
             if not (_lies_ahead(v, last) and z[0] < last):
                 return LEFT_OUT
-            counts[N_FIXES] -= 1  # what is stamped far ahead gives way
+            counts[N_FIXES] -= 1  # a fix that is stamped far ahead is removed
             counts[TIME_JUMPS] += 1
     at = counts[N_FIXES]
     while at > 0 and fixes[at - 1, FIX_TIME] > z[0]:
@@ -315,7 +316,7 @@ def _keep_speed(v, counts, speeds, history, t, speed):
 
 @_plain
 def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
-    """Process an IMU sample with an accepted time: a gap before it is driven by the mean of the two around it."""
+    """Process an IMU sample with an accepted time; in a gap before it, use the mean of the samples around the gap."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -395,7 +396,7 @@ def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
 
 @_plain
 def _again_from(step, v, counts, fixes, speeds, history, marks, back):
-    """Go back to before a stored sample, or to the checkpoint before it, and forward again."""
+    """Return to before a stored sample, or to the last checkpoint before it, and process the later samples again."""
     if marks.shape[0] > 0:
         number = counts[N_SAMPLES] - counts[N_HISTORY] + back
         back -= number % MARK_EVERY
@@ -406,7 +407,7 @@ def _again_from(step, v, counts, fixes, speeds, history, marks, back):
 
 @_plain
 def _place(step, v, counts, fixes, speeds, history, marks, z):
-    """Process a fix with an accepted time: it waits for its sample, or takes the filter back and forward again."""
+    """Process a fix with an accepted time: it waits for its sample, or later samples are processed again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
     if t <= v[START]:  # absorbed already, but it may show a standstill
@@ -458,7 +459,7 @@ def _is_due(v, counts, fixes, t):
 
 def _take_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
-        """Process an IMU sample; ignore it if it is not after the last one; far ahead, it waits for a second sample."""
+        """Process an IMU sample; ignore it if not after the last sample; if far ahead, it waits for a second sample."""
         step, v, counts, memory, fixes, speeds, history, marks, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
@@ -483,13 +484,13 @@ def _take_sample(sources):
             counts[TIME_JUMPS] += 1
         _go_on(step, v, counts, memory, fixes, speeds, history, marks, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
-            counts[HOLDS_FIX] = NOTHING  # the samples say the same
+            counts[HOLDS_FIX] = NOTHING  # the samples agree
             _place(step, v, counts, fixes, speeds, history, marks, v[FIX_AHEAD].copy())
         _watch(counts, lately, new)
         if lately.shape[0] == 0 or t <= v[START]:
             return TAKEN
         if agrees:
-            _sees_more(v, counts, fixes, held[0])  # what ends a silence is no time to look
+            _sees_more(v, counts, fixes, held[0])  # the sample that ends a silence is no time for a check
         return DUE if _is_due(v, counts, fixes, t) else TAKEN
 
     return sample
@@ -525,7 +526,7 @@ def _take_fix(sources):
 
 def _take_speed(sources):
     def speed(handle, t, value):
-        """Process a reading of the odometer: it waits for its sample, or takes the filter back."""
+        """Process an odometer reading: it waits for its sample, or later samples are processed again."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or speeds.shape[0] == 0:
             return IGNORED

@@ -123,7 +123,7 @@ def absorb_fix(w, z, lever, since, *, looks, gated, adaptive, fix_error, note_pr
 
 
 def forecast_fix(w, z, lever, since, *, n, fix_error):
-    """A hidden fix: only its forecast is scored."""
+    """Score the forecast of a hidden fix, without an update."""
     _measure_fix(w, z, lever)
     if fix_error:
         age_fix_error(w, z, since)
@@ -196,7 +196,7 @@ def _turn_lever(w, lever_x, lever_y):
 
 
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
-    """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts nothing large.
+    """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts no large numbers.
 
     P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position and at the
     correlated fix error, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
@@ -231,7 +231,7 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
 
 
 def _fade(w, *, n):
-    """Strong tracking: inflate P until it explains the recent size of the innovations (FADING < 0: off).
+    """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu (FADING < 0: off).
 
     After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things
     differ. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, forget too fast.
@@ -374,14 +374,14 @@ def _adapt(w, since, *, n):
 
 
 def absorb_velocity(w, z, *, n):
-    """The receiver's velocity over ground, m/s east and north; linear in the state."""
+    """Update with the receiver's velocity over ground, m/s east and north; linear in the state."""
     for l in range(LANES):
         w[R.R1, l] = w[R.R_VELOCITY, l]
     _take_velocity(w, z[FIX_U], z[FIX_V])
 
 
 def absorb_standstill(w, u, *, n, gyro_biases, tilted):
-    """The car stands: the velocity is 0, and the gyro measures its biases, if they are states.
+    """Update at a standstill: the velocity is 0, and the gyro measures its biases, if they are states.
 
     These are linear in the error, so sequential updates equal a joint one, if the error is injected at the end.
     """
@@ -401,7 +401,7 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def _take_velocity(w, zu, zv, *, n):
-    """Update with a velocity, its variance in row R1; then compute its rows of P again, as in `_keep_digits`."""
+    """Update with a velocity (variance in row R1); then compute its rows of P again, as in `_keep_digits`."""
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
         s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
@@ -477,7 +477,7 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
 
 
 def absorb_lateral(w, u, *, tilted, measure_lateral):
-    """The lateral constraint at the rear axle, whose tires slip: see `models.lateral_arm`."""
+    """Update with the lateral constraint at the rear axle, whose tires slip: see `models.lateral_arm`."""
     for l in range(LANES):
         speed2 = w[R.U, l] * w[R.U, l] + w[R.V, l] * w[R.V, l]
         w[R.ARM, l] = w[R.REAR_AXLE, l] - w[R.TIRE_SLIP, l] * speed2
@@ -488,7 +488,7 @@ def absorb_lateral(w, u, *, tilted, measure_lateral):
 
 
 def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
-    """The wheels' speed, ``wheels`` a row of `drives.odometer.Wheels`; not if it is so far off that they slip."""
+    """Update with the wheels' speed, unless the NIS shows slip; ``wheels`` is a row of `drives.odometer.Wheels`."""
     measure_odometer(w, u, wheels)
     for l in range(LANES):
         used = w[R.N1, l] * w[R.N1, l] <= SLIP_GATE * w[R.S11, l]
@@ -508,7 +508,7 @@ def _measure_heading(w, *, n):
 
 
 def absorb_heading(w, u, z, *, tilted, measure_heading):
-    """The heading of two antennas, ``latency`` ago; one far off has a larger variance: see `schedule.HEADING_GATE`."""
+    """Update with the heading ``latency`` ago; an outlier has a larger variance: see `schedule.HEADING_GATE`."""
     shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
     measure_heading(w)
     for l in range(LANES):

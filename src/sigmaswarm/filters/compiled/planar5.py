@@ -41,7 +41,7 @@ def _face(w):
 
 @kernel
 def _look_away(w):
-    """The heading has turned too far to rotate its cosine and sine."""
+    """Mark that the heading has turned too far to rotate its cosine and sine."""
     for l in range(LANES):
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
 

@@ -33,11 +33,11 @@ from sigmaswarm.filters.schedule import FIX, HEADING, HIDDEN, IMU, LATERAL, ODOM
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
-"""Bits of a step: a twist of vy = 0, and the IMU's ay."""
+"""Bits of a step: a twist with vy = 0, and the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 """Rows of the stated variances."""
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
-"""Rows of the largest NIS of the IMU; the model has no rear axle."""
+"""Rows of the largest accepted NIS of the IMU's gz and ax, which are free since the model has no rear axle."""
 _TWO_PI = 2 * math.pi
 
 
@@ -142,7 +142,7 @@ def _measure_fix(w, x, y, var_x, var_y, forward, left):
 
 @kernel
 def _look_at_fix(w):
-    """Likelihood of a fix, and whether its NIS is within the squared threshold."""
+    """Compute the likelihood of a fix, and whether the NIS is within the squared threshold."""
     for l in range(LANES):
         nis = _look(w, l)
         det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]

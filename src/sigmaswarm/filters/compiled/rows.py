@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS
 
 CACHE_LINE = 64
-"""Bytes; also the width of the widest vectors."""
+"""Size of a cache line, bytes; also the width of the widest vectors."""
 
 
 @intrinsic

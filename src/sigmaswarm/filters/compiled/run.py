@@ -59,7 +59,7 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 
 @kernel
 def _take_logarithm(w):
-    """Add the logarithms of the last fixes' products to the sums, and reset the products; slow, so called rarely."""
+    """Add the logarithms of the last fixes' products to the sums, and reset the products; slow, so rarely called."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -86,7 +86,7 @@ def _add(w, l, x, y, wrong, scores_heading):
 
 
 def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Add the squared errors at a moment of truth, and the position's NEES, by the covariance at the later sample."""
+    """Add the squared errors at a moment of truth, and the position's NEES with the covariance at the later sample."""
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
         _add(w, l, x, y, wrong, scores_heading)
@@ -102,7 +102,7 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_doubtful(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """As `_score`, for truth with a stated deviation: it weights each moment, and its square is added to P in the NEES.
+    """As `_score`, for truth with a variance, which weights each moment and is added to P in the NEES.
 
     Separate from `_score`, which would round differently with a factor of 1.
     """
@@ -118,7 +118,7 @@ def _run(
     w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
     *, step, state, n_axes, heading, score, score_there, score_doubtful,
 ):  # fmt: skip
-    """The steps from a place to a stop; w has the state and memory of the filters, before and after.
+    """Run the steps from a place to a stop; w has the state and memory of the filters, before and after.
 
     ``state``: the rows that are recorded; ``heading``: the one that is scored. A step's and a fix's numbers are passed
     as tuples: a row of an array would be reference-counted at each step.
@@ -334,7 +334,7 @@ def run_kernel(model):
 
 @once
 def taped_kernel(model):
-    """As `run_kernel`, but ``record`` takes the `tape.taped_rows`; given IMU in all flags, of every step."""
+    """As `run_kernel`, but ``record`` takes the `tape.taped_rows`; with IMU in all flags, of every step."""
     return _kernel_of(model, partial(step_of, model, noted=True), taped_rows(model), f"{model}, taped")
 
 

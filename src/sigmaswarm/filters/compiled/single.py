@@ -57,7 +57,7 @@ def _one_step(sources, *, step, kept, tape, taped):
 
 @dataclass(frozen=True, eq=False)
 class SingleStep:
-    """A model's step in this process; in other processes its address differs, so a copy looks it up again.
+    """A model's step in this process; in other processes the address differs, so a copy looks it up again.
 
     Attributes
     ----------

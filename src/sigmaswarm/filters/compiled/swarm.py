@@ -1,4 +1,4 @@
-"""A filter bank's step: LANES filters of one model at once, and the evidence of each.
+"""A filter bank's step: LANES filters of one model at once, and the evidence of each filter.
 
 It replaces a live filter's `single_step`. The filter itself is the bank's first lane; all lanes are after its state
 (`live.BEHIND`), so that late fixes take them back, too:
@@ -32,12 +32,10 @@ from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.schedule import FIX
 
 EVIDENCE_LASTS = 60.0
-"""Time in which evidence decays to 1/e, s."""
+"""Time in which the evidence decays to 1/e, s."""
 LARGEST_NIS = 200.0
-"""Upper limit of a fix's NIS, so that one fix alone does not decide.
-
-Student's t would forgive too much: between high buildings fixes are good until they jump, and with it a small R would
-explain the jumps.
+"""Upper limit of the NIS of a fix in the evidence, so that one fix alone does not decide. Student's t would penalize
+jumps too little: between high buildings fixes are good until they jump, and a lane with a small R would gain.
 """
 EVIDENCE_COUNTS = 0.1
 """Weight of a fix in the evidence: errors of fixes are correlated, so about ten of them count as one."""
@@ -118,7 +116,7 @@ def _foretold(w, lane):
 
 @njit(**OPTIONS)
 def _note_fix(v, w, now):
-    """Update the evidence of each lane by a fix: see the module. Before that: the mixture's prediction of it."""
+    """Store the mixture's prediction of a fix; then update the evidence of each lane: see the module."""
     x, y, total = 0.0, 0.0, 0.0
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]
@@ -154,7 +152,7 @@ def _note_fix(v, w, now):
 
 @njit(**OPTIONS)
 def _check_lanes(v, w):
-    """Fail lanes whose covariance has lost its definiteness; the first one is the live filter's, which checks it."""
+    """Fail lanes whose covariance is no longer definite; the live filter checks the first lane, which is its own."""
     for lane in range(1, LANES):
         if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v, FACTOR.start):
             w[R.OK, lane] = 0.0

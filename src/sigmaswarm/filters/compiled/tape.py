@@ -29,7 +29,7 @@ MOVES = {
         *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
     ),
 }
-"""By kernel: the rows, each in proportion to the step's length, from which A is made. Then comes phi of `fix_error`."""
+"""Rows from which A is made, by kernel, each in proportion to the step's length; phi of `fix_error` follows."""
 
 
 def _moves_of(name):
@@ -43,7 +43,7 @@ def taped_rows(name):
 
 
 def phi_place(model):
-    """Number of phi among the rows MOVE; 0 of a model without one."""
+    """Index of phi among the rows MOVE; 0 for a model without phi."""
     return 1 + len(_moves_of(model)) if FILTERS[model].fix_error else 0
 
 

@@ -39,14 +39,15 @@ from sigmaswarm.filters.tilted import GRAVITY, N
 
 MOVED = (R.X, R.Y, R.U, R.V, R.T, R.I, R.J)
 KEPT = (R.A, R.B, R.W, R.K, R.L)
-"""States that a step moves, and the biases, which it leaves as they are."""
+"""States that a step changes (MOVED), and the biases, which a step does not change (KEPT)."""
 
 
 # What shares most of its numbers is done in one loop: fewer of them are loaded, and the processor finds more to do.
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
-"""Columns of F P; KEPT's last, since the others read what they overwrite. States that do not enter F may follow."""
+"""Columns of F P; those of KEPT are last, since they overwrite rows that the other columns read. States that do not
+enter F may follow."""
 ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)
-"""Of (F P) F'."""
+"""Rows of (F P) F'."""
 
 
 def fp(i, j):

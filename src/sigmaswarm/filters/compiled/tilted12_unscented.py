@@ -52,7 +52,8 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
-"""The states whose step is not linear, in the order of its outputs; those that follow the first two."""
+"""States whose step is not linear, in the order of the step's outputs, and states that are integrals of the first
+two."""
 WIDTH, OUTPUTS = 6, 5
 """Numbers of a state in the rows ROOT, and of a column in SLOPE and BEND."""
 

@@ -17,9 +17,10 @@ from sigmaswarm.filters.compiled.lanes import OPTIONS
 LOOK_INTERVAL = 1.0
 """Interval between two checks of a filter, s."""
 LATEST_LOOK = 0.25
-"""Largest time from a fix to the IMU sample of a check, s; after a longer gap nothing can be compared."""
+"""Largest time from a fix to the IMU sample of a check, s; after a longer gap the filter can't be compared with the
+fix."""
 WATCHED = MAX_DURATION + 1.0
-"""Length of the samples and fixes that a live filter stores for the monitor, s."""
+"""Duration of the samples and fixes that a live filter stores for the monitor, s."""
 
 _T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
 
@@ -47,7 +48,7 @@ def _counts(fixes, f):
 
 @_plain
 def rough_heading(samples, newest, n, fixes, end, gyro_bias):
-    """The heading at the last sample, rad, as in `Alignments.course`, propagated by the gyro; NaN if it is unknown.
+    """The heading at the last sample, rad, as in `Alignments.course`, propagated by the gyro; NaN if unknown.
 
     Parameters
     ----------

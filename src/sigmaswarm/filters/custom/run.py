@@ -20,9 +20,11 @@ from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, sm
 from sigmaswarm.geodesy import wrap_angle
 
 TRIED = 20
-"""Steps over which the compiled filter is compared with the textbook filter before it is used."""
+"""Number of steps over which the compiled filter is compared with the textbook filter before the compiled filter is
+used."""
 SAME = 1e-6
-"""Largest accepted difference, in standard deviations: rounding gives far less, a wrong translation far more."""
+"""Largest accepted difference between the two filters, in standard deviations: rounding causes a far smaller
+difference, a wrong translation a far larger one."""
 
 
 @dataclass(frozen=True, eq=False)

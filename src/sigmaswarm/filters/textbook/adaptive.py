@@ -33,7 +33,7 @@ class SageHusa:
     forgetting: float
 
     def adapt(self, innovation: Innovation, since: float) -> None:
-        """Adapt to a fix; ``since``: nominal steps since the last one; 0 leaves Q as it is."""
+        """Adapt to a fix; ``since``: nominal steps since the last fix; with 0, Q does not change."""
         weight = 1 - self.forgetting
         inverse = np.linalg.inv(innovation.variance)
         r = self.measurement_noise
@@ -114,7 +114,7 @@ class FuzzyNoise:
 
 @dataclass
 class StrongTracking:
-    """Inflate P before a fix until it explains the recent size of the innovations.
+    """Inflate P before a fix until the trace of S is at least the recent mean of nu^T nu.
 
     After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two
     changes: The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, forget too fast.
@@ -142,7 +142,7 @@ class StrongTracking:
 
 @dataclass
 class StudentT:
-    """Weight fixes whose errors have Student's t distribution: the R of each is divided by its weight.
+    """Weight fixes whose errors have Student's t distribution: the R of each fix is divided by the weight of the fix.
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. One thing differs: a filter that is wrong takes all fixes for
@@ -182,14 +182,19 @@ class StudentT:
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight
             residual = r / weight @ np.linalg.solve(variance, nu)  # after the update
-            left = r / weight - r / weight @ np.linalg.solve(variance, r / weight)  # its covariance
+            left = r / weight - r / weight @ np.linalg.solve(
+                variance, r / weight
+            )  # covariance of the residual
             gamma = residual @ np.linalg.solve(r, residual) + np.trace(np.linalg.solve(r, left))
             weight = (self.dof + len(nu)) / (self.dof + gamma)
         return float(weight)
 
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """Inflate the part of P that a fix observes until it explains ``size`` (m2), nu^T nu; return the innovation."""
+    """Inflate the part of P that a fix observes until the trace of S is at least ``size``; return the innovation.
+
+    ``size``, m2, is a squared innovation nu^T nu.
+    """
     cross, covariance = innovation.cross, filter.covariance
     seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))

@@ -168,7 +168,7 @@ class TextbookCar:
         self._since = 0.0
 
     def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
-        """Update with the heading ``latency`` s ago; its variance is at least that of a NIS of `HEADING_GATE`."""
+        """Update with the heading ``latency`` s ago, whose variance is large enough for a NIS up to `HEADING_GATE`."""
         p, near = self.parameters, float(self.filter.mean[THETA])
         z = near + wrap_angle(theta + p.latency * yaw_rate - near)
         noise = np.array([[(p.heading_noise or 0.0) + stated]])

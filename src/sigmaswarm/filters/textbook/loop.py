@@ -57,7 +57,7 @@ class Trajectory:
 def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
-    """Take all steps; ``records`` has for each the row of the trajectory (of ``n_rows``) that it writes, or -1."""
+    """Take all steps; ``records`` has the row of the trajectory (of ``n_rows``) that each step writes, or -1."""
     n, failed = len(stepper.filter.mean), -1
     trajectory = Trajectory.empty(n_rows, n, covariances=covariances)
     for i, row in enumerate(records):
