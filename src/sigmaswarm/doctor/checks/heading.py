@@ -20,7 +20,7 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from east": np.negative,
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
-"""Conventions of a heading; the first one is that of a drive."""
+"""Conventions of a heading; the first convention is that of a drive."""
 ALIKE = math.radians(15)
 """Largest median difference from the course, apart from a constant, at which a heading follows the course, rad."""
 TURNED = math.radians(2), math.radians(10)
