@@ -90,7 +90,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
 
 
 def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
-    """Estimate the delay of the heading relative to the positions, s, from the gyro; 0 if none is significant."""
+    """Estimate the delay of the heading relative to the positions, s, from the gyro; 0 if no delay is significant."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
     if not yaw.known:
