@@ -66,7 +66,7 @@ def test_a_straight_cruise_says_nothing_about_units(noise: float, bias: float):
 def test_degrees_per_second(seed: int):
     drive = make_drive(seed=seed)
     message = only(imu_with(drive, gz=drive.imu.gz * DEGREES))
-    assert "imu.csv: column gz" in message
+    assert "imu.csv: the integral of column gz" in message
     assert "deg/s; multiply gx, gy, gz by pi/180" in message
 
 
@@ -91,7 +91,7 @@ def test_accelerations_in_g(seed: int, sign: int):
     drive = imu_with(drive, ax=sign * drive.imu.ax)
     assert "column az has median 1.00, as if in g; multiply ax, ay, az by 9.80665" in only(drive)
     assert "column ax" in only(imu_with(drive, az=None))
-    assert "as if in g; multiply ax, ay by 9.80665" in only(imu_with(drive, az=None))
+    assert "as if ax were in g; multiply ax, ay by 9.80665" in only(imu_with(drive, az=None))
 
 
 @pytest.mark.parametrize("level", ["ax", "ay"])
@@ -180,7 +180,7 @@ def test_the_log_as_recorded_shows_its_faults():
     messages = sorted(str(w.message) for w in caught)
     assert len(messages) == 2
     assert "column az has median -9.61" in messages[0]
-    assert "column gz turns more than the course, as if in deg/s" in messages[1]
+    assert "the integral of column gz exceeds the turns of the course, as if gz were in deg/s" in messages[1]
 
 
 @needs_shared

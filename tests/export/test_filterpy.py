@@ -114,7 +114,9 @@ def test_a_drive_without_a_start_ends_in_one_line(tmp_path: Path):
     (tmp_path / "s.py").write_text(filterpy(tuned("planar5", "ukf", 0.01), 0.01)["run_filter.py"])
     done = run_alone(tmp_path / "s.py", folder, tmp_path / "e.csv")
     assert done.returncode == 2
-    assert done.stderr.startswith("synthetic: never travels 20 m") and done.stderr.count("\n") == 1
+    assert (
+        done.stderr.startswith("synthetic: the vehicle never travels 20 m") and done.stderr.count("\n") == 1
+    )
     done = run_alone(tmp_path / "s.py", folder)
     assert done.stderr == "usage: python run_filter.py DRIVE estimate.csv\n"
 

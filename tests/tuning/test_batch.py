@@ -98,7 +98,7 @@ def test_what_can_not_be_run_is_refused():
         run_batch(DRIVES, SETS, objective="nll")
     zero = np.zeros(len(DRIVES[0].gps))
     still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
-    with pytest.raises(AlignmentError, match="d0: never travels"):
+    with pytest.raises(AlignmentError, match="d0: the vehicle never travels"):
         run_batch([DRIVES[1], still], SETS)
 
 

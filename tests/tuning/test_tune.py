@@ -244,7 +244,7 @@ def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
         tune(silent, objective="outage-rmse", out=tmp_path / "out")
     zero = np.zeros(len(DRIVES[0].gps))
     still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
-    with pytest.raises(AlignmentError, match="d0: never travels 20 m"):
+    with pytest.raises(AlignmentError, match="d0: the vehicle never travels 20 m"):
         tune(still, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()  # a mistake leaves nothing that stands in the way of the next try
 

@@ -82,7 +82,7 @@ class Assignment:
             self.owners = assigned(self.sizes, self.workers, self.owners)
 
     def _usable_workers(self) -> dict[str, int]:
-        """Return the present workers that have the same versions; at the start, raise if one has others."""
+        """Return the present workers with the same versions; at the start, raise if a worker has others."""
         present = self.cluster.workers()
         new = [address for address in present if address not in {*self.workers, *self._refused}]
         for address, error in self.cluster.version_errors(new).items():
@@ -93,7 +93,7 @@ class Assignment:
         return {address: threads for address, threads in present.items() if address not in self._refused}
 
     def submit(self, worker: str, call: bytes, drives: Sequence[int], *, with_sources: bool = False) -> Any:
-        """Submit a task to a worker; sources travel only if the worker has asked for them."""
+        """Submit a task to a worker; sources are sent only if the worker has asked for them."""
         from dask import config
         from distributed.protocol.pickle import dumps
 

@@ -1,4 +1,4 @@
-"""Search for a large offset between the clocks, at which the turns of the gyro match those of the course."""
+"""Search for a large offset between the clocks, at which the turns of the gyro match the turns of the course."""
 
 import numpy as np
 

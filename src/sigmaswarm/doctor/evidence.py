@@ -36,7 +36,7 @@ class Evidence:
     """A drive and the quantities computed from it."""
 
     drive: Drive  # with its IMU turned by `mounting`, where that is needed; all fits are in these axes
-    stale: Mask  # (n,), fixes that repeat an earlier one
+    stale: Mask  # (n,), fixes that repeat an earlier fix
     outlying: Mask  # (n,), fixes far off the path
     used: NDArray[np.intp]  # (m,), indices of the fixes in `course`
     course: Course | None
@@ -45,7 +45,7 @@ class Evidence:
     acceleration: AccelerationFit | None  # the regression of the path on the accelerometers
     mount: Mount | None  # its reading
     clock: ClockOffset  # the fixes' delay
-    noise: float  # m per axis, of the fixes from one to the next
+    noise: float  # m per axis, noise from each fix to the next
     scatter: float  # m per axis, of the fixes about the path over ten seconds
     mounting: Mounting | None  # mounting of the IMU in the vehicle, for a log with six axes
     moved: float = 0.0  # s, subtracted from the fixes' times where the clocks are far apart

@@ -346,7 +346,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
     for fault, reason in (
         (seen.yaw_fit.course_change < LEAST_TURN, "the course hardly turns"),
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
-        (seen.spread > WANDERS, "the direction of gravity wanders"),
+        (seen.spread > WANDERS, "the direction of gravity is not constant"),
         (seen.mirrored > CLEARLY, "the accelerometers' axes are a mirror image"),
         (seen.margin < OTHER_WAY, "the car hardly changes its speed, which would show the forward direction"),
         (lateral <= 0.4 or lateral >= 1.6, f"the lateral force is {lateral:.1f} times speed x yaw rate"),

@@ -40,7 +40,7 @@ REFITS = 3
 """Number of repetitions of the fit, after which the gyro bias has converged."""
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
-"""Longer windows, s, for a drive that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
+"""Longer windows, s, for a vehicle that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
 """Smallest travel in a window of `SLOW_DURATIONS`, m, and smallest mean speed, m/s; the fixes of a parked receiver
 drift less."""
@@ -203,7 +203,7 @@ class Alignments:
                     "repair what `sigmaswarm doctor` finds",
                 )
             return NoStart(
-                f"never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
+                f"the vehicle never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
                 f"{SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
                 f"use a longer drive, or a faster one ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
                 f"{time}), or state the heading at the first IMU sample in drive.toml, as heading_deg = 90 "

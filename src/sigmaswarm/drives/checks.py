@@ -243,17 +243,17 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
     else:
         degrees = impossible_rate(imu.gz)
     if degrees:
-        what = "column gz turns more than the course, as if in deg/s"
+        what = "the integral of column gz exceeds the turns of the course, as if gz were in deg/s"
         yield Remark("gyro-unit", "imu.csv", "gz", what, "multiply gx, gy, gz by pi/180")
 
 
 def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for ax in g, without az: it explains a tenth of the changes of speed."""
+    """Check for ax in g, without az: its integral is about a tenth of the changes of speed."""
     if imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)
     change = np.abs(np.diff(np.abs(velocity)))
     strong = change > 2.0  # m/s, above the fixes' noise
     if np.count_nonzero(strong) >= 3 and np.abs(gained[strong]).sum() < 0.3 * change[strong].sum():
-        what = "column ax explains too little of the speed, as if in g"
+        what = "the integral of column ax is too small for the changes of speed, as if ax were in g"
         yield Remark("accelerometer-unit", "imu.csv", "ax, ay", what, f"multiply ax, ay by {GRAVITY}")

@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 def listed(given: Iterable[T] | T) -> list[T]:
-    """Return one or many as a list."""
+    """Return one item, or several, as a list."""
     return list(cast("Iterable[T]", given)) if isinstance(given, Iterable) else [given]
 
 

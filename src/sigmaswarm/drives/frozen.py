@@ -1,8 +1,8 @@
 """Stale fixes: a receiver without satellites repeats its last position bit for bit while the car drives on.
 
-A receiver with static hold also repeats its position at a red light, correctly. Earlier fixes distinguish the two: they
-show if the car had stopped before the first repeat. The decision uses only this fix and earlier ones, and no parameter
-of a filter. The same function serves a drive and a live filter.
+A receiver with static hold also repeats its position at a red light, correctly. Earlier fixes distinguish the two
+cases: they show whether the car had stopped before the first repeat. The decision uses only this fix and earlier ones,
+and no parameter of a filter. The same function serves a drive and a live filter.
 """
 
 import math

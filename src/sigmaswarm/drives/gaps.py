@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array
 MANY, SHORTEST = 5.0, 0.05
 """An interval is a gap if it exceeds both this many usual intervals and this many s."""
 OVER = 32.0
-"""Approximate number of intervals in the mean that defines the usual one."""
+"""Approximate number of intervals in the mean that defines the usual interval."""
 MOST = 3.0
 """Largest value of an interval in the mean of `OVER` intervals, in usual intervals, so that a gap does not become
 usual."""
@@ -36,7 +36,7 @@ def _find_gaps(time: Array, gaps: Array) -> None:
 
 @cached
 def gap_of(interval: float, usual: float) -> float:
-    """Return the interval (s) if it is a gap relative to the usual one (s; 0: not known yet), else 0."""
+    """Return the interval (s) if it is a gap relative to the usual interval (s; 0: not known yet), else 0."""
     return interval if usual > 0.0 and interval > max(MANY * usual, SHORTEST) else 0.0
 
 

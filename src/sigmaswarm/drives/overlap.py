@@ -77,7 +77,7 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Overlap:
-    """The duration (s) of the part of a drive that others contain, and their names."""
+    """The duration (s) of the part of a drive that other drives contain, and the names of these drives."""
 
     seconds: float = 0.0
     of: tuple[str, ...] = ()

@@ -137,7 +137,7 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
         reasons.append("an odometer")
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
-        reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
+        reasons.append(f"stated standard deviations from {low:.2g} to {high:.2g} m")
     if found and all(one.heading for one in found):
         reasons.append("a heading, which you may add to --use")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")

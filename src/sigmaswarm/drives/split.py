@@ -1,4 +1,4 @@
-"""Splitting into training and test drives: by drive, or by time within one."""
+"""Splitting into training and test drives: by drive, or by time within a drive."""
 
 import warnings
 from collections.abc import Sequence

@@ -83,7 +83,7 @@ class Gps(Table):
 
     Attributes
     ----------
-    time : s, increasing, strictly in files; of two fixes with one time, by two receivers, the first is used first
+    time : s, increasing, strictly in files; of two fixes with equal times, from two receivers, the first is used first
     x, y : m east and north of the drive's origin
     lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
@@ -107,7 +107,7 @@ class Gps(Table):
 
 
 def headings_of(gps: Gps) -> tuple[Array, Array]:
-    """Return the heading, rad, and its stated variance, rad2, of each fix; infinite if it has none."""
+    """Return the heading, rad, and its stated variance, rad2, of each fix; infinite for a fix without a heading."""
     if gps.heading is None:
         return np.zeros(len(gps.time)), np.full(len(gps.time), np.inf)
     std = np.zeros(len(gps.time)) if gps.std_heading is None else gps.std_heading

@@ -224,7 +224,7 @@ def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
 
 
 def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
-    """Return the inputs up to each sample of the IMU: the sample, or the mean of the two around a gap."""
+    """Return the inputs up to each sample of the IMU: the sample, or the mean of the two samples around a gap."""
     columns = [getattr(drive.imu, axis) for axis in AXES]
     columns = columns[:3] if any(column is None for column in columns) else columns
     driving = np.column_stack(columns)

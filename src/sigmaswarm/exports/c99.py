@@ -48,7 +48,7 @@ FILES = (
     "ins_gps_shared.c",
 )
 SHORTEST_INTERVAL = 1e-4
-"""Shortest IMU interval, s. A shorter one would need megabytes for the history of one second."""
+"""Shortest IMU interval, s. A shorter interval would need megabytes for the history of one second."""
 ALONE = Lanes()
 
 

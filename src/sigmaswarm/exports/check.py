@@ -29,7 +29,7 @@ _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
 
 @dataclass(frozen=True)
 class Difference:
-    """Largest differences between a run in C and `run_filter`; NaN where one of them failed.
+    """Largest differences between a run in C and `run_filter`; NaN if one of the runs failed.
 
     The differences are: any state, relative to max(1, |x|); position, m; heading, rad.
     """

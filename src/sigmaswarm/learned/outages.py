@@ -17,7 +17,7 @@ OUTAGE_AFTER = 2.0
 STEPS = 40
 """Number of steps of a resampled window."""
 _QUIET = 1e-3
-"""Offset added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
+"""Offset added to the vibration of an axis before the logarithm, m/s2; for a gyro a tenth of this number, rad/s."""
 _GRAVITY = 9.80665
 
 

@@ -14,7 +14,8 @@ MARKOV_PEAK = 0.3811
 PER_DECADE = 8
 """Number of averaging times."""
 LONGEST = 5
-"""Ratio of the longest stretch to the longest averaging time; beyond it the estimate scatters by more than half."""
+"""Ratio of the longest stretch to the longest averaging time; at longer averaging times the estimate scatters by more
+than half."""
 PIECE = 32_768
 """Number of samples per batch, which fits into the processor's cache."""
 

@@ -60,7 +60,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Interval:
-    """A value with the ends of its 95% interval; ``low`` is 0 where the log does not show that it exists."""
+    """A value with the ends of its 95% interval; ``low`` is 0 if the log does not show that the value exceeds 0."""
 
     value: float
     low: float
@@ -69,7 +69,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Fit:
-    """The fitted model: N, B, K with intervals, and T (s), inf where the log does not show that it is finite."""
+    """The fitted model: N, B, K with intervals, and T (s), which is inf if the log does not show that T is finite."""
 
     white: Interval
     instability: Interval

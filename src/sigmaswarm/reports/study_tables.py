@@ -52,8 +52,8 @@ INTERVALS = (
 )
 EFFORT = (
     "Labelled: driving with truth that the tuning used. Learned: driving that a network learned from, without truth. "
-    "Numbers: free numbers of tuning and training. Drifts with the 95% interval for new drives (bootstrap over drives "
-    "and trials), of outages placed once in each drive; -: no drive is long enough."
+    "Numbers: free parameters of tuning and training. Drifts with the 95% interval for new drives (bootstrap over "
+    "drives and trials), of outages placed once in each drive; -: no drive is long enough."
 )
 TIMES = (
     "Training: processor time of a trial, a network's without its filter's. A sample: processor time of an IMU sample "
@@ -77,7 +77,7 @@ def _digits(title: str, digits: int) -> Column:
 
 
 def _with_intervals(titles: Iterable[str], interval: str = "95%") -> list[Column]:
-    """Return a column of figures and one of their intervals for each title."""
+    """Return a column of figures and a column of intervals for each title."""
     return [column for title in titles for column in (_figures(title), _figures(interval, joined=True))]
 
 
@@ -362,7 +362,7 @@ def rivals_tables(
 
 
 def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> Table:
-    """Tabulate data, free numbers and drift of each tuned or trained method, and processor ``times`` if given."""
+    """Tabulate data, free parameters and drift of each tuned or trained method, and processor ``times`` if given."""
     columns = [Column("method"), *(_figures(title, 0) for title in ("labelled, s", "learned, s", "numbers"))]
     columns += [_figures("training, s", 1), _figures("a sample, us", 2)] if times else []
     columns += _with_intervals(f"drift over {length}, m" for length in LENGTHS.values())

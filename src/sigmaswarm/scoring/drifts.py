@@ -75,7 +75,7 @@ class Outages:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Ends of the outages, s, and the tuned filter's position variances per axis, m2, and errors, m, at them."""
+        """Ends of the outages, s; the tuned filter's position variances per axis, m2, and errors, m, there."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:

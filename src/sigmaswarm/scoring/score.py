@@ -25,7 +25,7 @@ PIECE = 100_000
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of a method on one drive; NaN for undefined ones.
+    """Errors of a method on one drive; undefined errors are NaN.
 
     Attributes
     ----------

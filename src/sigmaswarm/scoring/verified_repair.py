@@ -20,7 +20,7 @@ CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 """Repairs that change a filter's motion and are verified: axes, signs, units and clocks."""
 WORSE = 1.05
-"""Ratio of forecast errors after and before a repair above which it is withheld."""
+"""Ratio of forecast errors after and before a repair above which the repair is withheld."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit/sqrt(s), with which the filter follows the fixes over seconds and the IMU
 over shorter times."""

@@ -72,7 +72,7 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._taken)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Do all steps; those done before come from memory."""
+        """Do all steps; the results of earlier steps come from memory."""
         self.start(waiting, self._checked, self._opened, steps, then=self._taken)
         self.refresh()
 

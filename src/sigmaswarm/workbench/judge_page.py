@@ -54,7 +54,7 @@ class JudgePage(Page):
         self.refresh()
 
     def _held(self, name: str) -> list[str]:
-        """Return the drives that a tuning held back, else those that it did not use."""
+        """Return the drives that a tuning held back, else the drives that the tuning did not use."""
         tuning, _ = attempt(Tuning.load, self.bench.path("tunings", name))
         if tuning is None:
             return []

@@ -173,7 +173,7 @@ class LogPage(OpenLog):
                 link("Next: check it", "check")
 
     def _make(self, name: str, *, again: bool) -> None:
-        """Write the drive; it replaces an earlier one of this log, and its repairs."""
+        """Write the drive; it replaces an earlier drive of this log, and the repairs of that drive."""
         if self.drive is None:
             return
         path, wrong = attempt(self.bench.path, "drives", name)

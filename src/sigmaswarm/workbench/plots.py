@@ -68,7 +68,7 @@ def lines(
     dashed: Collection[str] = (),
     pale: Mapping[str, Series] | None = None,
 ) -> Lines:
-    """Return the lines of a plot, those in ``points`` as points; ``pale`` are earlier ones in the same colors."""
+    """Return the lines of a plot, those in ``points`` as points; ``pale`` are earlier lines in the same colors."""
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):
         drawn: dict[str, Any] = {"mode": "lines", "line": {"color": color, "width": 1.4}}
@@ -148,7 +148,7 @@ def time_plot(
 def agreement_plot(
     found: Agreement, span: tuple[float, float] | None = None, after: Agreement | None = None
 ) -> None:
-    """Plot measured values next to expected ones; ``after``: the same after a repair."""
+    """Plot measured values next to expected ones; ``after``: the values after a repair."""
     changed = after is not None and any(
         not _same(found.measured.get(k), s) for k, s in after.measured.items()
     )

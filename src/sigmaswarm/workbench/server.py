@@ -25,7 +25,7 @@ Send = Callable[[Scope], Awaitable[None]]
 
 
 class Guard:
-    """Refuses requests without the token, from other hosts' pages, and those that are too large."""
+    """Refuses requests without the token, from other hosts' pages, and of too large a size."""
 
     def __init__(self, app: Any, token: str, port: int) -> None:
         self.app, self.prefix, self.hosts = app, f"/{token}/", {f"{HOST}:{port}", f"localhost:{port}"}

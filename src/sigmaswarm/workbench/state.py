@@ -88,7 +88,7 @@ class Workbench:
 
     @property
     def sources(self) -> list[Path]:
-        """Logs that can be opened: those named and those dropped, and the files in them."""
+        """Logs that can be opened: named logs, dropped logs, and the files in these."""
         tops = [*self.named, *(self.folder / "logs" / name for name in self.names("logs"))]
         inside = [
             p for top in tops if top.is_dir() for p in sorted(top.iterdir()) if not p.name.startswith(".")

@@ -28,7 +28,7 @@ LIKELY, CLEAR = 2.5, 3.5
 """Ratios of a rotation to its standard deviation above which the rotation is a note, and is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
-"""RMS acceleration below which the scale is unknown, m/s2."""
+"""Standard deviation of the acceleration below which the scale is unknown, m/s2."""
 WHERE = "imu.csv, ax, ay"
 
 

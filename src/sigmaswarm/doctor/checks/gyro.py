@@ -29,14 +29,14 @@ BIAS = (np.radians(0.1), np.radians(1.0))
 SMOOTHED, LAG = 0.3, 0.5
 """Windows, s, over which the force is averaged, and over which its direction changes.
 
-Longer ones contain more of the car's own acceleration, shorter ones more vibration. On seven recordings every correct
-sign is significant by 9.5 standard deviations or more.
+Longer windows contain more of the car's own acceleration, shorter windows more vibration. On seven recordings every
+correct sign is significant by 9.5 standard deviations or more.
 """
 CLEAR = 7.0
 """Number of standard deviations above which a sign is significant. Neighboring changes share samples, so these standard
 deviations are too small."""
 CLEARER = 2.0
-"""Smallest ratio of the significances of the two columns."""
+"""Smallest ratio of a column's significance to that of the other column."""
 OUTLYING = 3.0
 """Number of standard deviations above which a change is an outlier."""
 
@@ -50,9 +50,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     imu, course = evidence.drive.imu, evidence.course
     if fit is None or course is None or not yaw.known:
         if impossible_rate(imu.gz - np.median(imu.gz)):
-            what = (
-                f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; no course confirms it"
-            )
+            what = f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; no course confirms this unit"
             remedy = "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s"
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return

@@ -20,7 +20,7 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from east": np.negative,
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
-"""Conventions of a heading; the first one is that of a drive."""
+"""Conventions of a heading; the first convention is that of a drive."""
 ALIKE = math.radians(15)
 """Largest median difference from the course, apart from a constant, at which a heading follows the course, rad."""
 TURNED = math.radians(2), math.radians(10)
@@ -90,7 +90,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
 
 
 def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
-    """Estimate the delay of the heading relative to the positions, s, from the gyro; 0 if none is significant."""
+    """Estimate the delay of the heading relative to the positions, s, from the gyro; 0 if no delay is significant."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
     if not yaw.known:

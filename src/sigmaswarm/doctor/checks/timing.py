@@ -33,7 +33,7 @@ nearer to a jump than to a pause."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
-    """Find an offset of the clocks, or state the smallest one that would be visible."""
+    """Find an offset of the clocks, or state the smallest offset that would be visible."""
     late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
     move = f"subtract {size} from" if late > 0 else f"add {size} to"
@@ -95,7 +95,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     stale = gps.time[evidence.stale]
     if len(stale) >= FEWEST_STALE:
         what = f"{len(stale)} fixes repeat the previous one to the last digit while the car drives"
-        remedy = "filters ignore these old positions under new times; remove them for other tools"
+        remedy = "filters ignore these old positions with new times; remove these fixes for other tools"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair

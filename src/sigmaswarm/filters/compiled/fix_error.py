@@ -14,7 +14,7 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 
 
 def carry(w, u, *, n, biases):
-    """Propagate the columns of b by a planar model's step; ``biases``: it has planar8's."""
+    """Propagate the columns of b by a planar model's step; ``biases``: that of planar8."""
     dt = u[DT]
     h = 0.5 * dt
     for l in range(LANES):

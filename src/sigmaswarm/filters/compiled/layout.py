@@ -50,7 +50,7 @@ MEAN = tuple(_STATES)
 QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")
 """Rows of models with tilts: see `tilted12`."""
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
-"""The upper triangle column by column, so that a model's rows are the first of a larger one's."""
+"""Upper triangle, column by column, so that a model's rows are the first rows of a larger model."""
 CONSTANTS = (
     # Sigma points; of an extended filter the first two and the last are 0. SHORTENS: -8 / gamma^2.
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
