@@ -255,3 +255,9 @@ def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: s
         warned = [line for line in done.stderr.splitlines() if line.startswith("warning:")]
         assert warned == [f"warning: {said}"]
     assert files(home) == []
+
+
+def test_no_function_has_numba_s_own_cache():
+    """It lies beside the sources, where others may write, and a read-only install would fail."""
+    sources = Path(sigmaswarm.__file__).parent.rglob("*.py")
+    assert [str(file) for file in sources if "cache=True" in file.read_text()] == []

@@ -8,7 +8,9 @@ from typing import Any
 from filter_cases import equipped, parameters
 from sigmaswarm import simulate
 from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.bank.live import LiveFilterBank
+from sigmaswarm.filters.fixes_alone import noise_of
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
@@ -38,6 +40,10 @@ def many(p: FilterParameters) -> None:
     LiveFilterBank(p, initial_state(equipped()), nominal_interval=0.01)
 
 
+def alone(p: FilterParameters) -> None:
+    noise_of(PreparedDrive(equipped()))
+
+
 LASTING: dict[str, Any] = {"kind": "ekf", "fix_error": 1.3, "fix_error_time": 2.0}
 FILTERS = [
     (parameters("tilted12", kind="ukf"), (run, live, smoothed)),
@@ -46,7 +52,7 @@ FILTERS = [
     (parameters("planar8", **LASTING), (run, smoothed, live)),
     (parameters("planar8"), (run, lagged, smoothed, live, many)),
     (parameters("planar5"), (run, smoothed, many)),
-    (parameters("planar5", **LASTING), (run,)),
+    (parameters("planar5", **LASTING), (run, alone)),
     (parameters("robot-localization"), (run,)),
 ]
 """What the quick tests run; the longest first."""

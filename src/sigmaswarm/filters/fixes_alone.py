@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.optimize import minimize
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -47,7 +47,7 @@ class MotionNoise:
         return cls(float(density), float(fix))
 
 
-@njit(cache=True, nogil=True)
+@cached(nogil=True)
 def _filter(
     dt: Array, fixes: Array, variance: Array, density: float, start: Array, states: Array
 ) -> float:  # pragma: no cover
