@@ -437,7 +437,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "part").code == 0
     said = sigmaswarm("evaluate", "part", first, "--out", "e").out
     sentence = (
-        "On 1 drive (NOT held out: the tuning saw 32 of the 40 s of urban-clear-00, in urban-clear-00-train)"
+        "On 1 drive (NOT held out: the tuning used 32 of the 40 s of urban-clear-00, in urban-clear-00-train)"
     )
     assert said.startswith(sentence)
     assert sigmaswarm("report", "e").code == 0
@@ -450,7 +450,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert plain in Path("f/page.html").read_text()
     told = sigmaswarm("evaluate", "alone", first, "parts/urban-clear-00-train").out
     assert told.startswith(
-        "On 2 drives (NOT all held out: the tuning saw 32 of the 32 s of urban-clear-00-train"
+        "On 2 drives (NOT all held out: the tuning used 32 of the 32 s of urban-clear-00-train"
     )
     shutil.copy("alone/tuning.toml", "mine.txt")  # a filter's file may be called anything
     assert sigmaswarm("evaluate", "mine.txt", second).code == 0

@@ -116,9 +116,9 @@ def test_a_column_of_another_encoding_in_the_header(tmp_path: Path):
         (["# no names", *joined(ROWS)], "imu.csv: has no header"),
         (
             [",".join(HEAD), *joined(ROWS[:60]), ",".join([*ROWS[60], "7"]), *joined(ROWS[61:])],
-            "row 62: has 8 cells and the header 7",
+            "row 62: has 8 cells, but the header has 7",
         ),
-        ([",".join(HEAD[:5]), *joined(ROWS)], "row 2: has 7 cells and the header 5"),
+        ([",".join(HEAD[:5]), *joined(ROWS)], "row 2: has 7 cells, but the header has 5"),
     ],
 )
 def test_the_first_fault_is_named_and_always_the_same(tmp_path: Path, lines: list[str], said: str):

@@ -139,7 +139,7 @@ def test_fixes_whose_errors_last_are_told():
     band = (1.8, 2.2)
     said = judged([(0.2, band, 2.1, 0.9)])
     assert list(said) == ["lasting"]
-    assert "low NIS with the right NEES: neighboring fixes share their errors" in said["lasting"]
+    assert "low NIS with the right NEES: errors of consecutive fixes are correlated" in said["lasting"]
     for nis, nees in (
         (0.2, 0.3),
         (0.9, 1.6),

@@ -233,13 +233,13 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     good = Score(position_rmse=0.5, heading_rmse=np.radians(0.4), outage_drift=2.0, long_outage_drift=7.0)
     sheet = replace(good, position_rmse=1.1, heading_rmse=np.radians(0.3), outage_drift=4.0)
     assert Evaluation({"town": Evaluated(others | {"untuned": sheet, "tuned": good})}).worse_than_untuned == (
-        "the tuned filter is worse in 1 of 4 measures than the baseline: heading error "
+        "the tuned filter is worse than the baseline in 1 of 4 measures: heading error "
         "0.4 deg against 0.3 deg",
     )
     assert Evaluation(
         {"town": Evaluated(others | {"fixes_alone": sheet, "tuned": good})}
     ).worse_than_untuned == (
-        "the tuned filter is worse in 1 of 4 measures than the filter that uses only the fixes: heading error "
+        "the tuned filter is worse than the filter that uses only the fixes in 1 of 4 measures: heading error "
         "0.4 deg against 0.3 deg",
     )
     farther = replace(sheet, position_rmse=0.4)

@@ -83,7 +83,7 @@ def doctor(
 
 
 def _read(paths: list[Path]) -> "list[Drive]":
-    """Read the drives without the warnings of reading, since the diagnosis checks more."""
+    """Read the drives without the reader's warnings, since the diagnosis checks more."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)

@@ -32,7 +32,7 @@ class ExportOptions:
     replay
         c99: a drive, written as input of the replay program.
     check
-        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives for README.md's errors.
+        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives of the errors in README.md.
     against
         robot-localization, with --check: a second tuning to compare in README.md.
     lanes

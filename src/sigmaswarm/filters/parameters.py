@@ -169,7 +169,7 @@ class FilterParameters:
                 raise ValueError(f"{self.model} has no {field}; leave it out")
         if self.kernel not in FILTERS:
             raise ValueError(
-                f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave it out"
+                f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave fix_error out"
             )
         if known is not None and self.latency:
             raise ValueError(f"{self.model} has no latency; set smooth_lagged_data where fixes are late")

@@ -245,8 +245,8 @@ class _Compiler:
         names = [name for arg in args if (name := _column_name(arg)) is not None]
         if len(names) < len(args) or not names:
             raise InputError(
-                f"utc(...) in {quoted(self.text)} takes the name of a column, or of two, and the format of the dates, "
-                "as utc(date, '%d.%m.%Y %H:%M:%S'); correct the expression"
+                f"utc(...) in {quoted(self.text)} takes a column of dates, or several columns, and optionally their "
+                "format, as utc(date, '%d.%m.%Y %H:%M:%S'); correct the expression"
             )
         for name in names:
             self._use(name)

@@ -97,7 +97,9 @@ def tuning_report(folder: Path) -> Report:
     file = load_record(TuningRecord, folder / FILE)
     result = file.result
     if result is None:
-        raise InputError(f"{folder / FILE}: has no [result] table; give the folder of a `sigmaswarm tune`")
+        raise InputError(
+            f"{folder / FILE}: has no [result] table; give a folder that `sigmaswarm tune` wrote"
+        )
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
     held_out = "Its scores on other drives are not known yet: run sigmaswarm evaluate."
     if (cost := result.validation_cost) is not None and (gap := result.validation_gap) is not None:

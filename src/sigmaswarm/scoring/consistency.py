@@ -155,8 +155,8 @@ VERDICTS: dict[Kind, str] = {
         "smooths its fixes, or their errors are correlated. The error they share cannot be estimated without truth"
     ),
     "lasting": (
-        "has a low NIS with the right NEES: neighboring fixes share their errors. The position covariances are right "
-        "and should not be made smaller"
+        "has a low NIS with the right NEES: errors of consecutive fixes are correlated. The position covariances are "
+        "right and should not be made smaller"
     ),
     "correlated": (
         "has innovations of the right size but correlated: the receiver's errors are correlated too, or the model "

@@ -104,14 +104,14 @@ class EvaluationRecord(BaseModel):
     data: list[DriveRecord]
     against: AgainstRecord | None = None
     findings: dict[str, list[str]] = Field(default_factory=dict)
-    """Serious findings and warnings of the doctor by drive, as sentences; empty in files before 0.4.0."""
+    """Serious findings and warnings of the doctor by drive, as sentences; empty in records of versions before 0.4.0."""
     truth_offsets: dict[str, str] = Field(default_factory=dict)
     """Sentence on a constant offset between fixes and truth, by drive."""
     fixes_alone: MotionNoise | None = None
     """Noise parameters of the filter that uses only the fixes, from the tuning; None if they were fitted to each
     drive."""
     files: dict[str, str] = Field(default_factory=dict)
-    """SHA-256 of the files of the evaluation, by name; empty in files before 0.4.0."""
+    """SHA-256 of the files of the evaluation, by name; empty in records of versions before 0.4.0."""
 
 
 _SEALED = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)

@@ -32,7 +32,7 @@ def said_of_drives(data: Sequence[DriveRecord]) -> str:
     """Describe the number of drives, and the parts of these drives that the tuning used."""
     called = counted(len(data), "drive")
     each = [
-        f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
+        f"the tuning used {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
         f"{', '.join(drive.seen_in)}"
         for drive in data
         if drive.seen_s
@@ -87,7 +87,7 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
             said.append(f"the tuned filter is WORSE than {name}: {each}")
         elif worse:
             among = f"{len(worse)} of {len(known)} measures"
-            said.append(f"the tuned filter is worse in {among} than {name}: {each}")
+            said.append(f"the tuned filter is worse than {name} in {among}: {each}")
     return tuple(said)
 
 

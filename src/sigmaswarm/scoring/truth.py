@@ -15,8 +15,8 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-This is the accuracy of the best filters with cheap receivers. Without this limit, stretches under open sky would have
-nearly all the weight, where the reference is most accurate and every filter is good.
+This is the accuracy of the best filters with cheap receivers. Without this limit, stretches under
+open sky, where the reference is most accurate and every filter is good, would have nearly all the weight.
 """
 HEADING_FLOOR = math.radians(0.3)
 """Standard deviation of the true heading, rad, below which the weight hardly increases."""

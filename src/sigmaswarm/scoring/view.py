@@ -108,7 +108,7 @@ class EvaluationView:
                     cells += [one and float(one.outages), value, one and one.spread(method)]
                 rows.append((drive, self.names[method], *cells))
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == self.names["tuned"])
-        return Table("Drifts by the placement of the outages", tuple(columns), tuple(rows), strong)
+        return Table("Drifts over all placements of the outages", tuple(columns), tuple(rows), strong)
 
     def consistency_table(self) -> Table:
         """Return the table of NIS, NEES and whiteness of the tuned filter on each drive."""

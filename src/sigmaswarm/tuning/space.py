@@ -184,7 +184,9 @@ def search_space(
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; use {' or '.join(kinds)}")
     if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
-        raise InputError(f"fix-error can't be combined with {model} as {kind}; use ekf, or leave it out")
+        raise InputError(
+            f"fix-error can't be combined with {model} as {kind}; use ekf, or leave fix-error out"
+        )
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if "fix-error" in use:
         fixed["fix_std"] = fix_std

@@ -178,7 +178,8 @@ class ResultFolder:
         if not same_results(record.versions, wanted.pop("versions", {})):
             made = names_shown(" ".join(one) for one in record.versions.items())
             raise InputError(
-                f"{file}: was started with other versions, {made}; continue with those, or choose another --out"
+                f"{file}: the tuning was started with other software versions, {made}; continue with those, "
+                "or choose another --out"
             )
         if saved != wanted:
             old, new = _difference("", saved, wanted)

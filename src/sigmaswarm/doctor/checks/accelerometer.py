@@ -15,7 +15,7 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""Rotations about z, rad, above which a finding is a warning, and is serious."""
+"""Rotations about z, rad, above which there is a warning, and a serious finding."""
 TILT = (0.5, 1.2)
 """Residuals of ax, ay, m/s2, above which a finding is a warning, and is serious. Roads and cheap sensors' biases stay
 below the second limit."""

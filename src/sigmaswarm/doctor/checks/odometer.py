@@ -90,7 +90,7 @@ def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odomete
 
 
 def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
-    """Find constant readings that the fixes contradict in any sign, unit and scale; return their spans."""
+    """Find constant readings that the fixes contradict, whatever their sign, unit and scale; return their spans."""
     time, speed, seen = odometer.time, np.abs(odometer.speed), np.abs(course.velocity)
     begins = np.flatnonzero(np.append(True, np.diff(odometer.speed) != 0))
     ends = np.append(begins[1:], len(time)) - 1

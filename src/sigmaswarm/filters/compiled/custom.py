@@ -40,7 +40,7 @@ def build_kernel(
 
     @_inlined
     def predict(mean, covariance, root, drawn, moved, state, weights, dt, u, p, angles):
-        """Propagate the sigma points by f, and add Q; return False if P has no root."""
+        """Propagate the sigma points by f, and add Q; return False if P has no Cholesky factor."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):
@@ -55,7 +55,7 @@ def build_kernel(
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
-        """Draw sigma points again, and apply h: compute nu, S and C; return False if P has no root."""
+        """Draw sigma points again, and apply h: compute nu, S and C; return False if P has no Cholesky factor."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):

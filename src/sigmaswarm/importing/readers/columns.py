@@ -179,7 +179,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
             raise broken_table(shown_as, shown_as.name, error) from None
         row, cells = uneven
         raise InputError(
-            f"{shown_as}, row {row}: has {cells} cells and the header {len(dialect.names)}; delete the row, or "
+            f"{shown_as}, row {row}: has {cells} cells, but the header has {len(dialect.names)}; delete the row, or "
             "write a header with a name for each column"
         ) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]

@@ -76,7 +76,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
             raise InputError(
-                f"{shown_as}, row {first + 1}: has {width} cells and the header {len(found)}; give the header "
+                f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; give the header "
                 f"{width} names"
             )
         _require_one_kind(data, shown_as)
@@ -234,7 +234,7 @@ def _header(
 
 
 def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
-    """Return a line's cells, by the rows' separator or another, if their number is that of the rows' columns."""
+    """Split a line by the rows' separator or another; return its cells if there is one for each column, else []."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():
