@@ -167,6 +167,9 @@ def _leaning(imu: Imu) -> Array:
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
 
+    if len(time) < 50:
+        return np.zeros(2)
+
     def swift(values: Array) -> Array:
         return smoothed(imu.time, values, time, 0.4) - smoothed(imu.time, values, time, 4.0)
 

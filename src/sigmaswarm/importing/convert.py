@@ -253,18 +253,13 @@ def _require_sensors(
         if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
             there = there or "what can be decoded"
             raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
-        meanings = {
-            read_name(column).meaning for table in logs[path].tables.values() for column in table.columns
-        }
-        if role == "imu" and "ax" in meanings and not meanings & {"gx", "gy", "gz"}:
-            raise InputError(
-                f"{path}: {there} has accelerations but no angular rates, which every filter needs; log the gyro, too"
-            )
-        if path.is_dir() and (others := {f.name: kind for f in path.iterdir() if (kind := unread(f))}):
-            name, kind = next(iter(others.items()))
-            raise InputError(f"{path}: no {what} found in {there}; {name} is not read, since it is {kind}")
+        columns = [read_name(c).meaning for table in logs[path].tables.values() for c in table.columns]
+        if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
+            there += " (it has accelerations, but no column is known as an angular rate)"
+        others = [f.name for f in path.iterdir() if unread(f)] if role == "gps" and path.is_dir() else []
+        more = f"; {others[0]} is not read, since it is {unread(path / others[0])}" if others else ""
         raise InputError(
-            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show proposes it)"
+            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show proposes it){more}"
         )
 
 

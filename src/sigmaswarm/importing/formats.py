@@ -53,16 +53,16 @@ NOT_READ = {
     ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
     ".vbo": "a file of Racelogic; export it as CSV, with the channels of the IMU",
     ".ld .xrk .drk": "a log of a race car; export it as CSV with the logger's program (MoTeC i2, Race Studio)",
-    ".blf .trc": "a log of a CAN bus; decode its signals with their DBC file, as with asammdf, and export CSV",
+    ".blf": "a log of a CAN bus; decode its signals with their DBC file, as with asammdf, and export CSV",
     ".novatel": "a log of NovAtel; convert the fixes to NMEA with NovAtel Convert, and the IMU to CSV",
     ".mtb": "a recording of Xsens; export it as text with MT Manager, with UTC time and position",
-    ".mp4 .mov .insv .360": "a video; extract the telemetry of its IMU and GPS as CSV, as with gopro-telemetry",
+    ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, as with gopro-telemetry",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
 """Endings of unsupported formats: what they are, and how to convert them."""
 _MAGIC = {
     **{b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"},
-    **dict.fromkeys((b"#BEST", b"#INS", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),
+    **dict.fromkeys((b"#BESTPOSA", b"#INSPVA", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),
 }
 """First bytes of some of them."""
 
@@ -112,11 +112,20 @@ def format_of(path: Path) -> str:
             raise InputError(f"{path}: is not read, since it is {what}")
         if _reader(name).recognizes(path):
             return name
+    below = [*path.glob("*/[!.]*.csv"), *path.glob("*/*/[!.]*.csv")] if path.is_dir() else []
+    if tables := sorted(below)[:2]:
+        there = " and ".join(str(f.relative_to(path)) for f in tables)
+        raise InputError(
+            f"{path}: contains no log, but folders with tables ({there}); import one of them, such as {tables[0]}, and "
+            "name the others with --gps, --truth and --odometer"
+        )
     raise InputError(f"{path}: has an unknown format; name it with --format: {', '.join(READERS)}")
 
 
 def unread(path: Path) -> str:
-    """Describe the unsupported format of a file, by its ending or its first bytes; "" for other files."""
+    """Describe the unsupported format of a file, by its ending or its first bytes; "" for other files and folders."""
+    if not path.is_file() or path.suffix.lower() == ".csv":
+        return ""
     head = first_bytes(path, 64)
     kinds = {path.suffix.lower(), *(end for magic, end in _MAGIC.items() if head.startswith(magic))}
     return next((what for endings, what in NOT_READ.items() if kinds & {*endings.split()}), "")

@@ -68,7 +68,9 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
             expressions: dict[str, str] = {}
-            for what, one in _expressions(found[table], role):
+            # A receiver's values in the IMU's rows have the IMU's times: their steps tell the unit.
+            shared = "imu" in roles and table == roles["imu"][0].table
+            for what, one in _expressions(found[table], role, "imu" if shared else role):
                 notes += [one.note] if one.note else []
                 faults += [Fault(role, what, table, one.fault)] if one.fault else []
                 expressions |= {what: one.expression} if one.expression else {}
@@ -83,9 +85,6 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     for name in map(read_name, frame.columns):
         if (what := name.meaning) is not None and what != "t":
             columns.names.setdefault(what, name)
-    for name in map(read_name, frame.columns):
-        if name.meaning is None and name.likely is not None:
-            columns.names.setdefault(name.likely, name)
     letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
@@ -121,10 +120,9 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
     return {role: [t for t in found if t in tables] for role, tables in chosen.items()}
 
 
-def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
-    """Yield the columns of a role as expressions in a drive's units."""
-    # A receiver's values in the IMU's rows have the IMU's times: their steps tell the unit.
-    if (time := find_time(columns.frame, "imu" if columns.has("ax", "ay") else role)) is not None:
+def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Found]]:
+    """Yield the columns of a role, in rows at the times of ``rows_of``, as expressions in a drive's units."""
+    if (time := find_time(columns.frame, rows_of)) is not None:
         yield "t", time
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):

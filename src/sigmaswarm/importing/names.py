@@ -39,10 +39,7 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
     *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
-    *(
-        (axis, f"{turn}_?(?:rate|speed|vel(?:ocity)?)")
-        for axis, turn in (("gx", "roll"), ("gy", "pitch"), ("gz", "yaw"))
-    ),
+    ("gz", "yaw_?rate"),
     ("lat", "lat|latitude"),
     ("lon", "lon|lng|long|longitude"),
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
@@ -68,50 +65,7 @@ NAMES: tuple[tuple[str, str], ...] = (
 )
 """Columns of a drive, and their plain names as regular expressions."""
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
-_ELSEWHERE = frozenset(
-    [
-        "base",
-        "home",
-        "target",
-        "goal",
-        "ref",
-        "reference",
-        "origin",
-        "start",
-        "end",
-        "waypoint",
-        "wp",
-        "desired",
-        "cmd",
-        "command",
-        "set",
-        "setpoint",
-        "station",
-        "std",
-        "sd",
-        "stdev",
-        "sigma",
-        "var",
-        "cov",
-        "err",
-        "error",
-        "bias",
-        "offset",
-        "noise",
-        "min",
-        "max",
-        "mean",
-        "raw",
-        "scale",
-        "lin",
-        "linear",
-        "user",
-        "gravity",
-        "mag",
-    ]
-)
-"""Words in names of other points and of other numbers than the measured ones."""
-_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location)_(?=...)")
+_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...)")
 """Prefixes of names in tables of messages and of loggers."""
 
 
@@ -134,14 +88,6 @@ class Name:
     def words(self) -> tuple[str, ...]:
         """The words of the whole name, including its unit."""
         return tuple(plain_words(self.column))
-
-    @property
-    def likely(self) -> str | None:
-        """The drive's column of the end of a name such as "PosLla.Lat" or "Car.ax", if it is not of another point."""
-        ends = (self.plain.split("_", count)[-1] for count in (1, 2))
-        other = {*plain_words(self.plain)} & _ELSEWHERE
-        found = None if other else next(filter(None, map(meaning_of_plain, ends)), None)
-        return found if found in ("lat", "lon", "ax", "ay", "az", "gx", "gy", "gz") else None
 
     def is_one(self, pattern: str) -> bool:
         """Return True if the plain name fits a regular expression."""
@@ -171,8 +117,11 @@ def read_name(column: str) -> Name:
     A name that means nothing is tried again with its words split at capitals: "gyroRotationX(rad/s)".
     """
     name, split = _read(column, column.strip()), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", column.strip())
-    again = _read(column, split) if name.meaning is None and split != column.strip() else name
-    return again if again.meaning is not None else name
+    if name.meaning is not None or split == column.strip():
+        return name
+    again = _read(column, split)
+    stated = again.unit is None or split[-1] in ")]"  # a unit in a word is no unit: LatG, LatD
+    return again if again.meaning is not None and stated else name
 
 
 def _read(column: str, text: str) -> Name:

@@ -33,8 +33,14 @@ DATE_FORMATS = (
 )
 """Formats of dates in text, in the order of trial; the first is ISO 8601."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-CALENDAR = {"year": "", "month": "mon", "day": "", "hour": "hr", "minute": "min", "second": "sec seconds"}
-"""Words at the end of the names of a date's six columns, and other words for them."""
+CALENDAR = ("year", "month", "day", "hour", "minute", "second")
+_CALENDAR = {word: word for word in CALENDAR} | {
+    "mon": "month",
+    "hr": "hour",
+    "min": "minute",
+    "sec": "second",
+}
+"""Words at the end of the names of a date's six columns."""
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
 """Units of times, s; the usual units of clock counters come first."""
 _DATES_S = (3e8, 4e9)
@@ -53,9 +59,12 @@ class Found:
 def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     """Find the time of a table by its columns' names and values; None if there is none."""
     names = [read_name(column) for column in frame.columns]
-    several = _calendar(names, frame) or _seconds_and_rest(names, frame) or _header_stamp(names, frame, role)
-    several = several or _week(names, frame)
-    return several or _date_and_time(names, frame) or _single(names, frame, role)
+    several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
+    if found := several or _date_and_time(names, frame):
+        return found
+    calendar = _calendar(names, frame)
+    others = [n for n in names if calendar is None or written(n.column) not in calendar.expression]
+    return _single(others, frame, role) or calendar
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
@@ -104,18 +113,24 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fou
 
 
 def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Find year, month, day, hour, minute and second in six columns, and the rest of a second in another."""
-    words = {word: part for part, more in CALENDAR.items() for word in (part, *more.split())}
+    """Find year, month, day, hour, minute and second in six columns, and the parts of a second in others."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
-        alike = {n.words[-1]: n for n in names if n.words[:-1] == begin and n.words}
-        found = {words[word]: written(n.column) for word, n in reversed(alike.items()) if word in words}
-        if found.keys() == CALENDAR.keys():
-            year = "%Y" if median_of(numbers_of(frame[found["year"].strip("`")])) > 99 else "%y"
-            text = f"utc({', '.join(found[part] for part in CALENDAR)}, '{year} %m %d %H %M %S%.f')"
-            rest = next(((n, parts[word]) for word, n in alike.items() if word in parts), None)
-            text += f" + {written(rest[0].column)}*{rest[1]:.0e}".replace("e-0", "e-") if rest else ""
-            return Found(text, "the time is that of year, month, day, hour, minute and second")
+        alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
+        found = {_CALENDAR[word]: n.column for word, n in reversed(alike.items()) if word in _CALENDAR}
+        if found.keys() != {*CALENDAR}:
+            continue
+        columns = [found[part] for part in CALENDAR]
+        year = "%Y" if median_of(numbers_of(frame[columns[0]])) > 99 else "%y"
+        form = f"{year} %m %d %H %M %S%.f"
+        dates = frame.select(parse_dates(as_text(columns), form).alias("date"))["date"]
+        rest = [(n, parts[word]) for word, n in alike.items() if word in parts]
+        most = sum(scale * float(numbers_of(frame[n.column]).max() or 0) for n, scale in rest)  # pyright: ignore
+        if dates.null_count() > 0.1 * len(dates) or most > 1:
+            continue
+        text = f"utc({', '.join(map(written, columns))}, '{form}')"
+        text += "".join(f" + {written(n.column)}*{scale:.0e}".replace("e-0", "e-") for n, scale in rest)
+        return Found(text, "the time is that of year, month, day, hour, minute and second")
     return None
 
 
@@ -173,7 +188,8 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | N
         numbers = numbers_of(frame[name.column])
         if not (len(numbers) > 1 and (numbers == 0).all()):
             return _of_column(name, frame, role)
-    running = next((n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0), None)
+    clocks = [n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0]
+    running = max(clocks, key=lambda n: frame[n.column].n_unique(), default=None)
     return None if running is None else _of_column(running, frame, role)
 
 

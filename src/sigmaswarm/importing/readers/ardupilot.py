@@ -62,7 +62,9 @@ class _Skipped(StringIO):
 
 def recognizes(path: Path) -> bool:
     """Return True if the file begins like a dataflash log."""
-    return first_bytes(path, 3) == MAGIC or first_bytes(path, 9).startswith(TEXTS)
+    return first_bytes(path, 3) == MAGIC or first_bytes(path, 12).removeprefix(b"\xef\xbb\xbf").startswith(
+        TEXTS
+    )
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:

@@ -1,7 +1,4 @@
-"""CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars.
-
-A folder without tables is searched for tables in its folders and in theirs, as of EuRoC: ``imu0/data.csv``.
-"""
+"""CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars."""
 
 import re
 import subprocess
@@ -33,12 +30,7 @@ def recognizes(path: Path) -> bool:
 
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
-        levels = (path.glob(pattern) for pattern in ("*", "*/*", "*/*/*"))
-        tables = (
-            sorted(f for f in level if f.suffix.lower() in SUFFIXES and f.is_file() and f.stat().st_size)
-            for level in levels
-        )
-        return next(filter(None, tables), [])
+        return sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.stat().st_size)
     return [path] if path.suffix.lower() in SUFFIXES else []
 
 
@@ -47,16 +39,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     remarks: list[str] = []
     files = _files(path) if path.is_dir() else [path]
     return of_files(
-        path,
-        {
-            file.relative_to(path).as_posix() if path.is_dir() else file.name: scan(
-                file, file, limits, remarks
-            )
-            for file in files
-        },
-        FILES,
-        None,
-        remarks,
+        path, {file.name: scan(file, file, limits, remarks) for file in files}, FILES, None, remarks
     )
 
 

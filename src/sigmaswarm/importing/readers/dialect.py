@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
@@ -99,10 +100,11 @@ def _require_one_kind(rows: Rows, shown_as: Path) -> None:
     names = sorted({name for name, _ in kinds})
     named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
     if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
+        bare = names[0].strip("$")
         raise InputError(
             f"{shown_as}: has rows of several kinds, {names_shown(names)}; write each kind to a file of its own, as: "
-            f"grep '^[$]*{names[0].strip('$')},' {shown_as.name} > {names[0].strip('$').lower()}.csv, "
-            "and give each file a header line"
+            f"grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv, and give each file a "
+            "header line"
         )
 
 
