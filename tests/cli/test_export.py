@@ -137,7 +137,7 @@ def test_mistakes_get_one_line(
 
 
 def test_a_file_without_an_interval_is_sent_back(sigmaswarm: Command, tuned: Path, here: Path):
-    Path("p.toml").write_text(tuned.read_text().replace("nominal_interval = 0.01\n", ""))
+    Path("p.toml").write_text(tuned.read_text().replace("nominal_interval = 0.02\n", ""))
     ended = sigmaswarm("export", "p.toml", "--to", "c99", "--out", "x")
     assert ended.code == 2 and "add nominal_interval" in ended.err
 

@@ -69,7 +69,7 @@ def test_a_tuning(sigmaswarm, tuned: Path, here: Path):
     assert "note: a tuned Q also contains the errors of the filter's model" in ended.out
     text = Path("noise/imu_noise.toml").read_text()
     assert "# a tuned Q also contains" in text
-    assert tomllib.loads(text)["accel_noise_density"] == pytest.approx((1e-2 / 0.01) ** 0.5)
+    assert tomllib.loads(text)["accel_noise_density"] == pytest.approx((1e-2 / 0.02) ** 0.5)
     assert [path.name for path in Path("noise").iterdir()] == ["imu_noise.toml"]
 
 

@@ -449,7 +449,7 @@ def test_truth_in_metres_beside_fixes_in_degrees(tmp_path: Path, shift: tuple[fl
     rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
     (tmp_path / "truth.csv").write_text(table(["t,x,y,theta", *rows]))
     (said,) = [note for note in imported(tmp_path).notes if "its origin is taken to be the first fix" in note]
-    origin = tuple(map(float, re.search(r"--origin (\S+),", said + ",")[1].split(",")[:3]))
+    origin = tuple(map(float, re.search(r"--origin ([-\d.,]+\d)", said)[1].split(",")[:3]))
     request = Request(tmp_path)
     drive = import_drive(replace(request, recipe=replace(request.recipe, origin=origin)), "again").drive
     for name in ("x", "y"):
