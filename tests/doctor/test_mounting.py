@@ -96,6 +96,17 @@ def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
     assert found.confidence == "no"
 
 
+@needs_shared
+@pytest.mark.parametrize("names", [("az",), ("ax",), ("ay",), ("ax", "gz")])
+def test_a_phone_with_a_reversed_axis_is_not_turned_around(names: tuple[str, ...]):
+    """Its accelerometers report the opposite of specific force; with one more reversed axis a mounting was sure."""
+    drive = sigmaswarm.read_drive(DRIVES / "dresden-as-recorded")
+    drive = sigmaswarm.clip(drive, drive.imu.time[0], drive.imu.time[0] + 300)
+    mirrored = replace(drive, imu=replace(drive.imu, **{n: -getattr(drive.imu, n) for n in names}))
+    found, _ = estimate(mirrored, np.eye(3))
+    assert found.confidence == "no"
+
+
 @pytest.mark.parametrize("gps", ["white-1m", "ublox-m8", "f9p-rtk"])
 def test_a_straight_road_gives_no_yaw(gps: str):
     found, _ = estimate(sigmaswarm.simulate("cruise", gps=gps), np.eye(3))

@@ -42,7 +42,10 @@ ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
 """Window over which the axis of turning is fitted, s."""
 LEANS = 0.5
-"""Agreement of the body's leaning with springs, -1 to 1, above which accelerometers count as reversed."""
+"""Agreement of the body's leaning with springs, -1 to 1, above which accelerometers count as reversed.
+
+Below the opposite value, a mounting rotated by more than 90 degrees is refused: an axis is reversed.
+"""
 WANDERS = math.radians(8.0)
 """Change of gravity's direction between windows above which the mounting is not constant, rad."""
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
@@ -155,8 +158,14 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
         opposite = _scaled(imu, "a", -1.0)
         upright = _converged(drive, course, opposite)
         if np.min(_leaning(turned(opposite, upright[0]))) > LEANS:
-            rotation, seen = upright
-    return Mounting(rotation, seen.std, *_confidence(seen)) if seen else None
+            imu, (rotation, seen) = opposite, upright
+    if seen is None:
+        return None
+    confidence, reason = _confidence(seen)
+    reversed_axis = angle_of(rotation) > math.pi / 2 and np.min(_leaning(turned(imu, rotation))) < -LEANS
+    if reversed_axis and confidence != "no":
+        confidence, reason = "no", "the body would lean into its turns, or forward while it gains speed"
+    return Mounting(rotation, seen.std, confidence, reason)
 
 
 def _leaning(imu: Imu) -> Array:
@@ -166,7 +175,6 @@ def _leaning(imu: Imu) -> Array:
     agree with the fixes.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
-
     if len(time) < 50:
         return np.zeros(2)
 
