@@ -98,6 +98,7 @@ def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
 
 @needs_shared
 @pytest.mark.parametrize("names", [("az",), ("ax",), ("ay",), ("ax", "gz")])
+@pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")
 def test_a_phone_with_a_reversed_axis_is_not_turned_around(names: tuple[str, ...]):
     """Its accelerometers report the opposite of specific force; with one more reversed axis a mounting was sure."""
     drive = sigmaswarm.read_drive(DRIVES / "dresden-as-recorded")
