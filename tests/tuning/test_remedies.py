@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from doctor.test_clock_search import robot
-from sigmaswarm import Drive, Tuning, diagnose, evaluate, simulate, split_time, tune
+from sigmaswarm import Drive, Tuning, clip, diagnose, evaluate, simulate, split_time, tune
 from sigmaswarm.tuning.receiver import FixNoise, accuracy_warnings, fix_noise, noise_warnings
 from sigmaswarm.wording import TO_DO
 from support import quickly
@@ -115,6 +115,12 @@ def test_states_for_errors_that_last_whiten_the_innovations():
         evaluate(smooth(), t.parameters).consistency[town().name].autocorrelation[0] for t in (plain, mended)
     ]
     assert abs(lag[1]) < lag[0]
+
+
+def test_few_fixes_get_no_states_for_their_errors():
+    """With 142 fixes these states doubled the drift."""
+    few = clip(smooth(0.3), 0.0, 45.0)
+    assert not to_dos(tune(few, model="planar8", kind="ekf", use=["lateral"], **FEW), "correlated")
 
 
 @pytest.mark.long

@@ -88,7 +88,7 @@ def _sinc(x: float) -> float:
 
 def turn(vector: Array) -> Array:
     """exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
-    angle = np.sqrt(vector @ vector)
+    angle = float(np.sqrt(vector @ vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     half = _sinc(angle / (2 * np.pi))  # sin(a / 2) / (a / 2)
@@ -99,7 +99,7 @@ def turn_of(r: Array) -> Array:
     """The v, (3,), of exp([v]x), shorter than half a turn."""
     doubled = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])  # 2 sin a, along the axis
     sine, cosine = np.sqrt(doubled @ doubled) / 2, (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2
-    angle = np.arctan2(sine, cosine)
+    angle = float(np.arctan2(sine, cosine))
     return 0.5 * doubled / _sinc(angle / np.pi)
 
 

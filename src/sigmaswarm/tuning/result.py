@@ -33,9 +33,9 @@ P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5
 """Number of remarks in the printed text of a tuning."""
 INFLATED = (
-    "{} times those of the lowest cost (process-noise inflation): the costs of the two filters hardly differ, and on "
-    "roads and IMUs that the tuning did not use, the one with more process noise is more accurate. On the same roads "
-    "it drifts slightly more over outages; --inflation 0 turns it off"
+    "{} times as large as at the lowest cost (process-noise inflation): the costs of the two filters hardly differ, "
+    "and on roads and IMUs that the tuning did not use, the one with more process noise is more accurate. On the same "
+    "roads it drifts slightly more over outages; --inflation 0 turns it off"
 )
 OF_THESE_SENSORS = (
     "a filter tuned with truth suits the receiver and the IMU of these drives: with others it may be far less accurate "
@@ -315,9 +315,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             inflated = f"the noises of position, velocity and acceleration are {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
-            inflated = (
-                f"the random walks of the biases are {factor:.3g}, the noises of position and velocity {root}"
-            )
+            inflated = f"the random walks of the biases are {factor:.3g} and the noises of position and velocity {root}"
         yield INFLATED.format(inflated)
     for touched in t.touched_bounds:
         if touched.parameter not in t.unidentified:
