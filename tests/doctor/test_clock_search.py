@@ -8,7 +8,7 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm import Drive, Gps, Imu
-from support import quickly
+from support import DRIVES, needs_shared, quickly
 
 
 @cache
@@ -61,6 +61,15 @@ def test_turns_that_would_match_with_another_sign_or_a_smaller_offset(period: fl
     assert found.keys() == {"clock-offset"}
     assert "18.0 s late" in found["clock-offset"].what
     assert not sigmaswarm.diagnose(sound).serious
+
+
+@needs_shared
+@pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")
+def test_a_search_that_ends_at_its_beginning_is_no_offset():
+    """In this minute no column of the gyro follows the course, and 0.1 s were called serious."""
+    drive = sigmaswarm.read_drive(DRIVES / "dresden")
+    first = drive.imu.time[0] + 96.0
+    assert "clock-offset" not in sigmaswarm.diagnose(sigmaswarm.clip(drive, first, first + 60.0)).codes
 
 
 def robot(reverse: bool, seed: int) -> Drive:

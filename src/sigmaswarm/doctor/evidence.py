@@ -19,6 +19,8 @@ from sigmaswarm.drives.sensors import white_noise
 
 SEARCHED = 2.3
 """Offset, s, above which the fit is not used, since the tried delays end at 2.5 s."""
+LEAST_SEARCHED = 0.3
+"""Smallest offset, s, that the search shows; if the fits do not show a smaller one, the log does not."""
 USUAL = 1.0
 """Largest usual delay of a receiver, s. A larger offset is accepted only if the search finds no other offset."""
 AS_RECORDED = Yaw(known=True)
@@ -86,7 +88,7 @@ def scatter_of(drive: Drive) -> float:
 
 
 def _read(drive: Drive) -> Evidence:
-    evidence = _gather(drive)
+    evidence = as_recorded = _gather(drive)
     course, fit = evidence.course, evidence.yaw_fit
     if course is None or fit is None:
         return evidence
@@ -104,6 +106,8 @@ def _read(drive: Drive) -> Evidence:
         evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - late)))
         rest = evidence.clock.late if np.isfinite(evidence.clock.std) else 0.0
         late += rest
+    if abs(late) < LEAST_SEARCHED:
+        return as_recorded
     return replace(
         evidence, clock=ClockOffset(late, max(evidence.clock.std, 0.05), WIDEST), moved=late - rest
     )
