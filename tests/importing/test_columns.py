@@ -451,14 +451,18 @@ def test_columns_of_other_quantities_stay_unused(tmp_path: Path):
         imported(tmp_path / "log.csv")
 
 
-@pytest.mark.parametrize(("name", "scale"), [("millis", 1e3), ("timestamp", 1.0)])
+@pytest.mark.parametrize(("name", "scale"), [("millis", 1e3), ("timestamp", 1.0), ("t", 1.0)])
 def test_a_finer_time_goes_before_six_columns_of_a_date(tmp_path: Path, name: str, scale: float):
     stamp = [datetime.fromtimestamp(EPOCH + t, UTC) for t in DRIVE.imu.time]
     parts = ("year", "month", "day", "hour", "minute", "second")
     dates = {n: [getattr(t, n) for t in stamp] for n in parts}
     table = {**dates, name: np.round(DRIVE.imu.time * scale, 3), **slow_and_fast(with_time=False)}
     pl.DataFrame(table).write_csv(tmp_path / "log.csv")
-    got = imported(tmp_path / "log.csv").drive.imu.time
+    result = imported(tmp_path / "log.csv")
+    assert (
+        result.recipe.roles["imu"][0].columns["t"].split("*")[0] == name
+    )  # whole seconds, spread, would agree, too
+    got = result.drive.imu.time
     np.testing.assert_allclose(got - got[0], DRIVE.imu.time - DRIVE.imu.time[0], atol=1.1e-3)
 
 

@@ -62,9 +62,8 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
     if found := several or _date_and_time(names, frame):
         return found
-    calendar = _calendar(names, frame)
-    others = [n for n in names if calendar is None or written(n.column) not in calendar.expression]
-    return _single(others, frame, role) or calendar
+    calendar, parts = _calendar(names, frame)
+    return _single([n for n in names if n not in parts], frame, role) or calendar
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
@@ -112,15 +111,18 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fou
     return _of_column(stamp, frame, role)
 
 
-def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Find year, month, day, hour, minute and second in six columns, and the parts of a second in others."""
+def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None, Sequence[Name]]:
+    """Find year, month, day, hour, minute and second in six columns, and the parts of a second in others.
+
+    Also return the names of these columns.
+    """
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
-        found = {_CALENDAR[word]: n.column for word, n in reversed(alike.items()) if word in _CALENDAR}
+        found = {_CALENDAR[word]: n for word, n in reversed(alike.items()) if word in _CALENDAR}
         if found.keys() != {*CALENDAR}:
             continue
-        columns = [found[part] for part in CALENDAR]
+        columns = [found[part].column for part in CALENDAR]
         year = "%Y" if median_of(numbers_of(frame[columns[0]])) > 99 else "%y"
         form = f"{year} %m %d %H %M %S%.f"
         dates = frame.select(parse_dates(as_text(columns), form).alias("date"))["date"]
@@ -130,8 +132,9 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
             continue
         text = f"utc({', '.join(map(written, columns))}, '{form}')"
         text += "".join(f" + {written(n.column)}*{scale:.0e}".replace("e-0", "e-") for n, scale in rest)
-        return Found(text, "the time is that of year, month, day, hour, minute and second")
-    return None
+        note = "the time is that of year, month, day, hour, minute and second"
+        return Found(text, note), [*found.values(), *(n for n, _ in rest)]
+    return None, ()
 
 
 def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
