@@ -183,7 +183,7 @@ CASES = [(how, suffix) for how in SPOILED for suffix in (".nbi", ".nbc")]
 def spoiled(
     sound: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[tuple[str, str], list[dict[str, object]]]:
-    """What is said of each spoiled cache, and once more."""
+    """Messages about each spoiled cache, from two successive runs."""
     folder = tmp_path_factory.mktemp("spoiled")
     caches = [shutil.copytree(sound / "cache", folder / str(i)) for i in range(len(CASES))]
     for (how, suffix), cache in zip(CASES, caches, strict=True):
@@ -258,6 +258,6 @@ def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: s
 
 
 def test_no_function_has_numba_s_own_cache():
-    """It lies beside the sources, where others may write, and a read-only install would fail."""
+    """Numba stores its cache beside the sources: other users may write there, and a read-only install would fail."""
     sources = Path(sigmaswarm.__file__).parent.rglob("*.py")
     assert [str(file) for file in sources if "cache=True" in file.read_text()] == []

@@ -89,7 +89,7 @@ def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: 
     [("ax",), ("ay",), ("az",), ("ax", "gz"), ("ay", "gz"), ("ax", "ay", "az", "gx", "gy", "gz")],
 )
 def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
-    """Of the third to the fifth only the body's leaning tells: without it the mounting was sure, and reversed."""
+    """Only the leaning of the body distinguishes the third to fifth case from a mounting rotated by 180 degrees."""
     drive = drive_of("icm-20602", "flat")
     mirrored = replace(drive, imu=replace(drive.imu, **{n: -getattr(drive.imu, n) for n in names}))
     found, _ = estimate(mirrored, Rotation.random(random_state=6).as_matrix())

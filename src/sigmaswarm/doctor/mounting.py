@@ -162,8 +162,8 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     if seen is None:
         return None
     confidence, reason = _confidence(seen)
-    reversed_axis = angle_of(rotation) > math.pi / 2 and np.min(_leaning(turned(imu, rotation))) < -LEANS
-    if reversed_axis and confidence != "no":
+    far = confidence != "no" and angle_of(rotation) > math.pi / 2
+    if far and np.min(_leaning(turned(imu, rotation))) < -LEANS:
         confidence, reason = "no", "the body would lean into its turns, or forward while it gains speed"
     return Mounting(rotation, seen.std, confidence, reason)
 

@@ -256,8 +256,10 @@ def _require_sensors(
         columns = [read_name(c).meaning for table in logs[path].tables.values() for c in table.columns]
         if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
             there += " (it has accelerations, but no column is known as an angular rate)"
-        others = [f.name for f in path.iterdir() if unread(f)] if role == "gps" and path.is_dir() else []
-        more = f"; {others[0]} is not read, since it is {unread(path / others[0])}" if others else ""
+        beside = path.iterdir() if role == "gps" and path.is_dir() else ()
+        more = next(
+            (f"; {f.name} is not read, since it is {kind}" for f in beside if (kind := unread(f))), ""
+        )
         raise InputError(
             f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show proposes it){more}"
         )

@@ -68,7 +68,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
             expressions: dict[str, str] = {}
-            # A receiver's values in the IMU's rows have the IMU's times: their steps tell the unit.
+            # Values of a receiver in rows of the IMU have the IMU's times, whose interval determines the unit.
             shared = "imu" in roles and table == roles["imu"][0].table
             for what, one in _expressions(found[table], role, "imu" if shared else role):
                 notes += [one.note] if one.note else []
