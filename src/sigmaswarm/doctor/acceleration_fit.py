@@ -66,14 +66,14 @@ def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
     late : s, of the fixes
     """
     turned, off = _off_course(time, course, rate + drift_of(time, course, rate, late), late)
-    at, speed = course.time[course.moving] - late, np.abs(course.velocity[course.moving])
+    at, speed = course.time[course.moving], np.abs(course.velocity[course.moving])
     jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
     off = off - jump  # the course may turn by whole circles, unseen, while the car stands
     bin_of = ((at - at[0]) // BIN).astype(np.intp)
     bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
     # the course of a faster car is more accurate
     weight, total = (np.convolve(np.bincount(bin_of, v), bell)[6:-6] for v in (speed, speed * off))
-    middles = at[0] + BIN * (np.arange(len(weight)) + 0.5)
+    middles = at[0] - late + BIN * (np.arange(len(weight)) + 0.5)
     return turned + np.interp(time, middles[weight > 0], (total / np.maximum(weight, 1e-12))[weight > 0])
 
 
