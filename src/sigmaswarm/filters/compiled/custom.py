@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from sigmaswarm.compilation import cached
+
 _TWO_PI = 2 * math.pi
 
-_kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_kernel = cached(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Options of functions that only kernels call; entry points for Python and C would cost compile time."""
 _inlined = njit(error_model="numpy", inline="always")
 """Options of functions with one call each; otherwise LLVM would optimize them twice, alone and inlined."""
