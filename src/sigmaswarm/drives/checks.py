@@ -14,7 +14,7 @@ from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.wording import counted
 
-FEWEST_SAMPLES, FEWEST_FIXES = 100, 10
+FEWEST_SAMPLES, FEWEST_SHARED_FIXES = 100, 10
 """Smallest number of IMU samples of a drive, and of fixes within the IMU's time."""
 IMU_GAP = (10.0, 0.1)
 """An IMU interval is a gap if it exceeds both this many usual intervals and this many s."""
@@ -82,10 +82,10 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     if len(imu) < FEWEST_SAMPLES:
         return f"imu.csv: {len(imu)} samples are too few; record at least {FEWEST_SAMPLES}"
     shared = int(np.count_nonzero((gps.time >= first) & (gps.time <= last)))
-    if shared < FEWEST_FIXES:
+    if shared < FEWEST_SHARED_FIXES:
         return (
             f"gps.csv: {shared} fixes within the IMU's time, t = {first:g} to {last:g} s, are too few; "
-            f"record at least {FEWEST_FIXES}"
+            f"record at least {FEWEST_SHARED_FIXES}"
         )
     return None
 
