@@ -164,7 +164,7 @@ def test_01_truth_in_degrees(column: str, base: Path):
     )
     (log / "drive.toml").unlink()
     if command("import", "log", "--format", "csv", "--out", "out")[0] == 0:
-        assert pl.read_csv("out/truth.csv")["theta"].abs().max() < 7.0  # pyright: ignore[reportOperatorIssue]
+        assert pl.read_csv("out/truth.csv")["theta"].abs().max() < 7.0
 
 
 def test_02_first_fix_at_zero(base: Path):
