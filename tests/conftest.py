@@ -60,6 +60,18 @@ def unpainted() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def quick_study() -> Iterator[None]:
+    """Studies end sooner: they time one live filter instead of four, and draw fewer resamples."""
+    from sigmaswarm.experiments import statistics
+    from sigmaswarm.experiments.study import timings
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(timings, "LIVE", {"UKF": timings.LIVE["UKF"]})
+        patch.setattr(statistics, "RESAMPLES", 200)
+        yield
+
+
 @pytest.fixture
 def simulated_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each call of `simulate` computes its drive."""

@@ -16,6 +16,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -117,13 +118,11 @@ def _line(channel: socket.socket, begun: bytes) -> bytes:
 
 def _serve(channel: socket.socket) -> None:
     """In the template: fork, and tell of who has ended."""
-    import filterpy.kalman  # noqa: F401
-    import matplotlib.pyplot  # noqa: F401
-    import scipy.stats  # noqa: F401
-
-    import sigmaswarm.cli.common  # noqa: F401
     from sigmaswarm import evaluate, tune
     from support import make_drive
+
+    for module in ("filterpy.kalman", "matplotlib.pyplot", "scipy.stats", "sigmaswarm.cli.common"):
+        import_module(module)
 
     drive = make_drive(duration=20.0)
     evaluate(drive, tune(drive, particles=2, generations=1).parameters)  # compiled code is loaded
@@ -150,7 +149,7 @@ def _become(order: dict[str, Any], files: list[int]) -> NoReturn:
     for file, standard in zip(files, (1, 2), strict=True):
         os.dup2(file, standard)
         os.close(file)
-    sys.stdout, sys.stderr = (open(n, "w", encoding="utf-8", closefd=False) for n in (1, 2))  # noqa: SIM115
+    sys.stdout, sys.stderr = (open(n, "w", encoding="utf-8", closefd=False) for n in (1, 2))  # noqa: SIM115 (never closed)
     os.chdir(order["folder"])
     os.environ.clear()
     os.environ.update(order["environment"])

@@ -142,7 +142,7 @@ def test_a_folder_that_others_can_write_is_not_used(looked: Looked, sound: Path)
     before = {file.relative_to(sound / "cache"): file.read_bytes() for file in files(sound / "cache")}
     for cache, told in (looked[name] for name in WRITABLE):
         assert told["hits"] == 0
-        (said,) = told["said"]  # type: ignore[misc]
+        (said,) = told["said"]
         assert f"{cache}/sigmaswarm can be written by other users" in said
         assert "set NUMBA_CACHE_DIR" in said
         assert {file.relative_to(cache): file.read_bytes() for file in files(cache)} == before
@@ -158,7 +158,7 @@ def test_a_folder_of_somebody_else_is_not_used(looked: Looked):
     if os.getuid() != 0:
         pytest.skip("only root can give a folder away")
     _, told = looked["owner"]
-    assert (told["hits"], len(told["said"])) == (0, 1)  # type: ignore[arg-type]
+    assert (told["hits"], len(told["said"])) == (0, 1)
 
 
 def flipped(content: bytes, share: float) -> bytes:
@@ -203,7 +203,7 @@ def test_a_spoiled_file_is_compiled_anew(
     told, again = spoiled[how, suffix]
     assert told["said"] == []
     spared = COMPILED - 1 if how.startswith("bit") and suffix == ".nbi" else 0  # the index's other entries
-    assert told["hits"] <= spared  # type: ignore[operator]
+    assert told["hits"] <= spared
     assert again["hits"] == COMPILED  # and is sound again
 
 
@@ -247,7 +247,7 @@ def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: s
     finally:
         for folder in folders:
             folder.chmod(0o755)
-    (said,) = told["said"]  # type: ignore[misc]
+    (said,) = told["said"]
     assert "compiled filters are not kept" in said
     assert str(home) in said
     if done is not None:

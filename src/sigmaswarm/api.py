@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.checks import unshared_times
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import split_time
@@ -63,15 +64,19 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     Warns
     -----
     SigmaswarmWarning
-        Each assumption that was made.
+        Each assumption that was made, and times that only the IMU or only the fixes cover.
     """
     from sigmaswarm.importing.convert import import_drive, request_of
 
     request = request_of(log, settings)
     imported = import_drive(request, name or Path(log).resolve().stem)
-    for note in imported.notes:
+    drive, notes = imported.drive, list(imported.notes)
+    # The command shows this as a finding of the doctor.
+    if unshared := unshared_times(drive.imu.time, drive.gps.time):
+        notes.append(str(unshared).replace(".csv", ""))
+    for note in notes:
         warnings.warn(SigmaswarmWarning(f"{log}: {note}"), stacklevel=2)
-    return imported.drive
+    return drive
 
 
 def inspect_log(log: str | Path, **settings: Any) -> "Look":

@@ -13,12 +13,12 @@ import pytest
 from fuzzing.check import limited
 from fuzzing.records import record_network
 from sigmaswarm import FilterParameters, evaluate, tune
-from sigmaswarm.cli.simulate import _require_made_with  # pyright: ignore[reportPrivateUsage]
-from sigmaswarm.datasets.cluster import _scheduler  # pyright: ignore[reportPrivateUsage]
+from sigmaswarm.cli.simulate import _require_made_with
+from sigmaswarm.datasets.cluster import _scheduler
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import Comparison, Outcome
-from sigmaswarm.experiments.study.timings import _content  # pyright: ignore[reportPrivateUsage]
+from sigmaswarm.experiments.study.timings import _content
 from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.files import staged_files, whole_file, write_whole
 from sigmaswarm.learned.folder import load_learned
@@ -153,7 +153,7 @@ def test_a_kill_between_two_files_is_undone_by_the_next_run(killed_at: int, tmp_
                 os._exit(9)
             return rename(path, target)
 
-        Path.rename = dying  # pyright: ignore[reportAttributeAccessIssue]
+        Path.rename = dying
         with staged_files(folder) as new:
             for name in "abc":
                 write_whole(new / name, "new")

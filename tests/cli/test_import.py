@@ -306,3 +306,15 @@ def test_what_was_read_from_which_column_is_said_without_show(sigmaswarm: Comman
     ]
     said = json.loads(sigmaswarm("import", "log", "--out", "d2", "--map", "gz=1.0*gyro_z", "--json").out)
     assert tomllib.loads(said["recipe"])["imu"][0]["gz"] == "1.0*gyro_z"
+
+
+def test_fixes_that_nobody_uses_are_said_once(sigmaswarm: Command, here: Path):
+    drive = library.simulate("urban", run=3, duration=60.0, imu_rate=50.0, gps="white-1m")
+    library.write_drive(drive, here / "log")
+    rows = Path("log/imu.csv").read_text().splitlines()
+    Path("log/imu.csv").write_text("\n".join(rows[: len(rows) // 2]) + "\n")
+    ended = sigmaswarm("import", "log/imu.csv", "--gps", "log/gps.csv", "--out", "drive")
+    assert ended.code == 0, ended.err
+    assert ended.out.count("fixes lie outside of the IMU's time, up to 30 s after its last sample") == 1
+    found = json.loads(sigmaswarm("doctor", "drive", "--json").out)["drives"][0]["findings"]
+    assert [f["severity"] for f in found if f["code"] == "gps-outside"] == ["note"]

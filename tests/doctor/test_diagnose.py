@@ -16,7 +16,9 @@ from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
 from sigmaswarm.doctor.checks.timing import clock_jumps
 from sigmaswarm.doctor.verdicts import yaw_of
 from sigmaswarm.doctor.yaw_fit import YawFit
+from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.gps import with_outliers
+from sigmaswarm.tuning.defaults import with_filter
 from support import DRIVES, limited_memory, make_drive, needs_shared, quickly
 
 MEMS = {
@@ -357,7 +359,8 @@ def test_the_options_follow_from_the_log():
         "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated standard deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
-    lasting = "; without truth also fix-error, since the fixes differ by less than the receiver's error"
+    lasting = "; without truth and with 250 fixes or more for training also fix-error, since the fixes differ by less "
+    lasting += "than the receiver's error"
     may = "; you may add velocity to --use: the receiver gives speed and course"
     assert found_of(velocity, "use") == six + tilts + lasting + may
     assert velocity.gps.speed is not None
@@ -369,6 +372,14 @@ def test_the_options_follow_from_the_log():
     assert found_of(outlier, "use") == f"{six}1 fix lies far off the path; {tilts}"
     for std in (8.0, 30.0):
         assert found_of(states(drive, np.full(n, std)), "use") == six + tilts + lasting
+
+
+@pytest.mark.parametrize("n", [249, 250])
+def test_tune_adds_fix_error_with_the_stated_number_of_fixes_on_a_part_too(n: int):
+    whole = replace(simulated("icm-20602"), truth=None)
+    part = clip(whole, end=float(whole.gps.time[n]))
+    stated = [re.search(r"with (\d+) fixes or more for training", found_of(d, "use")) for d in (whole, part)]
+    assert all(s and (n >= int(s[1])) == ("fix-error" in with_filter({}, [part])[0]["use"]) for s in stated)
 
 
 @needs_shared

@@ -10,7 +10,7 @@ from scipy import stats
 
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.drives.alignment import (
-    FEWEST_FIXES,
+    ALIGNMENT_FIXES,
     MAX_DURATION,
     MAX_HEADING_STD,
     MIN_DURATION,
@@ -254,7 +254,7 @@ def test_what_is_missing_for_a_start_is_what_is_told(drive: Drive, missing: str)
 def test_of_four_fixes_far_apart_their_rate_is_told():
     """The car travels 20 m between any two of them."""
     drive = standing_then_going(2.0, duration=31.0, gps_rate=0.1)
-    assert len(drive.gps.time) == FEWEST_FIXES
+    assert len(drive.gps.time) == ALIGNMENT_FIXES
     with pytest.raises(AlignmentError, match=r"its fixes come every 10 s, .*log the receiver at 1 Hz"):
         initial_state(drive)
 

@@ -150,6 +150,40 @@ def test_small_holes_are_no_gaps(table: str, length: float):
     assert warnings_of(without(make_drive(), table, 30.0, 30.0 + length)) == []
 
 
+@pytest.mark.parametrize(
+    ("begin", "end", "ends"),
+    [
+        (12.0, 58.0, "up to 12 s before its first sample and up to 2 s after its last sample"),
+        (0.0, 30.0, "up to 30 s after its last sample"),
+    ],
+)
+def test_fixes_outside_of_the_imus_time_are_counted(begin: float, end: float, ends: str):
+    whole = make_drive()
+    drive = without(without(whole, "imu", -1.0, begin), "imu", end, 99.0)
+    gps, imu = whole.gps.time, drive.imu.time
+    count, n = np.count_nonzero((gps < imu[0]) | (gps > imu[-1])), len(gps)
+    assert only(drive) == (
+        f"gps.csv: {count} of {n} fixes lie outside of the IMU's time, {ends}, and are not used; nothing to do if the "
+        "receiver recorded for longer; else put both on one clock"
+    )
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "said"), [(12.0, 99.0, "first 12 s"), (15.0, 40.0, "first 15 s and last 20 s")]
+)
+def test_long_parts_of_the_imu_without_fixes_are_named(begin: float, end: float, said: str):
+    drive = without(without(make_drive(), "gps", -1.0, begin), "gps", end, 99.0)
+    assert only(drive).startswith(f"imu.csv: the IMU's {said} have no fixes; a filter starts after the first")
+
+
+def test_short_ends_without_the_other_sensor_are_no_fault():
+    drive = make_drive()
+    for table in ("imu", "gps"):
+        assert warnings_of(without(without(drive, table, -1.0, 9.5), table, 51.0, 99.0)) == []
+    long = make_drive(duration=240.0)
+    assert warnings_of(without(long, "gps", -1.0, 23.5)) == []  # a receiver's cold start
+
+
 def test_the_reader_passes_the_warnings_on_with_the_path(tmp_path):
     drive = in_g(without(make_drive(), "imu", 20.0, 20.5))
     folder = write_drive(drive, tmp_path / "d")

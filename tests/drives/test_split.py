@@ -112,7 +112,7 @@ def test_a_clip_with_nothing_in_it(start: float, end: float):
 
 @pytest.mark.filterwarnings("ignore:.*can't be used alone")
 def test_the_part_between_two_times_is_left_out():
-    before, after = split_time(DRIVE, at=[3.0, 7.0])  # pyright: ignore[reportArgumentType]
+    before, after = split_time(DRIVE, at=[3.0, 7.0])
     assert (before.name, after.name) == ("synthetic-before", "synthetic-after")
     assert before.imu.time[-1] < 3.0
     assert after.imu.time[0] >= 7.0
@@ -120,4 +120,4 @@ def test_the_part_between_two_times_is_left_out():
     with pytest.raises(InputError, match="the first time is after the second"):
         split_time(DRIVE, at=(7.0, 3.0))
     with pytest.raises(InputError, match="at has 3 times"):
-        split_time(DRIVE, at=(3.0, 4.0, 7.0))  # pyright: ignore[reportArgumentType]
+        split_time(DRIVE, at=(3.0, 4.0, 7.0))

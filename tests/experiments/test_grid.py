@@ -22,7 +22,7 @@ def grid(
     run: Callable[[int, Report], object], tasks: int = 6, processes: int = 2, **options: object
 ) -> dict[int, object]:
     with ThreadPoolExecutor(2) as pool:
-        return run_grid(range(tasks), run, pool, processes=processes, **options)  # pyright: ignore
+        return run_grid(range(tasks), run, pool, processes=processes, **options)
 
 
 def kill(task: int, report: Report) -> None:
@@ -43,8 +43,8 @@ def test_tasks_are_run_and_reported(processes: int):
         return 10 * task, os.getpid()
 
     found = grid(run, processes=processes, rounds=2, progress=lambda *now: reported.append(now))
-    assert [value for value, _ in found.values()] == [0, 10, 20, 30, 40, 50]  # pyright: ignore
-    ran_in = {process for _, process in found.values()}  # pyright: ignore
+    assert [value for value, _ in found.values()] == [0, 10, 20, 30, 40, 50]
+    ran_in = {process for _, process in found.values()}
     assert (os.getpid() in ran_in, len(ran_in)) == ((False, 2) if processes else (True, 1))
     done = [done for done, _, _ in reported]
     assert done == sorted(done)

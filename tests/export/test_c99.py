@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -178,6 +179,22 @@ def test_the_same_message_again_is_left_out(tmp_path: Path, option: str):
     rows = replay_rows(equipped()).splitlines()
     twice = [row for row in rows for _ in range(2 if row.startswith("fix") else 1)]
     np.testing.assert_array_equal(_last_row(program, twice), _last_row(program, rows))
+
+
+@needs_gcc
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 13.0), (11.5, 25.0)])
+def test_fixes_and_speeds_outside_of_the_imus_time_are_not_used(tmp_path: Path, begin: float, end: float):
+    p, imu = given("planar8", "ukf", "all"), equipped().imu
+    drive = replace(equipped(), imu=imu.select((imu.time >= begin) & (imu.time < end)))
+    ours, program = run_filter(drive, p, recover=False), build(tmp_path, p)
+    assert distance(replay(program, drive).mean, ours.mean) < 1e-11
+    start, *rows = replay_rows(drive).splitlines()
+    align = "align," + ",".join(start.split(",")[2:4])
+    for first in (start, align):
+        fed = "\n".join([first, *rows]) + "\n"
+        done = subprocess.run([program], input=fed, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert float(done.stdout.splitlines()[1].split(",")[0]) == ours.time[0]
 
 
 @needs_gcc

@@ -170,7 +170,7 @@ def test_its_own_model_is_for_ros_alone(target: Target):
 
 
 def test_a_hyphen_will_do():
-    assert export_texts(ROBOT, "robot-localization") == export_texts(ROBOT, "robot_localization")  # pyright: ignore
+    assert export_texts(ROBOT, "robot-localization") == export_texts(ROBOT, "robot_localization")
 
 
 @pytest.mark.parametrize("value", [1e-5, 1.5e-12, 1e22, 0.1, 3.0, 0.0, 5e-324])

@@ -65,7 +65,7 @@ def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
     with pytest.raises(
         InputError, match="there is no export target 'rust'; choose one of filterpy, c99, robot_loc"
     ):
-        export_filter(P, "rust", tmp_path)  # pyright: ignore
+        export_filter(P, "rust", tmp_path)
     with pytest.raises(InputError, match="--replay is for --to c99 only"):
         export_filter(P, "filterpy", tmp_path, replay=make_drive(duration=8.0))
     (tmp_path / "file").write_text("")

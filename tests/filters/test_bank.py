@@ -1,7 +1,6 @@
 """The driving swarm: its lanes are filters, its mixture is theirs, and the same stream gives the same bits."""
 
 import math
-import os
 import pickle
 import signal
 import tracemalloc
@@ -274,7 +273,6 @@ Path("end").write_bytes(everything(filter) + filter.state.mean.tobytes())
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_process_that_is_killed_goes_on_from_what_it_saved_with_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -473,7 +471,6 @@ def test_a_copy_is_another_swarm():
     assert everything(copy) == everything(filter) == everything(whole())
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_goes_on():
     p, stream = parameters("planar8", **ALL), events()
     filter = made(LiveFilterBank, p)

@@ -108,7 +108,7 @@ def check_planted(name: str, plant: str, p: FilterParameters) -> None:
     before = estimate.time < estimate.restarts[0]
     np.testing.assert_array_equal(estimate.mean[before], lost.mean[before])
     last = estimate.time > estimate.time[-1] - 10
-    own = rmse(drive.truth, estimate.time[last], estimate.mean[last, 0], estimate.mean[last, 1])  # pyright: ignore
+    own = rmse(drive.truth, estimate.time[last], estimate.mean[last, 0], estimate.mean[last, 1])
     assert own < 2.0
 
 

@@ -101,7 +101,7 @@ def test_every_evaluation_has_its_row_also_without_truth(drive: Drive):
     with_truth, blind = evaluate(drive, parameters), evaluate(replace(drive, truth=None), parameters)
     scores = with_truth.scores[drive.name]
     assert scores["fixes_alone"].position_rmse < scores["raw_gps"].position_rmse
-    assert blind.value(drive.name, "fixes_alone", "outage_drift_m") > 0  # pyright: ignore[reportOptionalOperand]
+    assert blind.value(drive.name, "fixes_alone", "outage_drift_m") > 0
     assert blind.value(drive.name, "fixes_alone", "position_rmse_m") is None
 
 

@@ -1,7 +1,6 @@
 """The live filter gives what `run_filter` gives, whatever the order in which fixes come."""
 
 import math
-import os
 import pickle
 import tracemalloc
 from dataclasses import replace
@@ -221,7 +220,6 @@ print((filter.state.mean.tobytes() + filter.smoothed.mean.tobytes()).hex())
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_pickled_filter_goes_on_in_another_process():
     filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01, lag=0.5)
     filter.predict(start().time + 1.0, (0.0, 1.0, 0.5))

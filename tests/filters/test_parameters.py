@@ -146,7 +146,7 @@ def test_positional_arguments_and_numpy_arrays():
 
 def test_a_record_can_not_be_changed():
     with pytest.raises(FrozenInstanceError):
-        GOOD.alpha = 0.2  # pyright: ignore
+        GOOD.alpha = 0.2
 
 
 @pytest.mark.parametrize(

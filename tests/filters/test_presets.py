@@ -98,4 +98,4 @@ def test_the_velocity_spreads_as_the_density_says():
 
 def test_an_unknown_preset_is_refused():
     with pytest.raises(ValueError, match="default"):
-        preset("default", DRIVE)  # pyright: ignore
+        preset("default", DRIVE)

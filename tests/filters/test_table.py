@@ -12,7 +12,7 @@ from sigmaswarm.filters.kernel_array import (
     MOST_CACHED,
     MOST_STARTS,
     KernelArray,
-    _shared_starts,  # pyright: ignore[reportPrivateUsage]
+    _shared_starts,
 )
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -89,7 +89,7 @@ def test_few_starts_are_kept_for_the_next_generation():
         many = [replace(start) for _ in range(n)]
         array = KernelArray([p])
         array.compute_starts(many)
-        assert len(array._starts) == (n if n <= MOST_STARTS else 0)  # pyright: ignore[reportPrivateUsage]
+        assert len(array._starts) == (n if n <= MOST_STARTS else 0)
         assert _shared_starts.cache_info().currsize == kept
 
 

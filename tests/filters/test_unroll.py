@@ -12,13 +12,13 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 
 def outer_sums(w, *, n, twice):
     total = 0.0
-    for l in range(w.shape[1]):  # noqa: E741
+    for lane in range(w.shape[1]):
         for j in range(n):
             for i in range(j + 1):
-                w[at(i, j), l] += 1.0 + i + 10 * j
+                w[at(i, j), lane] += 1.0 + i + 10 * j
                 if j > 2:
-                    total += twice(w[at(i, j), l])
-                elif l == 0:
+                    total += twice(w[at(i, j), lane])
+                elif lane == 0:
                     total -= 1.0
     return total
 
@@ -30,7 +30,7 @@ def test_written_out_is_the_loop():
         assert straight(a) == outer_sums(b, n=n, twice=lambda v: 2 * v)
         np.testing.assert_array_equal(a, b)
         names = straight.__code__.co_varnames
-        assert "l" in names
+        assert "lane" in names
         assert not {"i", "j", "n"} & set(names)
 
 

@@ -11,11 +11,11 @@ import pytest
 from importing.logs import EPOCH
 from sigmaswarm.drives.drive import Drive
 
-rosbags = pytest.importorskip("rosbags.rosbag2", reason="rosbags is not installed")
-from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
-from rosbags.rosbag2 import StoragePlugin  # noqa: E402
-from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+pytest.importorskip("rosbags.rosbag2", reason="rosbags is not installed")
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 CUSTOM = "std_msgs/Header header\nsensor_msgs/Imu imu\nfloat32 temperature\nuint8[] blob\n"

@@ -187,7 +187,7 @@ def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
     ],
 )
 def test_names_are_read_word_by_word(name: str, meaning: tuple[str, str, str] | None):
-    assert meaning_of(name) == (None if meaning is None else Meaning(*meaning))  # pyright: ignore[reportArgumentType]
+    assert meaning_of(name) == (None if meaning is None else Meaning(*meaning))
 
 
 def test_a_shell_runs_nothing_of_a_log_s_header(tmp_path: Path):

@@ -121,7 +121,7 @@ def test_the_bias_of_a_package_that_has_a_walk_alone(changes, expected):
 
 def test_what_can_not_be_written():
     with pytest.raises(InputError, match="'ardupilot'; choose one of sigmaswarm, kf-gins"):
-        noise_texts(noise(), "ardupilot")  # type: ignore[arg-type]
+        noise_texts(noise(), "ardupilot")
     gyro = Noise("log", 100.0, noise().axes[-1:], (), ())
     with pytest.raises(InputError, match="no axis of the accel was measured; matlab needs one"):
         noise_texts(gyro, "matlab")

@@ -12,7 +12,6 @@ import pytest
 from matplotlib.axes import Axes
 
 from browsing import Opened
-from experiments.conftest import quick_study  # noqa: F401
 from sigmaswarm.cli.app import app
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import StudyConfig
@@ -37,7 +36,7 @@ PLOTS = 4 + 4 + 2 + 2
 
 
 @pytest.fixture(scope="module")
-def study(quick_study: None, tmp_path_factory: pytest.TempPathFactory) -> Study:  # noqa: F811
+def study(quick_study: None, tmp_path_factory: pytest.TempPathFactory) -> Study:
     return run_study(CONFIG, tmp_path_factory.mktemp("page") / "study")
 
 

@@ -73,7 +73,9 @@ def test_an_unknown_length_is_found(objective: str):
 
 
 def test_the_cost_is_that_of_the_parameters():
-    estimates = lambda tuning: [run_model(log, PENDULUM, tuning.parameters) for log in LOGS]  # noqa: E731
+    def estimates(tuning):
+        return [run_model(log, PENDULUM, tuning.parameters) for log in LOGS]
+
     tuning = tune(LOGS, objective="innovation-nll", **SMALL)
     assert tuning.cost == np.mean([e.nll.mean() for e in estimates(tuning)])
     tuning = tune(LOGS, **SMALL)

@@ -206,7 +206,7 @@ class Box3:
 
 def searched(problem: Bowls, folder: ResultFolder | None = None, progress=None, **options):
     config = TuneConfig(particles=20, generations=30, racing=True, optimizer="pso", **options)
-    return Search(config, problem, None, folder, progress).trial(0)  # pyright: ignore
+    return Search(config, problem, None, folder, progress).trial(0)
 
 
 def test_among_many_drives_it_begins_with_some():
@@ -288,8 +288,8 @@ def test_among_many_drives_it_goes_on_in_the_same_bits(tmp_path: Path, polish: i
 def test_who_led_is_looked_up_in_the_same_bits():
     problem = Bowls(120)
     points = np.random.default_rng(3).uniform(-0.5, 0.5, (9, 3))
-    result = race(problem, points, np.random.default_rng(4).permutation(120), None)  # pyright: ignore
+    result = race(problem, points, np.random.default_rng(4).permutation(120), None)
     assert result.leader is not None
-    again = leader_at(problem, points[np.argmin(result.costs)], None)  # pyright: ignore
+    again = leader_at(problem, points[np.argmin(result.costs)], None)
     assert again.cost == result.leader.cost
     assert again.each.tobytes() == result.leader.each.tobytes()

@@ -166,7 +166,7 @@ def test_tire_slip_is_searched_where_it_is_chosen():
 
 def test_an_unknown_scale_is_refused():
     with pytest.raises(InputError, match="scale must be log10 or linear, not 'cubic'"):
-        search_space("planar5", "cubic")  # pyright: ignore
+        search_space("planar5", "cubic")
 
 
 def test_the_box_of_tilted12_is_per_second_whatever_the_imus_rate():

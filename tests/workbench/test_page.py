@@ -100,7 +100,7 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     """Keys alone do all five steps; the checker objects to nothing on any page."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     log = sigmaswarm.write_drive(drive, tmp_path / "log")
-    sigmaswarm.tune(drive, out=tmp_path / "bench" / "tunings" / "monday", **SMALL)  # pyright: ignore
+    sigmaswarm.tune(drive, out=tmp_path / "bench" / "tunings" / "monday", **SMALL)
     served = serve(tmp_path / "bench", log)
     page = tab(served.url + "log")
     page.get_by_role("button", name="Make the drive").wait_for()

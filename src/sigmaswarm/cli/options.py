@@ -30,7 +30,7 @@ class _MoreOptions(Group):
     """Options that `--help` leaves out and `--help-all` shows."""
 
     @property
-    def show(self) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def show(self) -> bool:
         return _full.get() or HELP_ALL in sys.argv
 
 
@@ -99,7 +99,7 @@ def options_of(
 
         run.__name__, run.__doc__ = command.__name__, command.__doc__
         run.__annotations__ = {p.name: p.annotation for p in parameters}
-        run.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+        run.__signature__ = inspect.Signature(parameters)
         return run
 
     return decorated

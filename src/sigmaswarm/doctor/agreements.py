@@ -20,7 +20,10 @@ SPAN = 2.0
 RATE = 10.0
 """Rate of the smoothed specific force, Hz."""
 FINDINGS = {
-    "timing": ("imu-gap", "imu-rate", "imu-repeats", "gps-gap", "gps-rate", "clock-jump", "logger", "time"),
+    "timing": (
+        *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),
+        *("clock-jump", "logger", "time"),
+    ),
     "turning": ("gyro", "clock", "unseen-clock", "unseen-yaw", "reverse"),
     "gravity": ("gravity", "mounting", "accelerometer-up", "accelerometer-unit", "gyro-tilt"),
     "forward": ("accelerometer", "unseen-ax"),

@@ -27,7 +27,7 @@ MIN_DURATION, MAX_DURATION = 4.0, 6.0
 fixes hardly improve the fit."""
 MIN_TRAVEL = 20.0
 """Smallest forward travel within `MAX_DURATION`, m, for an accurate heading; this requires 12 km/h."""
-FEWEST_FIXES = 4
+ALIGNMENT_FIXES = 4
 """Smallest number of fixes within `MAX_DURATION`; one fix every 3 s is not enough."""
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL
 """Smallest distance between the first and the last fix of an alignment, m: a cheap test before the fit."""
@@ -174,7 +174,7 @@ class Alignments:
         self._first = np.searchsorted(self.time, self.time - longest, side="left")
         count = np.arange(len(fixes)) - self._first + 1
         self._chord = np.abs(self._position - self._position[self._first])
-        shortest, fewest = (longest / 2, SLOW_FIXES) if self._slowly else (MIN_DURATION, FEWEST_FIXES)
+        shortest, fewest = (longest / 2, SLOW_FIXES) if self._slowly else (MIN_DURATION, ALIGNMENT_FIXES)
         self._many = (self.time - self.time[self._first] >= shortest) & (count >= fewest)
         self._worth = self._many & (self._chord >= WORTH_TRAVEL)
         self._found: dict[int, InitialState | None] = {}
@@ -210,14 +210,12 @@ class Alignments:
                 "(degrees counter-clockwise from east)",
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
-        if every > MAX_DURATION / (FEWEST_FIXES - 1):
-            what = f"its fixes come every {every:.3g} s, and the heading needs {FEWEST_FIXES} of them within {time}"
+        if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
+            what = f"its fixes come every {every:.3g} s, and the heading needs {ALIGNMENT_FIXES} of them within {time}"
             return NoStart(f"no filter can start: {what}", "log the receiver at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
-        needs = (
-            f"the heading needs {FEWEST_FIXES} within {time}, at least {MIN_DURATION:g} s from first to last"
-        )
+        needs = f"the heading needs {ALIGNMENT_FIXES} within {time}, at least {MIN_DURATION:g} s from first to last"
         return NoStart(
             f"no filter can start: only {usable}, and {needs}",
             "use a longer drive with fixes at 1 Hz or faster, without gaps and repeated positions",

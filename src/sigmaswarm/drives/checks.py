@@ -14,12 +14,16 @@ from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.wording import counted
 
-FEWEST_SAMPLES, FEWEST_FIXES = 100, 10
+FEWEST_SAMPLES, FEWEST_SHARED_FIXES = 100, 10
 """Smallest number of IMU samples of a drive, and of fixes within the IMU's time."""
 IMU_GAP = (10.0, 0.1)
 """An IMU interval is a gap if it exceeds both this many usual intervals and this many s."""
 GPS_GAP = (5.0, 2.0)
 """The same limits for fixes and truth."""
+UNSHARED = 10.0
+"""Time without the other sensor, s, at the start or end of the fixes or of the IMU, above which it is reported."""
+UNSHARED_IMU = 0.1
+"""The same as a share of the IMU's time; many logs begin before the receiver has its first fix."""
 GRAVITY = 9.80665
 """Standard gravity, m/s2."""
 IMPOSSIBLE_RATE = 3.0
@@ -82,10 +86,10 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
     if len(imu) < FEWEST_SAMPLES:
         return f"imu.csv: {len(imu)} samples are too few; record at least {FEWEST_SAMPLES}"
     shared = int(np.count_nonzero((gps.time >= first) & (gps.time <= last)))
-    if shared < FEWEST_FIXES:
+    if shared < FEWEST_SHARED_FIXES:
         return (
             f"gps.csv: {shared} fixes within the IMU's time, t = {first:g} to {last:g} s, are too few; "
-            f"record at least {FEWEST_FIXES}"
+            f"record at least {FEWEST_SHARED_FIXES}"
         )
     return None
 
@@ -99,7 +103,7 @@ def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
     if spoiled := spoiled_times(imu, gps):
         return spoiled
     gravity = gravity_on(imu) or gravity_up(imu)
-    single = [gravity] if gravity else []
+    single = [one for one in (unshared_times(imu.time, gps.time), gravity) if one]
     return [*_gaps(imu, gps, truth), *_angular_rate(imu, gps), *single, *_acceleration(imu, gps)]
 
 
@@ -206,6 +210,30 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
         name, what, remedy = found[0]
         more = "".join(f"; {other}.csv: {gaps}" for other, gaps, _ in found[1:])
         yield Remark(f"{name}-gap", f"{name}.csv", "t", what + more, remedy)
+
+
+def unshared_times(imu: Array, gps: Array) -> Remark | None:
+    """Describe fixes outside of the IMU's time, and long parts of this time before the first or after the last fix."""
+    early, late = imu[0] - gps[0], gps[-1] - imu[-1]
+    alone = ""
+    if max(-early, -late) > max(UNSHARED, UNSHARED_IMU * (imu[-1] - imu[0])):
+        ends = [(-early, "first"), (-late, "last")]
+        parts = " and ".join(f"{which} {length:.0f} s" for length, which in ends if length > UNSHARED)
+        alone = f"the IMU's {parts} have no fixes"
+    if max(early, late) > UNSHARED:
+        count = np.count_nonzero((gps < imu[0]) | (gps > imu[-1]))
+        ends = [(early, "before its first sample"), (late, "after its last sample")]
+        up_to = " and ".join(f"up to {length:.0f} s {where}" for length, where in ends if length >= 0.5)
+        what = f"{count} of {len(gps)} fixes lie outside of the IMU's time, {up_to}, and are not used"
+        remedy = "nothing to do if the receiver recorded for longer; else put both on one clock"
+        return Remark("gps-outside", "gps.csv", "t", f"{what}; {alone}" if alone else what, remedy)
+    if not alone:
+        return None
+    remedy = (
+        "a filter starts after the first fixes, and uses the IMU alone after the last one; nothing to do if this is "
+        "intended"
+    )
+    return Remark("imu-outside", "imu.csv", "t", alone, remedy)
 
 
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:

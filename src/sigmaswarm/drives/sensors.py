@@ -1,6 +1,6 @@
 """The sensors of a log, and the filter that suits them: the rule behind the default of `tune`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ SHOWN = 0.25 * UNSTATED_GPS_STD
 
 The fixes of such a receiver show their error. The error of a receiver with less noise is unknown.
 """
-FEWEST_FIXES = 250
+FIXES_FOR_FIX_ERROR = 250
 """Smallest number of fixes, over all logs, at which a tuning without truth uses states of correlated errors.
 
 Of eight simulated M8 logs of 142 s at 1 Hz, these states made the drift over 30 s worse in six, and one filter
@@ -222,6 +222,11 @@ def has_lasting_errors(drive: Drive) -> bool:
         return False
     moved = motion_in_noise(float(np.median(np.diff(drive.gps.time[new]))))
     return white_noise(position[new]) <= least and least > 3 * moved
+
+
+def enough_for_fix_error(drives: Iterable[Sensors]) -> bool:
+    """Return whether drives have enough fixes, counted over all of them, for states of correlated errors."""
+    return sum(drive.fixes for drive in drives) >= FIXES_FOR_FIX_ERROR
 
 
 def motion_in_noise(interval: float) -> float:

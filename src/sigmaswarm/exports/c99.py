@@ -102,6 +102,7 @@ def replay_events(
 
     The first event is ``start``; ``imu``, ``fix`` and ``odometer`` events follow. Each event has the numbers of a row
     of replay.c's input. ``model`` sets the axes of the IMU and of the lever arm. ``heading``: fixes have headings.
+    Fixes and readings after the last IMU sample are left out, as in `build_timeline`.
 
     Raises
     ------
@@ -128,7 +129,7 @@ def replay_events(
         events += [(t, 0, "odometer", [t, speed]) for t, speed in readings]
     samples = zip(imu.time, *(getattr(imu, axis) for axis in axes), strict=True)
     events += [(t, 1, "imu", [t, *u]) for t, *u in samples]
-    ordered = sorted(events, key=itemgetter(0, 1))
+    ordered = sorted((event for event in events if event[0] <= imu.time[-1]), key=itemgetter(0, 1))
     return [("start", start), *((name, numbers) for *_, name, numbers in ordered)]
 
 

@@ -214,7 +214,7 @@ class FilterParameters:
         table = {f.name: getattr(self, f.name) for f in fields(self)}
         plain = FilterParameters(**{name: table[name] for name in _ALWAYS_STATED})
         shown = {k: v for k, v in table.items() if k in _ALWAYS_STATED or v != getattr(plain, k)}
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in shown.items()}  # pyright: ignore
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in shown.items()}
 
     def save(self, path: str | Path) -> None:
         """Write a TOML file that `load` reads."""
@@ -352,7 +352,7 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
 def _warn_of_age(table: dict[str, Any], path: Path) -> None:
     """Warn that a tuning was made for other filters."""
     made = table.get("versions")
-    version = str(made.get("sigmaswarm", "")) if isinstance(made, dict) else ""  # pyright: ignore
+    version = str(made.get("sigmaswarm", "")) if isinstance(made, dict) else ""
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(

@@ -95,8 +95,8 @@ class Replay:
     timeline: Timeline
     initial: InitialState
     targets: Targets
-    _arrays: dict[frozenset[str], "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
-    readable: set[tuple[ModelName, bool, frozenset[str]]] = field(default_factory=set)  # pyright: ignore[reportUnknownVariableType]
+    _arrays: dict[frozenset[str], "DriveArrays"] = field(default_factory=dict)
+    readable: set[tuple[ModelName, bool, frozenset[str]]] = field(default_factory=set)
 
     @cached_property
     def n_hidden(self) -> int:

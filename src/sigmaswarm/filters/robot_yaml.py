@@ -105,8 +105,8 @@ def _chosen(content: Any, path: Path) -> Block:
 
 def _blocks(content: Any, seen: set[int]) -> Iterator[Block]:
     """Mappings with settings of a filter, at any depth; aliases may repeat a mapping without end."""
-    if isinstance(content, dict) and id(content) not in seen:  # pyright: ignore[reportUnknownArgumentType]
-        seen.add(id(content))  # pyright: ignore[reportUnknownArgumentType]
+    if isinstance(content, dict) and id(content) not in seen:
+        seen.add(id(content))
         block = {str(key): value for key, value in cast("dict[Any, Any]", content).items()}
         if any(_BLOCK.fullmatch(key) for key in block):
             yield block
@@ -116,7 +116,7 @@ def _blocks(content: Any, seen: set[int]) -> Iterator[Block]:
 
 def _entries(value: Any, path: Path, key: str) -> list[bool]:
     if isinstance(value, list) and [type(v) for v in cast("list[Any]", value)] == [bool] * 15:
-        return value  # pyright: ignore[reportUnknownVariableType]
+        return value
     raise InputError(f"{path}: {key} must be 15 booleans; correct it")
 
 

@@ -17,7 +17,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.checks import FEWEST_FIXES
+from sigmaswarm.drives.checks import FEWEST_SHARED_FIXES
 from sigmaswarm.drives.drive import Array, Drive, Gps, Truth
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -211,7 +211,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
         std_x, std_y = (np.maximum(np.full(len(gps), fix_std), std) for std in stated)
         gps = replace(gps, std_x=std_x, std_y=std_y)
     within = (gps.time >= start) & (gps.time <= end)
-    if np.count_nonzero(within) < FEWEST_FIXES:
+    if np.count_nonzero(within) < FEWEST_SHARED_FIXES:
         there = f"t = {gps.time[0]:.1f} to {gps.time[-1]:.1f} s" if len(gps) else "nothing"
         raise InputError(
             f"{name}: covers {there} on the drive's clock, the IMU t = {start:.1f} to {end:.1f} s: they share "
@@ -219,7 +219,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
         )
     sure = within & log.sure
     known = sure & np.all([std <= accuracy for std in _stated(gps)], axis=0)
-    if np.count_nonzero(known) < FEWEST_FIXES:
+    if np.count_nonzero(known) < FEWEST_SHARED_FIXES:
         raise InputError(
             f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions and "
             f"{np.count_nonzero(known)} of those stated to {accuracy:g} m per axis or better, too few; raise "

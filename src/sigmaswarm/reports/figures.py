@@ -53,7 +53,7 @@ def curve(ax: Axes, x: ArrayLike, y: ArrayLike, look: Look, name: str = "") -> N
 
 def band(ax: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, look: Look, name: str = "") -> None:
     """Fill the area between two curves."""
-    ax.fill_between(x, low, high, color=look.color, alpha=look.opacity, lw=0, label=name)  # pyright: ignore
+    ax.fill_between(x, low, high, color=look.color, alpha=look.opacity, lw=0, label=name)
 
 
 def name_rows(ax: Axes, names: Sequence[str]) -> None:
@@ -151,7 +151,7 @@ def save(figure: Figure, path: Path) -> Path:
             "ignore", message="Glyph"
         )  # a name may have letters that are missing in the font
         figure.dpi = 130  # `savefig` would draw the figure twice: drawing includes the layout
-        FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})  # pyright: ignore[reportArgumentType]
+        FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})
     return path
 
 

@@ -206,5 +206,5 @@ def _terms(text: str) -> Markup:
 
 def _plain(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return ", ".join(map(str, value)) or "none"  # pyright: ignore
+        return ", ".join(map(str, value)) or "none"
     return str(value)

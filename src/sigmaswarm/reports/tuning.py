@@ -136,7 +136,7 @@ def filter_name(file: TuningRecord) -> str:
     """Return model and filter type, for a title."""
     model = file.config.get("model", file.filter.get("model", "a filter"))
     if isinstance(model, dict):
-        return str(model.get("name", "a model of your own"))  # pyright: ignore
+        return str(model.get("name", "a model of your own"))
     return f"{model} ({file.config.get('kind', file.filter.get('kind', 'ukf'))})"
 
 

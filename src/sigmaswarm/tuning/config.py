@@ -128,7 +128,7 @@ class TuneConfig(SearchConfig):
     def _read_old_names(cls, options: Any) -> Any:
         if not isinstance(options, Mapping):
             return options
-        return {RENAMED.get(name, name): value for name, value in options.items()}  # pyright: ignore
+        return {RENAMED.get(name, name): value for name, value in options.items()}
 
     @model_validator(mode="before")
     @classmethod
@@ -138,7 +138,7 @@ class TuneConfig(SearchConfig):
 
         if not isinstance(options, Mapping):
             return options
-        model = MODELS.get(options.get("model", "planar5"))  # pyright: ignore
+        model = MODELS.get(options.get("model", "planar5"))
         return {"kind": model.kinds[0], **options} if model else options
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.sensors import FEWEST_FIXES, Sensors, sensors_of, suggest_filter
+from sigmaswarm.drives.sensors import Sensors, enough_for_fix_error, sensors_of, suggest_filter
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.fix_error import FILTERS, kernel_name
@@ -40,9 +40,9 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
 
     `suggest_filter` supplies what is missing. With only ``model`` given as planar5, the paper's model, no measurements
     are added. Measurements that conflict with the given ``kind`` or objective are left out. Without truth,
-    ``fix-error`` is added if the suggested model is used, the logs have `FEWEST_FIXES`, and all `has_lasting_errors`.
-    The model does not change for it: on roads that need tilted12, planar8 with ``fix-error`` drifts twice as far over
-    30 s.
+    ``fix-error`` is added if the suggested model is used, the logs have `enough_for_fix_error`, and all
+    `has_lasting_errors`. The model does not change for it: on roads that need tilted12, planar8 with ``fix-error``
+    drifts twice as far over 30 s.
     """
     if "model" in options and "use" in options:
         return options, ""
@@ -77,8 +77,7 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
     blind = not all(one.truth for one in have) if auto else not objective_named(objective).needs_truth
     kind = options.get("kind") or (MODELS[model].kinds[0] if model in MODELS else "")
     modeled = kernel_name(model, kind, True) in FILTERS and _fits("fix-error", options)
-    enough = sum(one.fixes for one in have) >= FEWEST_FIXES
-    return blind and modeled and enough and all(one.lasting for one in have)
+    return blind and modeled and enough_for_fix_error(have) and all(one.lasting for one in have)
 
 
 def _described(model: str, use: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
-from sigmaswarm.drives.sensors import FEWEST_FIXES, Sensors, sensors_of
+from sigmaswarm.drives.sensors import Sensors, enough_for_fix_error, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.fix_error import kernel_name
@@ -201,7 +201,7 @@ class CarProblem(Problem[FilterParameters]):
             names = [drive.name for drive in self.sensors]
             decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
             found += decided or noise_warnings(parameters, noise, self.config.use)
-            if sum(drive.fixes for drive in self.sensors) >= FEWEST_FIXES:  # with fewer the remedy does harm
+            if enough_for_fix_error(self.sensors):  # with fewer the remedy does harm
                 correlations = replays.of_each_prepared(partial(correlation_of, parameters=parameters))
                 found += correlation_warnings(parameters, correlations, self.config.use)
         return found

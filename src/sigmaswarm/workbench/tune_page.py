@@ -275,6 +275,6 @@ def _parameters(parameters: Any) -> None:
         rows: list[list[str]] = []
         for name, value in parameters.to_dict().items():
             several = isinstance(value, list | tuple | np.ndarray)
-            shown = ", ".join(f"{v:.4g}" for v in value) if several else str(value)  # pyright: ignore
+            shown = ", ".join(f"{v:.4g}" for v in value) if several else str(value)
             rows.append([name, shown])
         table(["parameter", "value"], rows)

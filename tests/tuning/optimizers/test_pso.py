@@ -139,11 +139,3 @@ def test_it_finds_the_bottom_of_a_bowl():
             swarm.tell(np.sum((swarm.ask() - 1.0) ** 2, axis=1))
         found.append(swarm.global_cost)
     assert max(found) < 1e-6
-
-
-def test_the_global_random_state_is_left_alone():
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
-    swarm = ParticleSwarm(LOW, HIGH, 5, np.random.default_rng(0))
-    for _ in range(3):
-        swarm.tell(bowl(swarm.ask()))
-    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002

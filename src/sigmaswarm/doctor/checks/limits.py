@@ -10,7 +10,7 @@ from sigmaswarm.doctor.clock_search import WIDEST
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import NoStart, find_start
-from sigmaswarm.drives.sensors import FEWEST_FIXES, has_lasting_errors, stated_spread, suggest_filter
+from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
@@ -88,8 +88,10 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if drive.gps.heading is not None and not any(check_heading(evidence)):
         may.append("heading to --use: the fixes have a heading")
     what = f"tune takes {chosen.options}{f': {because}' if because else ''}"
-    if has_lasting_errors(drive) and len(drive.gps) >= FEWEST_FIXES:
-        what += "; without truth also fix-error, since the fixes differ by less than the receiver's error"
+    # A tuning may use several drives, or a part of this one, so the number of fixes is stated, not compared.
+    if has_lasting_errors(drive):
+        what += f"; without truth and with {FIXES_FOR_FIX_ERROR} fixes or more for training also fix-error, since the "
+        what += "fixes differ by less than the receiver's error"
     what += f"; you may add {'; and '.join(may)}" if may else ""
     remedy = "see the options of `sigmaswarm tune`"
     yield Finding("use", "note", what, "imu.csv, gps.csv", evidence.span, 0.9, remedy)

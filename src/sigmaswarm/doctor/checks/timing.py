@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import LEAST_SHARE
 from sigmaswarm.doctor.verdicts import CLEAR_OFFSET, LEAST_TURN
-from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in
+from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
@@ -84,6 +84,8 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield from _gaps("imu", imu.time, IMU_GAP, remedy)
     remedy = "a filter uses the IMU alone there; nothing to do if this is intended"
     yield from _gaps("gps", gps.time, GPS_GAP, remedy)
+    if remark := unshared_times(imu.time, gps.time):
+        yield finding_of(remark, "note", _ends(imu.time), 1.0)
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > HELD:

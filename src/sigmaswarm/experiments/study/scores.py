@@ -90,7 +90,7 @@ def manual(method: str, drive: Drive) -> FilterParameters:
         return PAPER
     kind, _, preset = method.rpartition("-")
     chosen = baseline(drive) if preset == "datasheet" else DEFAULTS
-    return replace(chosen, kind=kind)  # pyright: ignore[reportArgumentType]
+    return replace(chosen, kind=kind)
 
 
 def score_all(

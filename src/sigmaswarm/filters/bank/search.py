@@ -35,7 +35,7 @@ WEIGHT, CROSSOVER = 0.7, 0.9
 """F and CR of differential evolution."""
 NOT_SCORED = 2.0
 """Unscored time at the start of a replay, s, in which a filter with new offsets converges."""
-FEWEST_FIXES = 8
+FEWEST_SCORED_FIXES = 8
 """Smallest number of scored fixes for which a search has a result."""
 FARTHEST = 8.0
 """Bound of an offset, in standard deviations of the offset."""
@@ -184,7 +184,7 @@ def search(
     lane with the largest weight, which replace the last member of ``population`` (LANES, d).
     """
     rng = np.random.default_rng(seed)
-    if steps.n_scored < FEWEST_FIXES:
+    if steps.n_scored < FEWEST_SCORED_FIXES:
         return None
     own = KernelArray((spread.tuning,)).constants(nominal_interval)[:, :1]
 

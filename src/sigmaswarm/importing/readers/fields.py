@@ -100,7 +100,7 @@ def json_columns(messages: Iterator[dict[str, Any]]) -> Iterator[str]:
 def _json_paths(content: dict[str, Any], before: str) -> Iterator[str]:
     for name, value in content.items():
         if isinstance(value, dict):
-            yield from _json_paths(value, f"{before}{name}.")  # pyright: ignore[reportUnknownArgumentType]
+            yield from _json_paths(value, f"{before}{name}.")
         elif isinstance(value, int | float):
             yield before + name
         elif isinstance(value, list):
