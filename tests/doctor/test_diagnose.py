@@ -346,6 +346,18 @@ def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
     assert not found_of(states(drive, np.full(n, 9.0)), "gps-correlated")
 
 
+def test_a_deviation_below_that_of_every_receiver_is_contradicted_by_the_noise_from_fix_to_fix():
+    drive = sigmaswarm.simulate("urban", run=5, imu="mpu-6050", gps="f9p-rtk", duration=60.0)
+    n = len(drive.gps)
+    assert not found_of(drive, "gps-noise")  # 0.01 m
+    assert not found_of(states(drive, np.full(n, 0.0035)), "gps-noise")  # the motion may explain the noise
+    said = re.search(
+        "smaller than .* scatter, (.*) m per axis", found_of(states(drive, np.full(n, 0.001)), "gps-noise")
+    )
+    assert said
+    assert float(said[1]) == pytest.approx(0.01, rel=0.2)
+
+
 def test_the_options_follow_from_the_log():
     drive = simulated("mpu-6050")
     n, rng = len(drive.gps), np.random.default_rng(0)

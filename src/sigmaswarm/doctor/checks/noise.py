@@ -11,6 +11,9 @@ from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0
 """Ratio of the observed noise to the stated noise above which the stated noise is too small."""
+LEAST_STATED = 0.003
+"""Standard deviation, m, that no receiver reaches in motion (RTK: 0.006 to 0.01 m by data sheets). Below it the noise
+from fix to fix decides alone: it contains some of the motion, but the scatter about a path has the IMU's errors, too."""
 TOO_LARGE = 6.5
 """Ratio of the stated noise to the observed white noise above which the stated noise is too large. Smaller ratios are
 usual, since a receiver's slow errors are not observed."""
@@ -52,6 +55,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     stated = float(np.mean(known))
     where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
+    if stated < LEAST_STATED:
+        scatter, unseen = noise, 0.0
     # A smoothing receiver's errors are correlated: its stated accuracy may be right although the fixes scatter little.
     white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:
