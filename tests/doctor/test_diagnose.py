@@ -267,8 +267,16 @@ def test_the_yaw_rate_in_another_column():
     assert serious(sigmaswarm.diagnose(sigmaswarm.repair(drive, found))) == []
 
 
+def test_positions_that_never_change_are_diagnosed():
+    """Positions in degrees as meters once ended in a traceback."""
+    drive = simulated("icm-20602")
+    still = replace(drive, gps=replace(drive.gps, x=0.0 * drive.gps.x, y=0.0 * drive.gps.y))
+    assert "no-start" in sigmaswarm.diagnose(still).codes
+
+
 @pytest.mark.parametrize(
-    ("course", "factor"), [(lambda c: np.degrees(np.pi / 2 - c) % 360, 1.0), (np.degrees, 3.6)]
+    ("course", "factor"),
+    [(lambda c: np.degrees(np.pi / 2 - c) % 360, 1.0), (np.degrees, 3.6), (np.degrees, 1000.0)],
 )
 def test_a_receiver_with_its_own_convention(course, factor: float):
     drive = simulated("icm-20602")
