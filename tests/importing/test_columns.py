@@ -484,6 +484,7 @@ NAMED = {
         (1.0, 180 / np.pi, 1.0, 1.0),
     ),
     "Spanish": ("Aceleración {};Giroscopio {};Latitud;Longitud", (1.0, 1.0, 1.0, 1.0)),
+    "RaceChrono": ("{}_acc [G];{}_rate_of_rotation [deg/s];lat;lon", (1 / G, 180 / np.pi, 1.0, 1.0)),
     "two units": ("imu1_a{};imu1_g{};lat;lon", (1.0, 1.0, 1.0, 1.0)),
 }
 

@@ -12,7 +12,7 @@ LONGEST_NAME = 200
 """Characters of a name that can mean something."""
 
 TIME = (
-    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc|"
+    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|chip_?time|utime|epoch|unix_?time|utc|"
     "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
@@ -41,7 +41,7 @@ _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have th
 NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}|{i}_?acc(?:el(?:eration)?)?") for i in "xyz"),
-    *((f"g{i}", f"(?:{_RATE})_?{i}|{i}_?gyro") for i in "xyz"),
+    *((f"g{i}", f"(?:{_RATE})_?{i}|{i}_?gyro|{i}_rate_of_rotation") for i in "xyz"),
     ("gz", "yaw_?rate"),
     ("lat", "lat|latitude"),
     ("lon", "lon|lng|long|longitude"),
@@ -132,7 +132,8 @@ class Name:
 def plain_words(text: str) -> list[str]:
     """Split a name into words in lower case, in English."""
     bare = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFD", text[:LONGEST_NAME].lower()))
-    return [_TRANSLATED.get(word, word) for word in re.findall(r"[a-z0-9]+", bare)]
+    words: list[str] = re.findall(r"[a-z0-9]+", bare)
+    return [_TRANSLATED.get(word, word) for word in words]
 
 
 def meaning_of_plain(plain: str) -> str | None:

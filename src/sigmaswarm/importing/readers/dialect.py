@@ -194,7 +194,7 @@ def is_value(cell: str) -> bool:
     cell = cell.strip()
     if len(cell) > 40 or not cell or not {*cell}.isdisjoint({*SEPARATORS} - {","}):
         return False
-    dated = cell[0].isdigit() and any(mark in cell for mark in ":-/")
+    dated = cell[0].isdigit() and any(mark in cell for mark in ":-/") and not re.search(r": *[A-Za-z]", cell)
     return dated or _NUMBER.fullmatch(cell) is not None or _DIGITS.fullmatch(cell) is not None
 
 
