@@ -14,6 +14,7 @@ import sigmaswarm
 from doctor.faults import FAULTS, MORE, THIRD, codes_of, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
 from sigmaswarm.doctor.checks.timing import clock_jumps
+from sigmaswarm.doctor.fixes import jumps
 from sigmaswarm.doctor.verdicts import yaw_of
 from sigmaswarm.doctor.yaw_fit import YawFit
 from sigmaswarm.simulation.gps import with_outliers
@@ -267,11 +268,10 @@ def test_the_yaw_rate_in_another_column():
     assert serious(sigmaswarm.diagnose(sigmaswarm.repair(drive, found))) == []
 
 
-def test_positions_that_never_change_are_diagnosed():
-    """Positions in degrees as meters once ended in a traceback."""
-    drive = simulated("icm-20602")
-    still = replace(drive, gps=replace(drive.gps, x=0.0 * drive.gps.x, y=0.0 * drive.gps.y))
-    assert "no-start" in sigmaswarm.diagnose(still).codes
+@pytest.mark.parametrize("count", [0, 1, 9])
+def test_few_fixes_have_no_jumps(count: int):
+    """Of positions that hardly change one is left, which once ended in a traceback."""
+    assert not jumps(np.arange(float(count)), np.zeros(count, complex)).any()
 
 
 @pytest.mark.parametrize(
