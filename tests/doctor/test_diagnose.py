@@ -14,6 +14,7 @@ import sigmaswarm
 from doctor.faults import FAULTS, MORE, THIRD, codes_of, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
 from sigmaswarm.doctor.checks.timing import clock_jumps
+from sigmaswarm.doctor.fixes import jumps
 from sigmaswarm.doctor.verdicts import yaw_of
 from sigmaswarm.doctor.yaw_fit import YawFit
 from sigmaswarm.drives.split import clip
@@ -269,8 +270,15 @@ def test_the_yaw_rate_in_another_column():
     assert serious(sigmaswarm.diagnose(sigmaswarm.repair(drive, found))) == []
 
 
+@pytest.mark.parametrize("count", [0, 1, 9])
+def test_few_fixes_have_no_jumps(count: int):
+    """Of positions that hardly change one is left, which once ended in a traceback."""
+    assert not jumps(np.arange(float(count)), np.zeros(count, complex)).any()
+
+
 @pytest.mark.parametrize(
-    ("course", "factor"), [(lambda c: np.degrees(np.pi / 2 - c) % 360, 1.0), (np.degrees, 3.6)]
+    ("course", "factor"),
+    [(lambda c: np.degrees(np.pi / 2 - c) % 360, 1.0), (np.degrees, 3.6), (np.degrees, 1000.0)],
 )
 def test_a_receiver_with_its_own_convention(course, factor: float):
     drive = simulated("icm-20602")

@@ -12,7 +12,7 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm import read_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import Choice
+from sigmaswarm.importing.source import Choice, Limits
 from support import DRIVES, needs_shared
 
 DRIVE = a_drive()
@@ -451,6 +451,121 @@ def test_columns_of_other_quantities_stay_unused(tmp_path: Path):
         imported(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize("prefix", ["Car.", "vehicle/imu/", "imu_", "log 3: ", "a_b_"])
+def test_a_prefix_that_all_names_share_means_nothing(tmp_path: Path, prefix: str):
+    table = pl.DataFrame(slow_and_fast())
+    table.rename({name: prefix + name for name in table.columns}).write_csv(tmp_path / "log.csv")
+    got = imported(tmp_path / "log.csv").drive
+    assert_close(got.imu, DRIVE.imu, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.gps, DRIVE.gps, "lat lon", 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("prefix", "time"), [("Car.", "time"), ("target_", "target_t"), ("imu.bias.", "imu.bias.t"), ("x", "xt")]
+)
+def test_other_prefixes_are_no_sensor(tmp_path: Path, prefix: str, time: str):
+    """Only some names have the prefix, or it states another quantity, or is no word of its own."""
+    table = pl.DataFrame(slow_and_fast())
+    names = {name: time if name == "t" else prefix + name for name in table.columns}
+    table.rename(names).write_csv(tmp_path / "log.csv")
+    with pytest.raises(InputError, match="no IMU samples found"):
+        imported(tmp_path / "log.csv")
+
+
+NAMED = {
+    "MAVLink": (
+        "RAW_IMU.{}acc;RAW_IMU.{}gyro;GPS_RAW_INT.lat;GPS_RAW_INT.lon",
+        (1000 / G, 1000.0, 1e7, 1e7),
+    ),
+    "Physics Toolbox": ("gF{};w{};Latitude;Longitude", (1 / G, 1.0, 1.0, 1.0)),
+    "blackbox_decode": ("accSmooth[{}] (m/s/s);gyroADC[{}] (deg/s);lat;lon", (1.0, 180 / np.pi, 1.0, 1.0)),
+    "German": (
+        "Beschleunigung {} [m/s²];Drehrate {} [°/s];Breitengrad;Längengrad",
+        (1.0, 180 / np.pi, 1.0, 1.0),
+    ),
+    "Spanish": ("Aceleración {};Giroscopio {};Latitud;Longitud", (1.0, 1.0, 1.0, 1.0)),
+    "RaceChrono": ("{}_acc [G];{}_rate_of_rotation [deg/s];lat;lon", (1 / G, 180 / np.pi, 1.0, 1.0)),
+    "two units": ("imu1_a{};imu1_g{};lat;lon", (1.0, 1.0, 1.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("kind", NAMED)
+def test_more_names_of_columns(tmp_path: Path, kind: str):
+    """A linear acceleration and a second IMU come after the columns that are read."""
+    forms, (force, rate, lat, lon) = NAMED[kind][0].split(";"), NAMED[kind][1]
+    table, columns = slow_and_fast(), {}
+    for form, letter, scale in ((forms[0], "a", force), (forms[1], "g", rate)):
+        for k, i in enumerate("xyz"):
+            axis = k if "[{}]" in form else i
+            columns[form.format(axis)] = table[f"{letter}{i}"] * scale
+    places = {forms[2]: np.round(table["lat"] * lat, 8), forms[3]: np.round(table["lon"] * lon, 8)}
+    later = dict.fromkeys(("ax", "ay", "az", "imu2_ax", "imu2_gz"), 0.0 * table["ax"])
+    pl.DataFrame({"Zeit": table["t"], **columns, **places, **later}).write_csv(tmp_path / "log.csv")
+    got = imported(tmp_path / "log.csv")
+    assert_close(got.drive.imu, DRIVE.imu, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.drive.gps, DRIVE.gps, "lat lon", 1e-7)
+    assert not any("negative" in note for note in got.notes)
+
+
+def test_the_sign_of_an_axis_without_gravity_means_nothing(tmp_path: Path):
+    table = pl.DataFrame(slow_and_fast()).with_columns(
+        az=pl.Series(DRIVE.imu.az - np.median(DRIVE.imu.az) - 0.01)
+    )
+    table.write_csv(tmp_path / "log.csv")
+    assert not any("negative" in note for note in imported(tmp_path / "log.csv").notes)
+
+
+@pytest.mark.parametrize("name", ["fix", "fix_type", "GPS_fixType", "fixQuality"])
+def test_rows_without_a_fix_are_left_out(tmp_path: Path, name: str):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")
+    lost = np.arange(len(gps)) < 7
+    lat, kind = gps.lat + np.where(lost, 0.02, 0.0), np.where(lost, 0, 3)
+    pl.DataFrame({"t": gps.time, "lat": lat, "lon": gps.lon, name: kind}).write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path)
+    assert_close(got.drive.gps, gps.select(slice(7, None)), "time lat lon", 1e-12)
+    assert any("7 of" in note and "is not true" in note for note in got.notes)
+    mixed = np.arange(len(gps)) % 3
+    for other, count in (
+        (0 * kind, len(gps)),
+        (mixed + 1, len(gps)),
+        (mixed - 1, len(gps) - np.sum(mixed == 0)),
+    ):
+        columns = {"t": gps.time, "lat": gps.lat, "lon": gps.lon, name: other}
+        pl.DataFrame(columns).write_csv(tmp_path / "gps.csv")
+        assert len(imported(tmp_path).drive.gps) == count
+
+
+def test_messages_as_ros2_topic_echo_prints_them(tmp_path: Path):
+    """Tables of 40 and 18 values without names; a table without the unit quaternion has none."""
+    imu, gps = DRIVE.imu, DRIVE.gps
+    zeros = [0.0] * 9
+
+    def rows(time: Any, name: str, *columns: Any) -> str:
+        stamps = [divmod(round(t * 1e9) + EPOCH * 10**9, 10**9) for t in time.tolist()]
+        cells = zip(stamps, *columns, strict=True)
+        return "\n".join(",".join(map(str, [*stamp, name, *np.hstack(rest)])) for stamp, *rest in cells)
+
+    rates, forces = (np.column_stack([getattr(imu, letter + i) for i in "xyz"]) for letter in "ga")
+    status, place = np.tile([0, 1], (len(gps), 1)), np.column_stack([gps.lat, gps.lon, gps.alt])
+    (tmp_path / "fix.csv").write_text(rows(gps.time, "gps", status, place, [[*zeros, 2]] * len(gps)))
+    for turn in (0.5, 1.0):
+        parts = (
+            [[0.0, 0.0, 0.0, turn, *zeros]] * len(imu),
+            rates,
+            [zeros] * len(imu),
+            forces,
+            [zeros] * len(imu),
+        )
+        (tmp_path / "imu.csv").write_text(rows(imu.time, "imu", *parts))
+        if turn != 1.0:
+            with pytest.raises(InputError, match=r"imu.csv: has no header; its columns are called c1 to c40"):
+                imported(tmp_path)
+    got = imported(tmp_path).drive
+    assert_close(got.imu, imu, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.gps, gps, "time lat lon alt", 1e-9)
+
+
 @pytest.mark.parametrize(("name", "scale"), [("millis", 1e3), ("timestamp", 1.0), ("t", 1.0)])
 def test_a_finer_time_goes_before_six_columns_of_a_date(tmp_path: Path, name: str, scale: float):
     stamp = [datetime.fromtimestamp(EPOCH + t, UTC) for t in DRIVE.imu.time]
@@ -478,15 +593,39 @@ def test_accelerations_of_a_receiver_do_not_change_its_unit_of_time(tmp_path: Pa
 def test_tables_in_folders_below_are_named(tmp_path: Path):
     for name in ("imu0", "gps0"):
         (tmp_path / "mav0" / name).mkdir(parents=True)
-        (tmp_path / "mav0" / name / "data.csv").write_text("t,x\n0,1\n")
+        (tmp_path / "mav0" / name / "rows.csv").write_text("t,x\n0,1\n")
     with pytest.raises(
-        InputError, match=r"mav0/gps0/data.csv and mav0/imu0/data.csv\); import one .* with --gps"
+        InputError, match=r"mav0/gps0/rows.csv and mav0/imu0/rows.csv\); import one .* with --gps"
     ):
         imported(tmp_path)
 
 
-def test_rows_of_several_kinds_are_refused_with_the_way(tmp_path: Path):
-    rows = [f"IMU,{k},1,2,9.8" if k % 10 else f"GPS,{k},50.1,8.2,100,7" for k in range(200)]
+@pytest.mark.parametrize("begin", ["", "mav0"])
+def test_a_folder_like_eurocs(tmp_path: Path, begin: str):
+    imu, gps = foreign_imu()["stamp"], np.round(DRIVE.gps.time * 1e9).astype(np.int64) + EPOCH * 10**9
+    rates = {f"w_RS_S_{i} [rad s^-1]": getattr(DRIVE.imu, f"g{i}") for i in "xyz"}
+    forces = {f"a_RS_S_{i} [m s^-2]": getattr(DRIVE.imu, f"a{i}") for i in "xyz"}
+    place = {"latitude [deg]": DRIVE.gps.lat, "longitude [deg]": DRIVE.gps.lon}
+    tables = {
+        "imu0": (imu, rates | forces),
+        "gps0": (gps, place),
+        "cam0": (gps, {"filename": ["1.png"] * len(gps)}),
+    }
+    for name, (time, columns) in tables.items():
+        (tmp_path / begin / name).mkdir(parents=True)
+        pl.DataFrame({"#timestamp [ns]": time, **columns}).write_csv(tmp_path / begin / name / "data.csv")
+    got = imported(tmp_path).drive
+    assert_close(got.imu, DRIVE.imu, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.gps, DRIVE.gps, "time lat lon", 1e-9)
+    with pytest.raises(InputError, match=r"imu0/data.csv: contains more than 100 rows"):
+        imported(tmp_path, limits=Limits(rows=100))
+
+
+@pytest.mark.parametrize("end", [",7", ""])
+def test_rows_of_several_kinds_are_refused_with_the_way(tmp_path: Path, end: str):
+    rows = [
+        f"IMU,{k},1,2,9.8" if k % 10 else f"GPS,{k},50.1,8.2{',100' if end else ','}{end}" for k in range(200)
+    ]
     (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(
         InputError, match=r"rows of several kinds, GPS, IMU; .*grep '\^ \*\[\$\]\*GPS\[.*' log.csv"

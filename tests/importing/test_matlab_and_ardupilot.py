@@ -134,10 +134,24 @@ def test_ardupilot(tmp_path: Path, options: dict[str, Any]):
     assert (got.gps.std_x is not None) == options.get("accuracy", True)
 
 
-def test_ardupilot_as_text(tmp_path: Path):
-    """`mavlogdump.py` and Mission Planner write the same messages as lines."""
+OLD_FORMATS = {
+    "GPS": (
+        *(130, "BIHBcLLeeEefI"),
+        "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T",
+    ),
+    "IMU": (131, "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+}
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_ardupilot_as_text(tmp_path: Path, old: bool):
+    """`mavlogdump.py` and Mission Planner write the same messages as lines; before 3.3 with times in ms.
+
+    The old TimeMS of GPS is the time of week, and its T the time since the start.
+    """
     lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns"]
-    lines += [f"FMT, {n}, 0, {k}, {f}, {c}" for k, (n, f, c) in FORMATS.items() if k != "FMT"]
+    formats = OLD_FORMATS if old else FORMATS
+    lines += [f"FMT, {n}, 0, {k}, {f}, {c}" for k, (n, f, c) in formats.items() if k != "FMT"]
     events = [(t, "IMU", i) for i, t in enumerate(IMU.time)] + [(t, "GPS", i) for i, t in enumerate(GPS.time)]
     for t, kind, i in sorted(events):
         if kind == "IMU":
@@ -146,7 +160,13 @@ def test_ardupilot_as_text(tmp_path: Path):
             course = np.degrees(np.pi / 2 - GPS.course[i]) % 360
             place = GPS.lat[i], GPS.lon[i], GPS.alt[i]
             values = (0, 3, 0, 2311, 9, 0.9, *place, GPS.speed[i], course, 0.0, 0.0, 1)
-        cells = [str(v) if isinstance(v, int) else repr(float(v)) for v in (round((t + 100) * 1e6), *values)]
+        values = (round((t + 100) * 1e6), *values)
+        if old and kind == "IMU":
+            values = (round((t + 100) * 1e3), *values[2:])
+        elif old:
+            ms = round((t + 100) * 1e3)
+            values = (3, 130_040_903 + ms, 1769, 9, 0.9, *place[:2], 1.0, *place[2:], *values[10:13], ms)
+        cells = [str(v) if isinstance(v, int) else repr(float(v)) for v in values]
         lines.append(", ".join([kind, *cells]))
     (tmp_path / "00000001.log").write_text("\n".join(lines) + "\n")
     got = imported(tmp_path / "00000001.log").drive

@@ -125,6 +125,38 @@ def test_phyphox(tmp_path: Path, separator: str, form: str):
     assert_close(got.gps, GPS, "time lat lon alt std_x speed course", 1e-9)
 
 
+LANGUAGES = {
+    "German": "Beschleunigungssensor Gyroskop Standort Zeit Beschleunigung Breitengrad Längengrad Höhe",
+    "French": "Accéléromètre Gyroscope Position Temps Accélération Latitude Longitude Hauteur",
+    "Polish": "Akcelerometr Żyroskop Położenie Czas Przyspieszenie Szerokość Długość Wysokość",
+}
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("form", ["folder", "zip"])
+def test_phyphox_in_other_languages(tmp_path: Path, language: str, form: str):
+    """Tables are found by their units; the linear acceleration, whose name comes first, is not taken."""
+    accelerometer, gyroscope, place, time, *words = LANGUAGES[language].split()
+    folder = phyphox(tmp_path / "export", ";")
+    (folder / "meta" / "device.csv").write_text('"property","value"\n')
+    names = {"Accelerometer": accelerometer, "Gyroscope": gyroscope, "Location": place}
+    english = ("Acceleration", "Latitude", "Longitude", "Height")
+    for name, other in names.items():
+        text = (folder / f"{name}.csv").read_text("utf-8").replace("Time (s)", f"{time} (s)")
+        for word, translated in zip(english, words, strict=True):
+            text = text.replace(word, translated)
+        text = text.replace("Velocity", "v").replace("Direction", "d").replace("Horizontal Accuracy", "h")
+        head, *rows = text.replace("Gyroscope x", "Gyro x").replace(".", ",").split("\n")
+        (folder / f"{name}.csv").unlink()
+        (folder / f"{other}.csv").write_text("\n".join([head, *rows]), "utf-8")
+    linear = [f"{t!r};{x!r};{x!r};0.1".replace(".", ",") for t, x in enumerate(PHONE["x"].tolist())]
+    head = f"{time} (s);{words[0]} x (m/s^2);{words[0]} y (m/s^2);{words[0]} z (m/s^2)"
+    (folder / "A.csv").write_text("\n".join([head, *linear]), "utf-8")
+    got = imported(zipped(folder) if form == "zip" else folder).drive
+    assert_close(got.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.gps, GPS, "time lat lon alt std_x speed course", 1e-9)
+
+
 def gnss_logger(path: Path, old: bool = False) -> Path:
     head = [
         "# ",

@@ -310,6 +310,11 @@ def ddmm(value: float) -> str:
     return f"{'-' if value < 0 else ''}{degrees * 100 + (abs(value) - degrees) * 60:.9f}"
 
 
+def dms(value: float, letter: str) -> str:
+    minutes = abs(value) * 60 % 60
+    return f"{int(abs(value))}°{int(minutes)}'{minutes % 1 * 60:.6f}''{letter}"
+
+
 PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = {
     "radians, named": (
         "t,lat [rad],lon [rad]",
@@ -337,6 +342,15 @@ PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = 
         lambda a: f"{ddmm(abs(a))},N",
         lambda b: f"{ddmm(abs(b))},W",
     ),
+    "small letters and signs": ("t,lat,N/S,lon,E/W", lambda a: f"{a!r},n", lambda b: f"{b!r},w"),
+    "letters in columns of any name": ("t,lat,q,lon,r", lambda a: f"{a!r},N", lambda b: f"{abs(b)!r},W"),
+    "letters in the cell": ("t,lat,lon", lambda a: f"{a:.9f}N", lambda b: f"W {abs(b):.9f}"),
+    "degrees, minutes, seconds": ("t,lat,lon", lambda a: dms(a, "N"), lambda b: dms(b, "W")),
+    "degrees and minutes": (
+        "t,lat,lon",
+        lambda a: f"{int(a)} {(a - int(a)) * 60:.8f} N",
+        lambda b: f"-{int(-b)}° {(-b - int(-b)) * 60:.8f}",
+    ),
 }
 
 
@@ -349,6 +363,57 @@ def test_forms_of_places(tmp_path: Path, form: str):
     got = imported(tmp_path).drive.gps
     np.testing.assert_allclose(got.lat, GPS.lat, atol=1e-7)
     np.testing.assert_allclose(got.lon, west, atol=1e-7)
+
+
+def test_flags_after_the_coordinates_change_no_sign(tmp_path: Path):
+    """N for "none" and several letters are no hemispheres of signed coordinates."""
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    south = [f"{-a!r},N" for a in GPS.lat.tolist()]
+    west = [f"{-b!r},{'NESW'[k % 4]}" for k, b in enumerate(GPS.lon.tolist())]
+    write_fixes(tmp_path, south, west, "t,lat,status,lon,wind")
+    got = imported(tmp_path).drive.gps
+    np.testing.assert_allclose([got.lat, got.lon], [-GPS.lat, -GPS.lon])
+
+
+@pytest.mark.parametrize("scale", [1e3, 100.0])
+def test_an_altitude_in_another_unit_is_left_out_and_the_remedy_helps(tmp_path: Path, scale: float):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    lon = [f"{b!r},{(h + 400) * scale!r}" for b, h in zip(GPS.lon.tolist(), GPS.alt.tolist(), strict=True)]
+    write_fixes(tmp_path, None, lon, "t,lat,lon,height")
+    got = imported(tmp_path)
+    (said,) = [note for note in got.notes if "is no altitude in m" in note]
+    assert got.drive.gps.alt is None
+    again = imported(tmp_path, maps=[maps_in(said)[0].replace("1e-3", repr(1 / scale))]).drive.gps
+    np.testing.assert_allclose(again.alt, GPS.alt + 400)
+
+
+@pytest.mark.parametrize("role", ["gps", "truth"])
+def test_degrees_called_x_and_y_are_refused_and_the_remedy_helps(tmp_path: Path, role: str):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, GPS.lon.tolist(), GPS.lat.tolist(), "t,X,Y")
+    (tmp_path / "gps.csv").rename(tmp_path / f"{role}.csv")
+    if role == "truth":
+        write_fixes(tmp_path)
+    with pytest.raises(InputError, match=r"columns X and Y change by .* as degrees do") as caught:
+        imported(tmp_path)
+    maps = maps_in(str(caught.value))
+    got = getattr(imported(tmp_path, maps=maps[:2]).drive, role)
+    assert_close(got, imported(tmp_path, maps=maps[:2]).drive.gps, "x y", 1e-6)
+    assert np.ptp(got.x) > 10
+    if role == "gps":
+        assert_close(imported(tmp_path, maps=maps[2:]).drive.gps, replace(GPS, x=GPS.lon, y=GPS.lat), "x y")
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e3 * 180 / np.pi])
+def test_rates_that_no_car_has_are_no_degrees(tmp_path: Path, scale: float):
+    """Rates in mrad/s or mdps without a unit were once taken as deg/s."""
+    rows = imu_rows(dict.fromkeys(AXES[3:], scale))
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match=r"unknown unit: they reach .*mrad/s: each column\*1e-3"):
+        imported(tmp_path)
+    got = imported(tmp_path, maps=[f"{a}={a}/{scale!r}" for a in AXES[3:]])
+    assert_close(got.drive.imu, IMU, "gx gy gz", 1e-9)
 
 
 @pytest.mark.parametrize("scale", [np.pi / 180, 1e6])

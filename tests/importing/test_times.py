@@ -196,6 +196,9 @@ DATES = (
     "%Y-%m-%d %H:%M:%S.%f+02:00",
     "%H:%M:%S.%f",
     "%Y%m%d %H%M%S.%f",
+    "%Y-%m-%d_%H-%M-%S.%f",
+    "%Y-%m-%d %I:%M:%S.%f %p",
+    "%I:%M:%S.%f %p",
 )
 
 
@@ -207,6 +210,79 @@ def test_dates(tmp_path: Path, form: str):
         lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime(form),
     )
     assert apart(tmp_path) < 2e-6
+
+
+def at(t: float, form: str, begin: int = EPOCH) -> str:
+    """A time of the drive, in the form of `strftime`."""
+    return datetime.datetime.fromtimestamp(begin + round(t, 6), datetime.UTC).strftime(form)
+
+
+BEFORE_A_MINUTE = 1_700_002_794
+"""s, six seconds before a full minute: the drive lasts 12 s."""
+
+
+@pytest.mark.parametrize("head", ["utc", "time", "date,time"])
+def test_digits_of_hours_minutes_and_seconds_are_no_seconds(tmp_path: Path, head: str):
+    day = "141123," if "," in head else ""
+    write(tmp_path, head, lambda t: day + at(t, "%H%M%S.%f", BEFORE_A_MINUTE))
+    assert apart(tmp_path) < 2e-6
+    assert any("hhmmss: converted" in note for note in imported(tmp_path).notes)
+
+
+@pytest.mark.parametrize("pause", [40.0, 45.0, 4040.0])
+@pytest.mark.parametrize("begin", [54.0, 115_950.0, 115_852.0])
+def test_a_pause_of_seconds_is_no_minute(tmp_path: Path, pause: float, begin: float):
+    write(tmp_path, "t", lambda t: repr(begin + t + (pause if t > 7 else 0.0)))
+    got = imported(tmp_path).drive.imu.time
+    np.testing.assert_allclose(got, begin + IMU.time + np.where(IMU.time > 7, pause, 0.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["date,time", "stamp"])
+def test_a_date_that_stays_at_midnight(tmp_path: Path, form: str):
+    """Some loggers write the date of the first row in all rows."""
+    begin = 1_700_006_400 - 6
+    write(tmp_path, form, lambda t: f"2023-11-14{',' if ',' in form else ' '}{at(t, '%H:%M:%S.%f', begin)}")
+    assert apart(tmp_path) < 2e-6
+
+
+@pytest.mark.parametrize("form", ["%m/%d/%Y", "%d/%m/%Y"])
+def test_of_two_dates_and_times_the_finer_one_is_taken(tmp_path: Path, form: str):
+    write(
+        tmp_path,
+        "gps_Date,gps_Time,rtcDate,rtcTime",
+        lambda t: at(t, f"{form},%H:%M:%S,") + at(t, "%m/%d/%Y,%H:%M:%S.%f"),
+    )
+    assert apart(tmp_path) < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("cells", "said", "time"),
+    [
+        (lambda t: str(round(t * 2e4)), "steps of 200 have no likely unit", None),
+        (lambda t: repr(t / 60), "steps of 0.00017 are too short for seconds", "t*60"),
+        (lambda t: f"{t:.2f} sec", "'0.00 sec' is not a known date", None),
+        (lambda t: at(t, "%d=%m=%Y %H:%M:%S.%f"), "is not a known date", "utc(t, '%d=%m=%Y %H:%M:%S%.f')"),
+    ],
+)
+def test_a_time_that_may_be_anything_is_refused_and_the_remedy_helps(tmp_path: Path, cells, said: str, time):
+    write(tmp_path, "t", cells)
+    with pytest.raises(InputError, match=re.escape(said)):
+        imported(tmp_path)
+    if time is not None:
+        assert apart(tmp_path, time=time) < 2e-6
+
+
+def test_a_broken_date_costs_its_row_only(tmp_path: Path):
+    write(tmp_path, "t", lambda t: "1#:3" if t == 0.05 else at(t, "%d.%m.%Y %H:%M:%S.%f"))
+    assert len(imported(tmp_path).drive.imu) == len(IMU) - 1
+
+
+def test_rows_that_all_have_one_time_are_refused_and_the_remedy_helps(tmp_path: Path):
+    write(tmp_path, "t", lambda t: "1.70000E+09", "t", repr)
+    with pytest.raises(InputError, match="all 1201 rows have the same time") as caught:
+        imported(tmp_path)
+    remedy = re.search(r'--map "([^"]+)"', str(caught.value))[1]
+    assert apart(tmp_path, maps=[remedy]) < 1e-9
 
 
 @pytest.mark.parametrize("first", ["%d/%m", "%m/%d"])

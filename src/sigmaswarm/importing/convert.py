@@ -15,7 +15,7 @@ from sigmaswarm.importing.formats import open_log, unread
 from sigmaswarm.importing.gather import Gathered, complete_parts, gather
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
-from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.names import read_names
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Limits, Log, Part, Progress, Role
 from sigmaswarm.wording import names_shown
@@ -253,7 +253,7 @@ def _require_sensors(
         if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
             there = there or "what can be decoded"
             raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
-        columns = [read_name(c).meaning for table in logs[path].tables.values() for c in table.columns]
+        columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]
         if role == "imu" and "ax" in columns and not {"gx", "gy", "gz"} & {*columns}:
             there += " (it has accelerations, but no column is known as an angular rate)"
         beside = path.iterdir() if role == "gps" and path.is_dir() else ()
@@ -261,7 +261,8 @@ def _require_sensors(
             (f"; {f.name} is not read, since it is {kind}" for f in beside if (kind := unread(f))), ""
         )
         raise InputError(
-            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show proposes it){more}"
+            f"{path}: no {what} found in {there}; {remedy}, or name the columns with --map (--show lists "
+            f"them, and proposes a line where their names suggest one){more}"
         )
 
 

@@ -49,6 +49,14 @@ def _ddmm(a: pl.Expr) -> pl.Expr:
     return (whole + (a.abs() - whole * 100) / 60) * a.sign()
 
 
+def _dms(text: pl.Expr) -> pl.Expr:
+    """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees; those of S and W are negative."""
+    numbers = text.str.replace_all(",", ".").str.extract_all(r"\d+(?:\.\d+)?")
+    parts = [numbers.list.get(k, null_on_oob=True).cast(pl.Float64) for k in range(3)]
+    degrees = parts[0] + parts[1].fill_null(0.0) / 60 + parts[2].fill_null(0.0) / 3600
+    return pl.when(text.str.contains("[SW]|^[^0-9]*-")).then(-degrees).otherwise(degrees)
+
+
 def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
     return (a * a + b * b).sqrt()
 
@@ -183,6 +191,8 @@ class _Compiler:
                 return pl.all_horizontal(truths) if isinstance(op, ast.And) else pl.any_horizontal(truths)
             case ast.Call(func=ast.Name(id="utc"), args=[_, *_] as args, keywords=[]):
                 return self._utc(args)
+            case ast.Call(func=ast.Name(id="dms"), args=[arg], keywords=[]) if name := _column_name(arg):
+                return _dms(self._use(name).cast(pl.String))
             case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
                 uses, function = _FUNCTIONS[f]
                 if len(args) != len(uses):
@@ -194,7 +204,7 @@ class _Compiler:
             case _:
                 raise InputError(
                     f"{quoted(ast.unparse(node))} in {quoted(self.text)} is not allowed; use columns, numbers, "
-                    f"+ - * / ** %, comparisons, and {', '.join((*_FUNCTIONS, 'utc'))}"
+                    f"+ - * / ** %, comparisons, and {', '.join((*_FUNCTIONS, 'utc', 'dms'))}"
                 )
 
     def _argument(self, node: ast.expr, uses: int) -> pl.Expr:

@@ -41,7 +41,8 @@ _LINES_OF_ROW, _TITLES = 10, 1000
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
     ".tlog": "a MAVLink telemetry log; run: mavlogdump.py --format csv --types RAW_IMU,GPS_RAW_INT, or take the .bin",
-    ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps, and import the .csv",
+    ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps --unit-acceleration m/s2 --unit-rotation deg/s, and "
+    "import the .csv with --map 'gps.lat=`GPS_coord[0]`' 'gps.lon=`GPS_coord[1]`'",
     ".mf4 .mdf": "a measurement file of ASAM; export it as CSV, as with asammdf",
     ".sbf": "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
     ".rtcm .rtcm3 .obs .rnx": "raw measurements; make fixes with RTKLIB (convbin, rnx2rtkp), import the .pos",
@@ -99,7 +100,9 @@ def _texts(path: Path, form: str) -> list[Path]:
     """List the text files of a log whose readers limit neither the lines nor the unpacked size."""
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) != b"PAR1" else []
-    inside = path.rglob("*") if form in ("kitti", "comma2k19") else path.iterdir()
+    inside = (
+        path.rglob("*") if form in ("kitti", "comma2k19") else (*path.iterdir(), *_reader("csv").below(path))
+    )
     for file in (files := sorted(file for file in inside if file.suffix.lower() in (".csv", ".tsv", ".txt"))):
         require_regular(file)
     return [file for file in files if file.is_file() and first_bytes(file, 4) != b"PAR1"]

@@ -92,7 +92,7 @@ class Gathered:
                 raise InputError(
                     f"{log.path}, {shown(self.part.table)}, row {self.seen + i + 1} of the data, column {shown(name)}: "
                     f"{quoted(said[i])} is not a number; correct or delete the row, or use utc(...) where the column "
-                    "holds dates"
+                    "holds dates, dms(...) for degrees and minutes"
                 )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
@@ -142,7 +142,7 @@ def _complete(part: Part, log: Log, role: Role) -> Part:
     if "t" not in part.columns:
         raise InputError(
             f"{log.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
-            "give it with --time"
+            f'give it with --time, or count rows where the rate is known: --map "{role}.t=row/100" for 100 Hz'
         )
     for text in part.columns.values():
         try:

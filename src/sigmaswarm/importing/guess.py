@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.quantities import Columns, heading, place, quantity
+from sigmaswarm.importing.names import read_names
+from sigmaswarm.importing.quantities import Columns, degrees_as_meters, heading, place, quantity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
-from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of
+from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, written
 from sigmaswarm.wording import names_shown
 
 SAMPLE = 2000
@@ -23,6 +23,8 @@ _NO_PLACES = re.compile(
     re.IGNORECASE,
 )
 """Tables whose x, y, z are neither a position nor the IMU's."""
+_FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok)?|(?:gps|gnss)_?(?:quality|valid)"
+"""Names of columns that are 0 without a fix, or -1 if 0 is a fix, as in ROS."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -82,7 +84,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     """Assign the first fitting column to each quantity; x, y, z of an IMU's table are the axes of the IMU."""
     columns = Columns(frame)
-    for name in map(read_name, frame.columns):
+    for name in read_names(frame.columns):
         if (what := name.meaning) is not None and what != "t":
             columns.names.setdefault(what, name)
     letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
@@ -127,6 +129,13 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):
         yield from place(columns, role).items()
+    elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
+        yield "lat", Found("", fault=fault)
+        located = True
+    flags = [n.column for n in read_names(columns.frame.columns) if role == "gps" and n.is_one(_FIXED)]
+    kinds = sorted({*numbers_of(columns.frame[flags[0]])} if flags else ())
+    if len(kinds) > 1 and kinds[0] in (-1, 0):
+        yield "keep", Found(f"{written(flags[0])} > {kinds[0]:g}")
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
     # "heading" is the course of a receiver with one antenna, unless there is another course or a deviation
     heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
@@ -149,8 +158,9 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 
 def _downward(imu: Columns) -> str:
     """Return a sentence if the vertical axis of an IMU points down, else ""."""
-    if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= 0:
-        return ""
+    gravity = imu.norm(["ax", "ay", "az"]) if imu.has("ax", "ay", "az") else 0.0
+    if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
+        return ""  # without gravity in it, its sign means nothing
     return (
         f"{imu.names['az'].column} is negative, so that axis points down; where the others point forward "
         "and to the right, use --mount x=x,y=-y, and check the result with `sigmaswarm doctor`"

@@ -1,7 +1,10 @@
 """Names of columns: the plain name, its unit, and the drive's column of that name."""
 
 import re
-from dataclasses import dataclass
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
 
 from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, parse_unit
 
@@ -9,7 +12,7 @@ LONGEST_NAME = 200
 """Characters of a name that can mean something."""
 
 TIME = (
-    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc|"
+    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|chip_?time|utime|epoch|unix_?time|utc|"
     "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
@@ -27,23 +30,23 @@ TIME_OF_WEEK = (
 )
 
 _ACCELERATION = (
-    "a|acc|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
-    "f|f_?b|a_rs_s|linear"
+    "a|ac|acc|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|"
+    "specific_force|f|f_?b|gf|g_?force|a_rs_s|linear|accsmooth"
 )
 _RATE = (
-    "g|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
-    "w_?b|w_rs_s|angular"
+    "g|gy|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|"
+    "rate|w_?b|w_rs_s|angular|gyroadc"
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
 NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
-    *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
-    *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
+    *((f"a{i}", f"(?:{_ACCELERATION})_?{i}|{i}_?acc(?:el(?:eration)?)?") for i in "xyz"),
+    *((f"g{i}", f"(?:{_RATE})_?{i}|{i}_?gyro|{i}_rate_of_rotation") for i in "xyz"),
     ("gz", "yaw_?rate"),
     ("lat", "lat|latitude"),
     ("lon", "lon|lng|long|longitude"),
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
-    ("ew", "e_w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
+    ("ew", "e_?w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
     ("alt", "alt|altitude|height|elevation|ele"),
     ("x", "x|east|easting|e|pos(?:ition)?_?x|utm_?(?:x|e|east|easting)|x_utm"),
     ("y", "y|north|northing|n|pos(?:ition)?_?y|utm_?(?:y|n|north|northing)|y_utm"),
@@ -65,8 +68,40 @@ NAMES: tuple[tuple[str, str], ...] = (
 )
 """Columns of a drive, and their plain names as regular expressions."""
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
-_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...)")
+_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...|[agw][xyz]$)")
 """Prefixes of names in tables of messages and of loggers."""
+_NOT_MEASURED = (
+    "bias|cmd|cov|desired|err|error|home|lin|linear|mag|ref|setpoint|sigma|sim|std|target|truth|var"
+)
+"""Words of a prefix whose columns are not those of the sensor."""
+_MAVLINK = {
+    **{f"{kind}_imu_{i}acc": (f"acc_{i}", "mg") for kind in ("raw", "scaled") for i in "xyz"},
+    **{f"{kind}_imu_{i}gyro": (f"gyro_{i}", "mrad/s") for kind in ("raw", "scaled") for i in "xyz"},
+    **{
+        "gps_raw_int_lat": ("lat", "dege7"),
+        "gps_raw_int_lon": ("lon", "dege7"),
+        "gps_raw_int_alt": ("alt", "mm"),
+    },
+    **{"gps_raw_int_vel": ("speed", "cm/s"), "gps_raw_int_cog": ("course", "cdeg")},
+    "gps_raw_int_fix_type": ("fix_type", ""),
+}
+"""Fields of MAVLink's messages, whose units the protocol states."""
+_TRANSLATED = {
+    word: name
+    for name, words in {
+        "time": "zeit temps tiempo tijd czas",
+        "acceleration": "beschleunigung aceleracion aceleracao accelerazione versnelling przyspieszenie",
+        "accelerometer": "beschleunigungssensor accelerometre acelerometro accelerometro akcelerometr",
+        "gyroscope": "gyroskop giroscopio gyroscoop zyroskop",
+        "rate": "drehrate winkelgeschwindigkeit",
+        "latitude": "breitengrad latitud latitudine breedtegraad",
+        "longitude": "langengrad laengengrad longitud longitudine lengtegraad",
+        "height": "hohe hoehe hauteur altura altezza hoogte",
+        "speed": "geschwindigkeit vitesse velocidad velocidade velocita snelheid",
+    }.items()
+    for word in words.split()
+}
+"""German, French, Spanish, Portuguese, Italian, Dutch and Polish words, without accents."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +130,10 @@ class Name:
 
 
 def plain_words(text: str) -> list[str]:
-    """Split a name into words in lower case."""
-    return re.findall(r"[a-z0-9]+", text[:LONGEST_NAME].lower())
+    """Split a name into words in lower case, in English."""
+    bare = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFD", text[:LONGEST_NAME].lower()))
+    words: list[str] = re.findall(r"[a-z0-9]+", bare)
+    return [_TRANSLATED.get(word, word) for word in words]
 
 
 def meaning_of_plain(plain: str) -> str | None:
@@ -109,6 +146,17 @@ def meaning_of_plain(plain: str) -> str | None:
         if name == plain and re.fullmatch(CLOCK, plain):
             return None
     return None
+
+
+def read_names(columns: Sequence[str]) -> list[Name]:
+    """Read the names of a table's columns, without a prefix that all of them share: "Car.ax", "vehicle/imu/ax"."""
+    pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
+    shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+    prefix = re.sub(r"[A-Za-z0-9]*$", "", shared) if len(columns) > 1 else ""
+    if any(re.fullmatch(_NOT_MEASURED, word) for word in plain_words(prefix)):
+        prefix = ""
+    names = [(read_name(c), replace(read_name(c[len(prefix) :]), column=c)) for c in columns]
+    return [bare if whole.meaning is None else whole for whole, bare in names]
 
 
 def read_name(column: str) -> Name:
@@ -132,9 +180,12 @@ def _read(column: str, text: str) -> Name:
     if text and text[-1] in ")]":
         begin = text.rfind("(" if text[-1] == ")" else "[")
         if begin > 0:
-            return Name(column, "_".join(plain_words(text[:begin])), parse_unit(text[begin + 1 : -1]))
+            inner = re.sub(r"\[([012])\]\s*$", lambda m: f" {'xyz'[int(m[1])]}", text[:begin])
+            return Name(column, "_".join(plain_words(inner)), parse_unit(text[begin + 1 : -1]))
     words = plain_words(text)
     plain = "_".join(words)
+    if plain in _MAVLINK:
+        return Name(column, _MAVLINK[plain][0], parse_unit(_MAVLINK[plain][1]))
     if len(words) > 2 and words[-2] == "in":
         return Name(column, "_".join(words[:-2]), parse_unit(words[-1]))
     if plain in PARTS_OF_SECONDS:

@@ -24,7 +24,7 @@ from sigmaswarm.importing.times import written
 from sigmaswarm.importing.units import in_si
 
 FORWARD = {
-    **dict.fromkeys(("fwd", "forward", "forwards", "front", "longitudinal", "long", "x"), 1),
+    **dict.fromkeys(("fwd", "forward", "forwards", "front", "longitudinal", "long", "inline", "x"), 1),
     **dict.fromkeys(("backward", "rear"), -1),
 }
 LEFT = {**dict.fromkeys(("left", "lateral", "lat", "port", "y"), 1), "right": -1, "starboard": -1}
@@ -90,7 +90,7 @@ def meaning_of(name: str) -> Meaning | None:
     length = unit is None or unit.dimension == "length"
     if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
         return Meaning("gps", "std_x", f"{said}/sqrt(2)")
-    if rest & ACCURACY or not rest & (RATE | FORCE):
+    if rest & ACCURACY or not rest & (RATE | FORCE) or "gps" in rest:
         return None
     for column, directions in MOVING if rest & FORCE else TURNING:
         if signs := [directions[w] for w in words if w in directions]:

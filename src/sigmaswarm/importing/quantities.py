@@ -1,5 +1,6 @@
 """Convert columns to a drive's units: by the unit in the name, or by the size of the values."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -24,10 +25,15 @@ REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta",
 """Columns whose unit must be known; other columns of an unknown unit are left out."""
 MOST_FORCE = 100.0
 """Largest acceleration of a car, except bumps, m/s2."""
-FASTEST = 700.0
+FASTEST = 250.0
 """Largest angular rate of a car, deg/s."""
+HIGHEST = 9000.0
+"""Largest altitude of a vehicle, m; another unit would stretch the track by 0.15% or more."""
 _ACCELEROMETERS = "usual 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
-_GYROS = "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000"
+_GYROS = (
+    "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
+    "column*1e-3"
+)
 
 
 @dataclass
@@ -69,6 +75,9 @@ class Columns:
 def quantity(columns: Columns, what: str, role: Role) -> Found:
     """Convert a column to a drive's units."""
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
+    if name.unit is None and what == "alt" and columns.largest(what) > HIGHEST:
+        seen = f"{name.column} left out: {columns.largest(what):.6g} is no altitude in m"
+        return Found("", note=f"{seen}; map it, as {_maps(columns, role, ['alt'], '{}*1e-3')} for mm")
     if name.unit is None:
         return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
     if name.unit.dimension == dimension:
@@ -133,6 +142,8 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
 def place(columns: Columns, role: Role) -> dict[str, Found]:
     """Convert latitude and longitude to degrees: from radians, 1e-7 degrees, or degrees and minutes; N, S, E, W."""
     both = ("lat", "lon")
+    if all(_is_dms(columns.frame[columns.names[what].column]) for what in both):
+        return {what: Found(f"dms({columns.text(what)})") for what in both}
     forms: dict[str, str] = {}
     for what in both:
         name = columns.names[what]
@@ -149,12 +160,53 @@ def place(columns: Columns, role: Role) -> dict[str, Found]:
     if found.fault:
         return dict.fromkeys(both, found)
     places: dict[str, Found] = {}
-    for what, letters, negative in (("lat", "ns", "S"), ("lon", "ew", "W")):
+    for what, letters in (("lat", "NS"), ("lon", "EW")):
         text = forms.get(what, found.expression).format(columns.text(what))
-        if letters in columns and columns.frame[columns.names[letters].column].dtype == pl.String:
-            text = f"where({columns.text(letters)} == '{negative}', -1, 1)*{text}"
+        if hemisphere := _hemisphere(columns, what, letters):
+            text = f"where({hemisphere}, -abs({text}), {text})"
         places[what] = Found(text, found.note)
     return places
+
+
+def _is_dms(values: pl.Series) -> bool:
+    """Return True for texts with marks of degrees or letters of hemispheres: 48°07'02.3"N, 11 31.5 E, N48.12."""
+    if values.dtype != pl.String:
+        return False
+    filled = values.str.strip_chars().replace("", None).drop_nulls()
+    number = r"\d+(?:[.,]\d+)?"
+    form = rf"^[NSEW]? *[+-]?{number}(?:[ °º:d'′’m]+{number}){{0,2}}[ °º'′’\"″”ms]*[NSEW]?$"
+    return len(filled) > 0 and bool((filled.str.contains(form) & filled.str.contains("[°ºNSEW]")).all())
+
+
+def _hemisphere(columns: Columns, what: str, letters: str) -> str:
+    """Return the condition of the southern or western hemisphere, by a column of that name, or the one after ``what``.
+
+    The latter must contain nothing but one of the letters.
+    """
+    name, names = {"lat": "ns", "lon": "ew"}[what], columns.frame.columns
+    after = names.index(columns.names[what].column) + 1
+    for column in [columns.names[name].column] if name in columns else names[after : after + 1]:
+        values = columns.frame[column]
+        texts = values.str.strip_chars().unique().drop_nulls().to_list() if values.dtype == pl.String else []
+        seen = {t[0].upper(): t for t in texts if re.fullmatch("(?i)[nsew]|north|south|east|west", t)}
+        if seen.keys() <= {*letters} and ((name in columns and texts) or len(seen) == 1):
+            return f"{written(column)} == '{seen.get(letters[1], letters[1])}'"
+    return ""
+
+
+def degrees_as_meters(columns: Columns, role: Role) -> str:
+    """Describe x and y that are likely degrees, since they change by less than 1 mm from row to row; or return ""."""
+    values = [columns.numbers(what) for what in ("x", "y")]
+    steps = [median_of(v.diff().abs().replace(0.0, None).drop_nulls()) for v in values]
+    far = min(median_of(v.abs()) for v in values) > 0.5
+    small = far and columns.largest("x") <= 180 and columns.largest("y") <= 90
+    if not small or columns.names["x"].unit or not 0 < min(steps) < 3e-4 or max(steps) > 1e-3:
+        return ""
+    x, y = columns.text("x"), columns.text("y")
+    return (
+        f"columns {x} and {y} change by {max(steps):.1g} from row to row, as degrees do; write --map "
+        f'"{role}.lat={y}" "{role}.lon={x}" for degrees, or --map "{role}.x={x}" "{role}.y={y}" "{role}.lat=" for m'
+    )
 
 
 def _place_form(columns: Columns, role: Role) -> Found:

@@ -31,6 +31,23 @@ UNEVEN = 0.1
 """Largest share of stamps whose number of rows differs from the usual one."""
 
 
+def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
+    """Convert times of day whose digits are hhmmss (115959.98) to seconds; also return a sentence about it or "".
+
+    Seconds have gaps of 40 s at each minute only if they are such digits.
+    """
+    whole = time // SECOND
+    if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:
+        return time, ""
+    hour, minute, second = whole // 10_000, whole // 100 % 100, whole % 100
+    fine = (hour * 3600 + minute * 60 + second) * SECOND + time % SECOND
+    new, steps = np.diff(whole // 100) != 0, np.diff(fine)
+    limit = max(2 * SECOND, 2 * float(np.median(np.abs(steps))))
+    if (minute >= 60).any() or (second >= 60).any() or not new.any() or np.abs(steps[new]).max() > limit:
+        return time, ""
+    return fine, "its times are hours, minutes and seconds, hhmmss: converted"
+
+
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     """Unwrap a counter that restarted; return the times, and a sentence about it or ""."""
     steps = np.diff(time)
@@ -43,6 +60,8 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
         # Two exchanged rows of a short log are no wrap: a wrap continues by about a usual step.
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), 5 * usual + 1e-3 * period)
         inside = int(time.min()) >= 0 and int(time.max()) <= 1.001 * period
+        # the date of the first row, with each row's time of day
+        inside |= period == 86_400 * SECOND and int(np.ptp(time)) <= period
         if wraps.any() and np.array_equal(wraps, wraps & near) and inside:
             turns = np.concatenate([[0], np.cumsum(wraps)])
             return time + turns * period, f"{name}, wraps {int(wraps.sum())} time(s): unwrapped"
@@ -85,6 +104,11 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
     """Spread rows that share a stamp evenly up to the next one; refuse stamps whose number of rows varies."""
     new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
     repeated = 1 - len(new) / len(time)
+    if len(time) > 2 and len(new) < 2:
+        raise InputError(
+            f"{where}: all {len(time)} rows have the same time; name a finer one with --map {role}.t=..., or count "
+            f'rows where the rate is known: --map "{role}.t=row/100" for 100 Hz'
+        )
     if repeated <= REPEATED or len(new) < 2:
         return time, ""
     counts = np.diff(new, append=len(time))
@@ -120,6 +144,9 @@ def in_order(
     time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
 ) -> tuple[Nanoseconds, NDArray[np.int64]]:
     """Return a table's times (n,), strictly increasing, and the indices of their rows in the table."""
+    time, digits = from_digits(time)
+    if digits:
+        say(f"{where}: {digits}")
     time, note = unwrap(time)
     taken, chosen = choose_part(time, part, where)
     rows, time = np.arange(len(time))[taken], time[taken]

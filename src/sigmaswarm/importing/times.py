@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import polars as pl
 
 from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, as_text, parse_dates
-from sigmaswarm.importing.names import CLOCK, STAMP, TIME_OF_WEEK, WEEK, Name, read_name
+from sigmaswarm.importing.names import CLOCK, STAMP, TIME_OF_WEEK, WEEK, Name, read_names
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
@@ -16,6 +16,8 @@ LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odom
 """Largest likely interval between samples, s."""
 SHORTEST_STEP = 1e-4
 """Shortest interval of a car's sensor, s."""
+FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
+"""Intervals of an IMU, s, outside which the unit of its time is not guessed."""
 DATE_FORMATS = (
     "",
     "%d-%b-%Y %H:%M:%S%.f",
@@ -27,9 +29,14 @@ DATE_FORMATS = (
     "%m/%d/%Y %I:%M:%S%.f %p",
     "%d/%m/%Y %I:%M:%S%.f %p",
     "%Y-%m-%d %H:%M:%S:%3f",
+    "%Y-%m-%d %I:%M:%S%.f %p",
+    "%Y-%m-%d_%H-%M-%S%.f",
+    "%Y-%m-%d %H-%M-%S%.f",
     "%Y%m%d %H%M%S%.f",
     "%Y%m%d %H:%M:%S%.f",
     "%H:%M:%S%.f",
+    "%H:%M:%S:%3f",
+    "%I:%M:%S%.f %p",
 )
 """Formats of dates in text, in the order of trial; the first is ISO 8601."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -58,7 +65,7 @@ class Found:
 
 def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     """Find the time of a table by its columns' names and values; None if there is none."""
-    names = [read_name(column) for column in frame.columns]
+    names = read_names(frame.columns)
     several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
     if found := several or _date_and_time(names, frame):
         return found
@@ -172,13 +179,19 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 
 
 def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Find a day in one column of text and the time of day in another."""
-    days = ("date", "day", "utc_date", "gps_date")
-    clocks = ("time", "time_of_day", "utc_time", "gps_time", "clock")
-    day, clock = (next((n.column for n in names if n.plain in those), None) for those in (days, clocks))
-    if day is None or clock is None or frame.schema[clock] != pl.String or len(numbers_of(frame[clock])):
-        return None
-    return _of_text([day, clock], frame)
+    """Find a day in one column of text and the time of day in another; of several pairs, the finest that is read."""
+    pairs = [
+        (day.column, clock.column)
+        for day in names
+        if (begin := re.fullmatch("(.*?)_?(?:date|day)", day.plain))
+        for clock in names
+        if clock.is_one(f"(?:{begin[1]}_?|utc_|gps_)?(?:time|time_of_day|clock)")
+        and frame.schema[clock.column] == pl.String
+        and not len(numbers_of(frame[clock.column]))
+    ]
+    pairs.sort(key=lambda pair: -frame[pair[1]].n_unique())
+    found = [_of_text(pair, frame) for pair in pairs]
+    return next((one for one in found if not one.fault), found[0]) if found else None
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
@@ -221,13 +234,18 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
-    """Read dates in text by the first format that fits them all; refuse dates that two formats read differently."""
+    """Read dates in text by the format that fits most; refuse dates that two formats read differently."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d"))
-    fitting = [f for f in DATE_FORMATS if len(texts) and _reads(texts, f)]
+    read = {form: _read_by(texts, form) for form in DATE_FORMATS}
+    fitting = [form for form, count in read.items() if count and count == max(read.values())]
     called = ", ".join(map(written, columns))
     if not fitting:
-        return Found(f"utc({called})")
+        said = f"{quoted(texts[0])} is not a known date" if len(texts) else "has no dates"
+        option = (
+            f"--time \"utc({called}, '%d.%m.%Y %H:%M:%S%.f')\" with its format, or write the times as numbers"
+        )
+        return Found("", fault=f"column {quoted(columns[0])}: {said}; write {option}")
     form = fitting[0]
     if len(fitting) > 1 and form.startswith("%m/%d") and fitting[1].startswith("%d/%m"):
         option = (
@@ -237,14 +255,14 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
             "",
             fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two different days; write {option}",
         )
-    note = "times of day without a date" if form == "%H:%M:%S%.f" else ""
+    note = "" if not form or "%d" in form else "times of day without a date"
     return Found(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
 
-def _reads(texts: pl.Series, form: str) -> bool:
-    if not form and not texts.str.contains(r"^\d{4}-\d").all():
-        return False
-    return texts.to_frame("date").select(parse_dates(pl.col("date"), form))["date"].null_count() == 0
+def _read_by(texts: pl.Series, form: str) -> int:
+    """Return the number of texts that a format reads."""
+    texts = texts if form else texts.filter(texts.str.contains(r"^\d{4}-\d"))
+    return texts.to_frame("date").select(parse_dates(pl.col("date"), form))["date"].count()
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
@@ -254,10 +272,14 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
     column = text.strip("`")
     dated = [unit for unit, scale in COUNTED.items() if _DATES_S[0] < size * scale < _DATES_S[1]]
     dated = [unit for unit in dated if unit != "s" or step == 0 or step < LONGEST_STEP[role]]
-    if not dated and 0 < step < SHORTEST_STEP / 2:
+    if not dated and 0 < step < (FASTEST_IMU if role == "imu" else SHORTEST_STEP / 2):
         return _of_days(numbers, text, column, step, role)
     likely = [unit for unit, scale in COUNTED.items() if step * scale < LONGEST_STEP[role]]
     unit = (*dated, *likely, "s")[0]
+    if role == "imu" and not dated and unit != "s" and step * COUNTED[unit] > SLOWEST_IMU:
+        rates = ", ".join(f'"{_scaled(text, u)}" for {1 / (step * COUNTED[u]):.4g} Hz' for u in ("ms", "us"))
+        said = f"column {quoted(column)}: steps of {step:g} have no likely unit"
+        return Found("", fault=f'{said}; state it with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms')
     return Found(_scaled(text, unit), "" if unit == "s" else f"{column} taken as {unit}")
 
 
@@ -270,7 +292,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
             return Found(f"({text} - {epoch})*86400", f"{column} taken as days since {whose}")
     if likely and low > 1e-3 and high < 1:
         return Found(f"{text}*86400", f"{column} read as days (fractions of a day)")
-    said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes'
+    said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
     fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}"
     return Found("", fault=fault)
 

@@ -12,7 +12,7 @@ from sigmaswarm.doctor.windows import smoothed
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import wrap_angle
 
-UNITS = {"km/h": 1 / 3.6, "knots": 0.514444, "mph": 0.44704}
+UNITS = {"km/h": 1 / 3.6, "knots": 0.514444, "mph": 0.44704, "cm/s": 0.01, "mm/s": 1e-3}
 CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "deg clockwise from north": lambda c: math.pi / 2 - np.radians(c),
     "rad clockwise from north": lambda c: math.pi / 2 - c,

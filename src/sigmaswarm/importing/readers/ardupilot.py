@@ -1,8 +1,8 @@
 """ArduPilot's dataflash logs, ``.bin``, and the same as text, ``.log``, through pymavlink.
 
-Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): TimeUS in us since start; IMU forward, right, down (m/s2,
-rad/s); GPS in degrees, m/s, degrees from north; GPA with the stated accuracies; SIM with the true position of a
-simulation.
+Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): TimeUS in us since start, before 3.3 TimeMS in ms, or T of
+GPS, whose TimeMS is the time of week; IMU forward, right, down (m/s2, rad/s); GPS in degrees, m/s, degrees from north;
+GPA with the stated accuracies; SIM with the true position of a simulation.
 """
 
 from contextlib import ExitStack, redirect_stderr, redirect_stdout, suppress
@@ -105,6 +105,8 @@ def _rows(log: Any, path: Path, limits: Limits) -> dict[str, list[tuple[float, .
     while (message := log.recv_match(type=list(_COLUMNS))) is not None:
         kind = message.get_type()
         if getattr(message, "I", 0) == 0:
-            rows[kind].append(tuple(float(getattr(message, name, "nan")) for name in _COLUMNS[kind]))
+            old = 1e3 * float(getattr(message, "T" if kind == "GPS" else "TimeMS", "nan"))
+            rest = (getattr(message, name, "nan") for name in _COLUMNS[kind][1:])
+            rows[kind].append(tuple(map(float, (getattr(message, "TimeUS", old), *rest))))
             limits.check_rows(len(rows[kind]), path, kind)
     return rows

@@ -24,23 +24,30 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table file, by its name or first lines, or a folder that contains a table file, by its name."""
+    """Return True for a table file, by its name or first lines, or a folder of table files or as EuRoC's, by names."""
     return bool(_files(path)) or (path.is_file() and is_table(path))
 
 
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
-        return sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.stat().st_size)
+        here = [f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.stat().st_size]
+        return sorted(here) or below(path)
     return [path] if path.suffix.lower() in SUFFIXES else []
+
+
+def below(folder: Path) -> list[Path]:
+    """List the tables of a folder like EuRoC's, mav0/imu0/data.csv or imu0/data.csv."""
+    found = (*folder.glob("*/data.csv"), *folder.glob("mav0/*/data.csv"))
+    return sorted(file for file in found if file.is_file() and file.stat().st_size)
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open a table file or a folder of them."""
     remarks: list[str] = []
     files = _files(path) if path.is_dir() else [path]
-    return of_files(
-        path, {file.name: scan(file, file, limits, remarks) for file in files}, FILES, None, remarks
-    )
+    folder = path if path.is_dir() else path.parent
+    scans = {f.relative_to(folder).as_posix(): scan(f, f, limits, remarks) for f in files}
+    return of_files(path, scans, FILES, None, remarks)
 
 
 def of_files(

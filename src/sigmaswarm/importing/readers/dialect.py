@@ -1,6 +1,7 @@
 """Find the dialect of a text table by its first lines: separator, header, units, decimal commas."""
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -28,6 +29,17 @@ _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
 """A date and a time of day without separators between their parts."""
 _EMPTY = ("", "nan", "null", "none", "na", "n/a", "-", "inf", "-inf")
 Rows = Sequence[Sequence[str]]
+_HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
+_VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
+_FIX = ("status", "service", "latitude", "longitude", "altitude")
+_MESSAGES = {
+    40: [
+        *_HEADER,
+        *(f"{v}{part}" for v, axes in _VECTORS for part in [*map(".{}".format, axes), *_COVARIANCE]),
+    ],
+    18: [*_HEADER, *_FIX, *_COVARIANCE, "type"],
+}
+"""Fields of sensor_msgs/Imu and sensor_msgs/NavSatFix, by their number."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +93,11 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
                 f"{width} names"
             )
         _require_one_kind(data, shown_as)
-        names = [""] * most
+        if names := _of_message(data[0]):
+            remarks.append(
+                f"{shown_as.name}: read as a message of {width} values, as `ros2 topic echo --csv` prints it"
+            )
+        names = names or [""] * most
     if not any(name and not name.startswith(" [") for name in names):
         remarks.append(
             f"{shown_as.name}: has no header; its columns are called c1 to c{len(names)}: write a header line such as "
@@ -94,9 +110,19 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     return Dialect(separator, tuple(names), first, encoding, commas, surplus, tuple(remarks))
 
 
+def _of_message(row: Sequence[str]) -> list[str]:
+    """Return the fields of sensor_msgs/Imu or NavSatFix, as `ros2 topic echo --csv` prints them, or []."""
+    fields = _MESSAGES.get(len(row), [])
+    if not fields or is_value(row[2]) or not (row[0] + row[1]).isdigit() or int(row[1]) >= 1_000_000_000:
+        return []
+    values = [float(cell) if _NUMBER.fullmatch(cell) else math.nan for cell in row[3:8]]
+    turn, placed = sum(v * v for v in values[:4]), abs(values[2]) <= 90 and abs(values[3]) <= 180
+    return fields if (abs(turn - 1) < 0.05 if "orientation.w" in fields else placed) else []
+
+
 def _require_one_kind(rows: Rows, shown_as: Path) -> None:
     """Refuse rows that begin with the name of their kind, if the kinds differ in the number of cells."""
-    kinds = {(row[0].strip(), len(row)) for row in rows}
+    kinds = {(row[0].strip(), max(k for k, cell in enumerate(row) if k == 0 or cell.strip())) for row in rows}
     names = sorted({name for name, _ in kinds})
     named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
     if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
@@ -166,9 +192,9 @@ def split(line: str, separator: str) -> list[str]:
 def is_value(cell: str) -> bool:
     """Return True if a cell is a number or begins as a date or a time of day does."""
     cell = cell.strip()
-    if len(cell) > 40 or not cell:
+    if len(cell) > 40 or not cell or not {*cell}.isdisjoint({*SEPARATORS} - {","}):
         return False
-    dated = cell[0].isdigit() and any(mark in cell for mark in ":-/")
+    dated = cell[0].isdigit() and any(mark in cell for mark in ":-/") and not re.search(r": *[A-Za-z]", cell)
     return dated or _NUMBER.fullmatch(cell) is not None or _DIGITS.fullmatch(cell) is not None
 
 
