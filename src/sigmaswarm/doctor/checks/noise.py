@@ -13,7 +13,7 @@ TOO_SMALL = 2.0
 """Ratio of the observed noise to the stated noise above which the stated noise is too small."""
 LEAST_STATED = 0.003
 """Standard deviation, m, that no receiver reaches in motion (RTK: 0.006 to 0.01 m by data sheets). Below it the noise
-from fix to fix decides alone: it contains some of the motion, but the scatter about a path has the IMU's errors, too."""
+from fix to fix decides alone: it contains some of the motion, but the scatter about a path also has the IMU's errors."""
 TOO_LARGE = 6.5
 """Ratio of the stated noise to the observed white noise above which the stated noise is too large. Smaller ratios are
 usual, since a receiver's slow errors are not observed."""
