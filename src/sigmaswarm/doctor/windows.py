@@ -117,7 +117,7 @@ def _solve(
 
 def pinv(gram: Array) -> Array:
     """Invert a symmetric matrix (k, k); directions that it does not determine give 0."""
-    return np.linalg.pinv(gram, rcond=1e-12, hermitian=True)
+    return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True), np.float64)
 
 
 def _covariance(a: Array, left: Array, own: int) -> Array:
