@@ -140,7 +140,9 @@ def run(
     chosen = filter_of(parameters)
     options: dict[str, Any] = {"initial": initial, "recover": recover, "as_recorded": as_recorded}
     if smooth and bank:
-        raise InputError("smooth and bank exclude each other: a filter bank is not smoothed; leave one out")
+        raise InputError(
+            "smooth and bank can't be combined, since a filter bank is not smoothed; leave one out"
+        )
     if smooth:
         from sigmaswarm.filters.smoothing import smooth as run_smoother
 

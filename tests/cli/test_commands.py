@@ -255,7 +255,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert "raw GPS" in shown
     assert "\nurban-clear-03: without truth there are no errors of position and heading." in shown
     assert shown.count("Position error on") == 1, "where there is truth, it tells"
-    assert shown.endswith("next: run this command with --out evaluation, for pictures and a page\n")
+    assert shown.endswith("next: repeat this command with --out evaluation to get figures and a page\n")
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
@@ -370,7 +370,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
     assert (
-        f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 20 m of" in said
+        f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix before which" in said
     )
     assert f"wrote the {len(pl.read_csv('f.csv'))} earlier fixes to f.csv" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2

@@ -303,7 +303,10 @@ def test_a_path_goes_out_whole(folders, monkeypatch):
 def test_a_cluster_and_an_executor_are_too_many(client, folders):
     from concurrent.futures import ThreadPoolExecutor
 
-    with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="both an executor and a cluster"):
+    with (
+        ThreadPoolExecutor(1) as pool,
+        pytest.raises(InputError, match="executor and cluster can't be combined"),
+    ):
         tune(folders, cluster=client, executor=pool, **SMALL)
 
 

@@ -136,7 +136,7 @@ def test_stated_accuracy_is_among_the_noises_that_scale_together():
 @pytest.mark.parametrize(
     ("kind", "use", "said"),
     [
-        ("ukf", ("gate", "robust"), "robust and gate exclude each other"),
+        ("ukf", ("gate", "robust"), "robust and gate can't be combined"),
         ("adaptive-ukf", ("robust",), "robust can't be combined with adaptive-ukf"),
         ("strong-tracking-ukf", ("robust",), "robust can't be combined with strong-tracking-ukf"),
         ("fuzzy-ukf", ("robust",), "robust can't be combined with fuzzy-ukf"),

@@ -79,7 +79,7 @@ class Cluster:
         own, found = versions(), dict[str, ClusterError]()
         for address, theirs in sorted(answers.items()):
             if not isinstance(theirs, Mapping):
-                said = f"sigmaswarm can't be used there ({type(theirs).__name__}: {theirs}); install it"
+                said = f"sigmaswarm can't be imported ({type(theirs).__name__}: {theirs}); install it on this worker"
                 found[address] = ClusterError(f"worker {address}: {said}")
                 continue
             for name in ("sigmaswarm", "numpy", "numba", "scipy"):
@@ -98,7 +98,7 @@ class Cluster:
     def lost_scheduler(self) -> ClusterError:
         """Return the error for a scheduler that does not answer."""
         return ClusterError(
-            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: continue with "
+            f"the scheduler at {self.address} no longer answers; with --out, results so far are saved: continue with "
             "--resume and another cluster"
         )
 

@@ -78,7 +78,7 @@ def datasets_of(
     """
     if cluster is not None and executor is not None:
         raise InputError(
-            "both an executor and a cluster were given; a cluster's workers share the work already"
+            "executor and cluster can't be combined, since a cluster distributes the work itself; leave one out"
         )
     each = [_listed(group, cluster, takes) for group in groups]
     lists = [group for group in each if isinstance(group, list)]

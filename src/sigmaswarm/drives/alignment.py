@@ -199,7 +199,7 @@ class Alignments:
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return NoStart(
                     f"its fixes move {travel} within {time}, but never as the IMU measured, so the heading "
-                    "can't be found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
+                    "can't be found: the fixes scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
                     "repair what `sigmaswarm doctor` finds",
                 )
             return NoStart(
@@ -211,13 +211,11 @@ class Alignments:
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (FEWEST_FIXES - 1):
-            what = f"its fixes come every {every:.3g} s, and the heading needs {FEWEST_FIXES} of them within {time}"
+            what = f"its fixes come every {every:.3g} s, but the heading needs {FEWEST_FIXES} fixes within {time}"
             return NoStart(f"no filter can start: {what}", "log the receiver at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
-        needs = (
-            f"the heading needs {FEWEST_FIXES} within {time}, at least {MIN_DURATION:g} s from first to last"
-        )
+        needs = f"the heading needs {FEWEST_FIXES} fixes within {time}, at least {MIN_DURATION:g} s from first to last"
         return NoStart(
             f"no filter can start: only {usable}, and {needs}",
             "use a longer drive with fixes at 1 Hz or faster, without gaps and repeated positions",

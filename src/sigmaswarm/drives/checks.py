@@ -107,7 +107,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
     """List faults of the times that make all other checks meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
-    remedy = "delete the rows with wrong times; if the logger did pause, make a drive of each part"
+    remedy = "delete the rows with wrong times; if the logger paused, make one drive of each part"
     found: list[Remark] = []
     for file, gaps in ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP)):
         if gaps and gaps.length > _JUMP:
@@ -148,7 +148,7 @@ def gravity_on(imu: Imu) -> Remark | None:
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
-    what = f"column {axis} has median {median[axis]:.2f} m/s2, gravity, which belongs on az"
+    what = f"column {axis} has median {median[axis]:.2f} m/s2: this is gravity, which az must contain"
     remedy = "exchange the axes of accelerometer and gyro until x is forward, y left, z up"
     return Remark("gravity-axis", "imu.csv", axis, what, remedy)
 
@@ -192,7 +192,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
         "maneuvered there, split the drive"
     )
     alone = "a filter uses the IMU alone there; nothing to do if this is intended"
-    unscored = "nothing is scored there; nothing to do if this is intended"
+    unscored = "errors are not measured there; nothing to do if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
     found: list[tuple[str, str, str]] = []

@@ -9,8 +9,8 @@ from pydantic import BaseModel, Field
 from sigmaswarm.drives.drive import Drive
 
 START_RULE = (
-    "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster); of a slower drive, "
-    "10 m or more in up to 90 s; with a stated heading, the first fix that has one, if it is earlier"
+    "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), or, on a slower drive, "
+    "10 m or more in up to 90 s; the first fix with a heading, if it is earlier"
 )
 """Description of the start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
 

@@ -155,7 +155,7 @@ class Truth(Table):
         none = self.std_x is None
         if none != (self.std_y is None) or (none and self.std_theta is not None):
             raise DriveError(
-                "Truth states std_x and std_y both, and with them std_theta, or none; add the missing ones"
+                "Truth needs std_x and std_y together, and std_theta only with both; add the missing ones"
             )
 
 

@@ -292,11 +292,11 @@ RULES_SINCE = (0, 3)
 def clash(kind: str, use: Collection[str]) -> str | None:
     """Return the reason for a conflict between a filter type and options, or between two options; else None."""
     if "robust" in use and "gate" in use:
-        return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
+        return "robust and gate can't be combined, since robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
-            f"robust can't be combined with {kind}, which adapts to what robust rejects; use ukf or ekf, or "
-            "leave it out"
+            f"robust can't be combined with {kind}, which adapts its noise to outliers; use ukf or ekf, or "
+            "leave robust out"
         )
     if "accuracy" in use and kind == "adaptive-ukf":
         return "accuracy can't be combined with adaptive-ukf, which estimates R; use another kind, or leave it out"
@@ -315,8 +315,8 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
         "measurement_noise": ["m2", "m2"],
         "nominal_interval": "s",
-        "fuzzy_widths": "of ratio and trend, both within -1 and 1",
-        "fuzzy_gains": "of R and Q, dimensionless",
+        "fuzzy_widths": "in units of ratio and trend, which lie between -1 and 1",
+        "fuzzy_gains": "largest factors of R and Q",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
         "imu_noise": ["rad2/s2", "m2/s4", "m2/s4"][: len(parameters.imu_noise)],
         **{noise: MEASURED[name] for name, noise in NOISE_OF.items()},

@@ -156,7 +156,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
     """Clauses about settings that the model lacks."""
     if block.get("two_d_mode") is not True:
-        yield "evaluated in two_d_mode, which it does not set"
+        yield "evaluated in two_d_mode, which the file does not set"
     if block.get("dynamic_process_noise_covariance") is True:
         yield "dynamic_process_noise_covariance left out"
     if "alpha" in block:
@@ -165,6 +165,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: differential and relative left out"
         if entries[_YAW]:
-            yield f"{name}: yaw is that of the fixes, left out where a drive has no heading"
+            yield f"{name}: yaw is the heading of the fixes, and is left out if a drive has none"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: yaw rate left out"

@@ -112,8 +112,8 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
     lacking = [axis for axis in MODELS[model].imu if axis not in axes]
     if lacking:
         raise InputError(
-            f"{name}: its imu.csv has no {', '.join(lacking)}, which {model} needs; "
-            "use planar8, which needs ax, ay and gz only"
+            f"{name}: imu.csv has no {', '.join(lacking)}, which {model} needs; "
+            "use planar8, which needs only ax, ay and gz"
         )
 
 

@@ -45,7 +45,9 @@ def require_supported(p: FilterParameters) -> None:
     if p.model not in ("planar5", "planar8"):
         raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
     if p.kind not in ("ukf", "ekf"):
-        raise InputError(f"{p.kind} adapts its own noises; tune a ukf or an ekf for noise-gru")
+        raise InputError(
+            f"{p.kind} adapts its noise itself, so noise-gru does not support it; tune a ukf or an ekf"
+        )
     for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:
             raise InputError(f"noise-gru does not support {name}; tune a filter without it")

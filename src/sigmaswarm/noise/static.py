@@ -59,7 +59,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):
         raise InputError(
-            f"{len(imu)} samples with increasing times are not a log; give {SHORTEST:g} s at least"
+            f"{len(imu)} samples with increasing times are not a log; give at least {SHORTEST:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
@@ -85,7 +85,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
         raise InputError(
-            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU at rest; an hour shows all noise terms"
+            f"the log {what}: it has no standstill of {SHORTEST:g} s; log the IMU at rest; an hour shows all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)

@@ -157,7 +157,8 @@ def _smoothed(
     truth = _truth(estimate, receiver.gps, stretched, accuracy)
     if truth is None:
         raise InputError(
-            f"{name}: the position is never known to {accuracy:g} m; raise --accuracy, or check the log with "
+            f"{name}: the standard deviation is above {accuracy:g} m everywhere; raise --accuracy, or check the log "
+            f"with "
             "sigmaswarm doctor"
         )
     share = share_known(truth, float(receiver.imu.time[0]), float(receiver.imu.time[-1]))
@@ -221,8 +222,9 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     known = sure & np.all([std <= accuracy for std in _stated(gps)], axis=0)
     if np.count_nonzero(known) < FEWEST_FIXES:
         raise InputError(
-            f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions and "
-            f"{np.count_nonzero(known)} of those stated to {accuracy:g} m per axis or better, too few; raise "
+            f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions, and "
+            f"{np.count_nonzero(known)} of these have a stated deviation of at most {accuracy:g} m per axis, too few; "
+            f"raise "
             "--accuracy, or use another receiver"
         )
     return replace(gps, lat=None, lon=None, alt=None).select(known)

@@ -33,12 +33,13 @@ TERMS = {
     "NIS": "normalized innovation squared: a fix's deviation from its prediction, relative to the predicted covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
-    "whiteness p": "probability that white innovations are at least as correlated as these (Ljung-Box test over ten "
-    "fixes)",
+    "whiteness p": "probability that uncorrelated innovations look at least as correlated as these (Ljung-Box test "
+    "over "
+    "ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 where the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
     "95% gate": "share of the fixes whose NIS is below 5.99; 95% where the filter is consistent",
-    "outage drift": "position error at the end of a time without fixes, RMS over all outages",
+    "outage drift": "position error at the end of an outage of the fixes, RMS over all outages",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
     "baseline": "the tuned filter's model with typical noise parameters, not tuned",

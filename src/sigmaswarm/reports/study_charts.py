@@ -188,7 +188,7 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
     said = f"within 1% from generation {settles} on (the paper: {theirs})" if alone else ""
-    hover = hover_id(f"within 1% of its end from generation {settles} on")
+    hover = hover_id(f"within 1% of its last value from generation {settles} on")
     ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=said)
 
 

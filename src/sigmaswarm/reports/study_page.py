@@ -147,9 +147,10 @@ def _tables(results: Results) -> Section:
         if (c := comparison(results, protocol, POSITION, rival)) and c.improvement is not None
     ]
     text = (
-        "The paper's figures next to ours: means over trials, each on its held-out drives. The paper's RMSE is against "
-        "the GPS fixes after the update; a filter that copies them has 0.",
-        f"Improvement over the UKF by hand (equation 5): {'; '.join(improvements)}.",
+        "The paper's values next to ours: means over trials, each on its held-out drives. The paper's RMSE is "
+        "relative to "
+        "the GPS fixes after the update, so a filter that copies the fixes has an RMSE of 0.",
+        f"Improvement over the manual UKF (equation 5): {'; '.join(improvements)}.",
     )
     found = (tables.table_1(results), tables.table_2(results), tables.table_3(results))
     return Section("The paper's tables", text, found)
@@ -163,8 +164,8 @@ def _intervals(results: Results) -> Section:
     charts = [means_chart(results, measure) for measure in ERRORS]
     text = (
         "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the spread due to swarm and split. "
-        "It covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
-        "95% of the time in a study of full size, 85 to 95% in small ones.",
+        "It contains the mean over new drives in only about half of the cases. The bootstrap interval over drives and "
+        "trials contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small one.",
         "An arrow means that the mean is beyond the scale.",
     )
     charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT)))
@@ -231,7 +232,8 @@ def _conditions(results: Results) -> tuple[Section, ...]:
 def _convergence(results: Results) -> Section:
     theirs = results.paper["figure_2"]["stable_generation"]
     text = (
-        "The median over trials, and where 80% of them lie. The diamond marks the generation after which the median "
+        "The median over trials, and the range of the middle 80% of them. The diamond marks the generation after "
+        "which the median "
         f"stays within 1% of its last value. In the paper's figure 2 the cost settles at generation {theirs}."
     )
     charts = _known(convergence_chart(results, protocol) for protocol in results.protocols)

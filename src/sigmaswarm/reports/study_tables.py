@@ -45,19 +45,20 @@ PAIRED = (
     "95% intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
-    "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it covers the mean of "
-    "new drives only about half of the time. The other two are intervals for new drives. In a study of full size the "
-    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%). The interval from the corrected t covers it "
-    "as often or more, and is too wide where the optimizer's results vary much."
+    "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it contains the mean "
+    "over new drives in only about half of the cases. The other two are intervals for new drives. The bootstrap "
+    "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small one. The interval "
+    "from the corrected t contains the mean as often or more, and is too wide if the optimizer's results vary much."
 )
 EFFORT = (
-    "Labelled: driving with truth that the tuning used. Learned: driving that a network learned from, without truth. "
-    "Numbers: free parameters of tuning and training. Drifts with the 95% interval for new drives (bootstrap over "
+    "Labelled: driving with truth that the tuning used. Learned: driving without truth from which a network learned. "
+    "Numbers: number of free parameters of tuning and training. Drifts with the 95% interval for new drives "
+    "(bootstrap over "
     "drives and trials), of outages placed once in each drive; -: no drive is long enough."
 )
 TIMES = (
-    "Training: processor time of a trial, a network's without its filter's. A sample: processor time of an IMU sample "
-    "when the filter runs over a whole drive, called from Python."
+    "Training: processor time of a trial; for a network without the tuning of its filter. A sample: processor time of "
+    "an IMU sample when the filter, called from Python, runs over a whole drive."
 )
 Row = tuple[Cell, ...]
 
@@ -223,10 +224,11 @@ def objectives_compared(results: Results) -> str:
     if None in (means := [each and each.mean for each in found]):
         return ""
     return (
-        "There are two objectives, since the paper's objective compares the estimate with the GPS fix that the "
-        "filter has just used: a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from "
-        "the fixes but {:.2f} m from the truth; the fixes themselves are {:.2f} m from the truth. Tuned against truth "
-        "by the same swarm, the PSO-UKF is {:.2f} m from the truth."
+        "The study has two objectives, since the paper's objective compares the estimate with the GPS fix that the "
+        "filter has just used: a filter that copies the fixes has the lowest cost. Tuned for the paper's objective, "
+        "the "
+        "PSO-UKF has an RMSE of {:.2f} m relative to the fixes, but of {:.2f} m relative to the truth; the fixes have "
+        "{:.2f} m. Tuned against truth by the same swarm, the PSO-UKF has {:.2f} m relative to the truth."
     ).format(*means)
 
 
@@ -384,7 +386,9 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
     )
     caption = f"Networks against {results.label(HELPED, 'honest')} without them"
-    kept = "Measures that a network does not change, such as the position while fixes arrive, are omitted."
+    kept = (
+        "Measures that a network does not change are omitted, such as the position error while fixes arrive."
+    )
     return Table(caption, columns, rows, note=f"{PAIRED.format('network')} {kept}")
 
 
@@ -422,7 +426,8 @@ def _curve_table(results: Results, rivals: RivalResults) -> Table:
             row += [point.mean, point.interval] if point else [None, None]
         rows.append(tuple(row))
     note = (
-        "Of the first trial, on its held-out drives; 0 minutes: the filter alone. 95% intervals by bootstrap over "
-        "drives; they do not include the variation between trainings."
+        "Results of the first trial on its held-out drives; 0 minutes: the filter alone. The 95% intervals are a "
+        "bootstrap "
+        "over drives and do not include the variation between trainings."
     )
     return _table("Learning curves", columns, rows, results, note)

@@ -184,7 +184,7 @@ class ResultFolder:
         if saved != wanted:
             old, new = _difference("", saved, wanted)
             raise InputError(
-                f"{file}: was started with {old}, now asked for {new}; "
+                f"{file}: was started with {old}, but this command has {new}; "
                 "repeat the first command, or choose another --out"
             )
 

@@ -50,7 +50,7 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
         way = "later" if late > 0 else "earlier"
         what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
         remedy = (
-            "a filter assumes one time for both: give headings a time of their own, or leave the column out"
+            "a filter assumes the same time for both: give headings their own times, or leave the column out"
         )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 
@@ -83,7 +83,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
         yield Finding("heading-convention", "serious", what, WHERE, span, 0.99, remedy, repair)
     elif turned:
         degrees, serious = math.degrees(offset), abs(offset) >= TURNED[1]
-        what = f"heading is {degrees:+.1f} deg off the course, as if the antennas were mounted at that angle"
+        what = f"heading differs from the course by {degrees:+.1f} deg, as if the antennas were mounted at that angle"
         remedy = f"subtract {math.radians(degrees):.4f} rad, if the car does not drive sideways or in reverse"
         severity = "serious" if serious else "warning"
         yield Finding("heading-offset", severity, what, WHERE, span, 0.95, remedy, repair)

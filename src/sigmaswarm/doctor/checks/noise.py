@@ -79,7 +79,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"{scatter:.2g} m per axis"
     )
     remedy = (
-        f"state {scatter:.2g} m, or more where slow errors are known, which a log without truth does not show"
+        f"state {scatter:.2g} m, or more if slow errors are known; a log without truth does not show them"
     )
     yield Finding(
         "gps-noise", "warning", what, where, span, confidence, remedy, Repair("state-noise", (scatter,))

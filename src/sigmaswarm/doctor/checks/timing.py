@@ -55,7 +55,8 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
             f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
-            "(--use latency); that estimate gives the best forecasts, and may differ by a few standard deviations",
+            "(--use latency); the tuned value gives the best forecasts, and may differ from this one by a few "
+            "standard deviations",
             Repair("shift-fixes", (-late,)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
@@ -144,7 +145,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped: the car's speed does not distinguish the two"
+            what = "the logger paused, or its clock jumped: the car's speed does not show which"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = f"the logger's clock jumped: the car needs only {passed:.1f} s for the distance between these fixes"
             code, severity, remedy = (

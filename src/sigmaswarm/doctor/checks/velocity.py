@@ -24,8 +24,8 @@ LATE = 0.2
 """Delay above which a finding is a warning, s."""
 FEWEST = 30
 REMEDY = (
-    "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
-    "second [[gps]] of the same table, with a shifted t), and test them on another drive"
+    "a filter assumes the same time for both: leave speed and course out, or give them their own times (in a recipe, a "
+    "second [[gps]] of the same table, with a shifted t) and test them on another drive"
 )
 
 

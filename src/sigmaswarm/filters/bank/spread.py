@@ -105,12 +105,16 @@ class Spread:
         receivers = [lane for lane, by in enumerate(FIXED) if R in by]
         others = [*range(len(FIXED), LANES)]
         if START not in self.names:
-            return {"the tuning": [0], "other receivers": receivers, "found on the way": [*biased, *others]}
+            return {
+                "the tuning": [0],
+                "other receivers": receivers,
+                "found by the search": [*biased, *others],
+            }
         return {
             "the tuning": [0],
             "other biases": biased,
             "other receivers": receivers,
-            "found on the way": others,
+            "found by the search": others,
         }
 
     def penalty(self, offsets: Array) -> Array:
