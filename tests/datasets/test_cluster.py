@@ -116,7 +116,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
 
         began = time.monotonic()
         with pytest.raises(
-            ClusterError, match=r"^the scheduler at tcp://.* is gone; .* continue with --resume"
+            ClusterError, match=r"^the scheduler at tcp://.* no longer answers; .* continue with --resume"
         ) as caught:
             tune(
                 folders[:3],

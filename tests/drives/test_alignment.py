@@ -239,7 +239,7 @@ def test_a_car_that_never_moves_can_not_be_aligned(gps_std: float):
         (standing_then_going(1e9, duration=60.0), r"never travels 20 m within 6 s.*\(12 km/h for 6 s\)"),
         (
             standing_then_going(0.0, duration=3.9),
-            r"only 20 of 20 fixes can be used, 3.8 s .*4 within 6 s, at least 4 s .*use a longer drive",
+            r"only 20 of 20 fixes can be used, 3.8 s .*4 fixes within 6 s, at least 4 s .*use a longer drive",
         ),
     ],
     ids=["few fixes", "scattered", "standing", "short"],

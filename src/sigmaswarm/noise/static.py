@@ -85,7 +85,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
         raise InputError(
-            f"the log {what}: it has no standstill of {SHORTEST:g} s; log the IMU at rest; an hour shows all noise terms"
+            f"the log {what}: it has no standstill of {SHORTEST:g} s; log the IMU at rest, an hour for all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
