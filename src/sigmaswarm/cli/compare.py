@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sigmaswarm.experiments.comparison import Comparison
 
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
-"""Options of a tuning that the comparison varies, or that do not apply to it."""
+"""Options of a tuning that a comparison varies or does not use."""
 SHOWN = ("objective", "particles", "generations", "model")
 
 

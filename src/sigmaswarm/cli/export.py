@@ -106,7 +106,7 @@ def export(
 def _accuracy(
     parameters: "sigmaswarm.FilterParameters", drives: "Sequence[Drive]", tuning: Path, against: Path | None
 ) -> str:
-    """Return the section of README.md on the accuracy on drives."""
+    """Return the section of README.md about the accuracy on drives."""
     from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.tuning.record import seen_by, tuning_file

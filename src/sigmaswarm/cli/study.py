@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Options of `sigmaswarm study`; None: the value of the configuration.
+    """Options of `sigmaswarm study`; for None the configuration's value is used.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A Dask cluster: its address, its workers and their versions, and its errors as messages of one line."""
+"""Connect to a Dask cluster, check the versions of its workers, and convert its errors to messages of one line."""
 
 import asyncio
 import json
@@ -49,7 +49,7 @@ class Cluster:
         return str(scheduler.address if scheduler is not None else "?")
 
     def workers(self) -> dict[str, int]:
-        """Return the present workers: the number of threads of each, by address.
+        """Return the number of threads of each present worker, by address.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Cluster:
         return {address: int(worker["nthreads"]) for address, worker in found.items()}
 
     def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
-        """Return an error for each worker whose versions may give other bits."""
+        """Return an error for each worker with software versions that may give other results."""
         try:
             run: Any = self.client.run
             answers: dict[str, Any] = run(versions, workers=addresses, on_error="return") if addresses else {}
@@ -91,7 +91,7 @@ class Cluster:
         return found
 
     def require_same_versions(self) -> None:
-        """Raise the first of `version_errors`, if any."""
+        """Raise the first error of `version_errors`, if any."""
         for error in self.version_errors(list(self.workers())).values():
             raise error
 
@@ -118,7 +118,7 @@ def connected(address: str) -> Generator["Client"]:
     InputError
         If dask is not installed, or the address is invalid.
     ClusterError
-        If no scheduler answers there.
+        If no scheduler answers at the address.
     """
     try:
         import distributed

@@ -33,7 +33,7 @@ CHECKS = (
 )
 """Order of findings of equal severity."""
 KEPT = 32
-"""Largest number of diagnoses in memory: a command and a page use the diagnosis of a drive more than once."""
+"""Largest number of diagnoses that are cached, since commands and pages use the diagnosis of a drive more than once."""
 _kept: dict[tuple[str, str], Diagnosis] = {}
 
 

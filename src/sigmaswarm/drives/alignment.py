@@ -1,8 +1,8 @@
-"""The start of a filter: an initial state from the drive alone, causal, without truth.
+"""Find the start of a filter: an initial state from earlier samples of the drive, without truth.
 
-The heading of a car is not observable at standstill, and a GPS fix has none. Once the car has driven some meters, its
-course over ground shows the heading; the gyro corrects it for turns and the accelerometer for changes of speed.
-`initial_state` fits the last seconds of fixes (`alignment_fit`).
+At standstill the heading of a car is not observable. After some meters of driving, the course over ground shows the
+heading. The gyro corrects this heading for turns, the accelerometer for changes of speed. `initial_state` fits the last
+seconds of fixes (`alignment_fit`).
 
 The effect of the gyro's bias is stored separately (`gyro_seen`). The bias is subtracted, and the fit is repeated, only
 if the fixes contradict a gyro without bias.
@@ -75,11 +75,11 @@ class NoStart:
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """Find the first moment at which position, speed and heading are known.
 
-    The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and at least
-    four fixes in that time. A slower drive starts at the first fix with 10 m of travel in up to 90 s, or more if the
-    fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at the first IMU
-    sample), the start is the first fix; if the fixes have a column ``heading``, the first fix with one. The state
-    depends on earlier samples only.
+    The start is the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), with at
+    least four fixes in that time. On a slower drive it is the first fix after 10 m of travel in up to 90 s, or after
+    more travel if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at
+    the first IMU sample), the start is the first fix; if the fixes have a column ``heading``, it is the first fix with
+    a heading. The state depends only on earlier samples.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit the gyro's bias, too, but without the accelerometer, whose bias accumulates over the longer time."""
+        """Fit also the gyro's bias, but do not use the accelerometer, whose bias accumulates over the longer time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -271,10 +271,10 @@ class Alignments:
     @cached_property
     @np.errstate(all="ignore")
     def course(self) -> Array:
-        """A rough heading at each fix, (m,) rad; NaN without an alignment.
+        """Rough heading at each fix, (m,) rad; NaN without an alignment.
 
-        It is the chord of the last seconds, corrected for turns; changes of speed in a turn cause errors of some
-        degrees.
+        The heading is the direction of the chord of the last seconds, corrected for turns; changes of speed in a turn
+        cause errors of some degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)

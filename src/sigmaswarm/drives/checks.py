@@ -1,6 +1,6 @@
-"""Plausibility of a drive: shortages that make it unusable, and units, axes and gaps that look wrong.
+"""Check whether a drive is plausible: too little data, and units, axes and gaps that look wrong.
 
-The doctor checks most of these in more detail, with messages of this file.
+The doctor checks most of these faults in more detail, with the messages of this file.
 """
 
 from collections.abc import Callable, Iterator
@@ -39,7 +39,7 @@ turns."""
 
 @dataclass(frozen=True)
 class Remark:
-    """A fault that a drive seems to have; ``code`` is that of the doctor (docs/doctor.md)."""
+    """A probable fault of a drive; ``code`` is the doctor's code for it (docs/doctor.md)."""
 
     code: str
     file: str
@@ -211,9 +211,9 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Return the motion over consecutive windows according to the fixes, and the integral of an IMU column.
 
-    The first array is the mean velocity (k,), m/s east + i north. From the middle of each window to that of the next
-    are the integral of ``body_rate`` and the change of course, rad, (k - 1,). Windows without fixes are left out, which
-    limits the number of windows.
+    The first array is the mean velocity (k,), m/s east + i north. The others are the integral of ``body_rate`` and the
+    change of course, rad, from the middle of each window to the middle of the next one, (k - 1,). Windows without fixes
+    are left out, which limits the number of windows.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

@@ -1,4 +1,4 @@
-"""The identity of a drive, independent of its name and folder."""
+"""Identify a drive by its data, independent of its name and folder."""
 
 import hashlib
 from typing import Any
@@ -16,7 +16,7 @@ START_RULE = (
 
 
 class DriveRecord(BaseModel):
-    """The description of a drive in the file of a result."""
+    """Description of a drive in the file of a result."""
 
     name: str
     duration_s: float | None = None

@@ -83,7 +83,7 @@ def compare(
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[GridOptions],
 ) -> Comparison:
-    """Compare optimizers at the same budget of evaluations on the same drives.
+    """Compare optimizers with the same budget of evaluations on the same drives.
 
     Parameters
     ----------

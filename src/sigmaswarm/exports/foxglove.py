@@ -1,4 +1,4 @@
-"""A layout for Foxglove that shows an exported bag: the track on a map, and plots of the filter's consistency.
+"""Make a layout for Foxglove that shows an exported bag: the track on a map, and plots of the filter's consistency.
 
 Source of the fields: layouts that Foxglove exports (docs.foxglove.dev, "Layouts").
 """
@@ -52,7 +52,7 @@ def _plot(title: str, paths: Collection[str]) -> dict[str, Any]:
 
 
 def _arranged(panels: list[str], direction: str = "row") -> Any:
-    """Panels as a tree of halves, alternately side by side and stacked."""
+    """Return the panels as a binary tree, alternately side by side and stacked."""
     if len(panels) == 1:
         return panels[0]
     half, other = (len(panels) + 1) // 2, "column" if direction == "row" else "row"

@@ -1,4 +1,4 @@
-"""Tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
+"""Write tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
 Times that count from 1970 are recognized by their size, and written in UTC; other times are not written as dates.
 """

@@ -1,4 +1,4 @@
-"""Configuration of ROS's robot_localization, from its tuned model or from the shared settings of another filter.
+"""Write a configuration of ROS's robot_localization, from its tuned model or from another filter.
 
 robot_localization adds ``process_noise_covariance`` times the time step, so Q per nominal interval is divided by that
 interval. The gate is a Mahalanobis distance, the square root of a NIS. The state has 15 elements. Source:

@@ -1,4 +1,4 @@
-"""The accelerometers: axes, signs, unit and scale of ax and ay, mounting angle, gravity in them."""
+"""Check the accelerometers: axes, signs, unit and scale of ax and ay, mounting angle, and gravity in ax and ay."""
 
 import math
 from collections.abc import Iterator
@@ -100,7 +100,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """Check the mean of ax, ay minus the car's own motion."""
+    """Check the mean of ax and ay minus the acceleration of the car."""
     assert evidence.acceleration is not None
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
@@ -121,7 +121,7 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """Turn six axes level where a tilt explains the residual of ax and ay; else subtract the constants."""
+    """The repair: rotate six axes level if a tilt explains the residual of ax and ay, else subtract constants."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):

@@ -1,4 +1,4 @@
-"""The heading of two antennas or a compass against the course and the gyro: convention, mounting, delay."""
+"""Check the heading of two antennas or a compass by course and gyro: convention, mounting, delay."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -56,14 +56,14 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _offset(off: Array) -> tuple[float, float]:
-    """Return the constant part of angles, and the median magnitude of the rest, rad."""
+    """Return the constant part of angles, and the median magnitude of the remainder, rad."""
     mean = float(np.angle(np.mean(np.exp(1j * off))))
     mean += float(np.median(wrap_angle(off - mean)))
     return wrap_angle(mean), float(np.median(np.abs(wrap_angle(off - mean))))
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """Return the convention with the smallest constant among those that follow the course about equally well."""
+    """Return the convention with the smallest constant offset, of those that follow the course about equally well."""
     limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)

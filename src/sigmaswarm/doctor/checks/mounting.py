@@ -56,7 +56,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 def moved(drive: Drive) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved within a log, and the angle of gravity, rad; None if it was not.
 
-    Split the directions of the specific force, each over 5 s, where they scatter least about the two medians.
+    The directions of the specific force, averaged over 5 s, are split at the time at which they scatter least about the
+    medians of the two parts.
     """
     imu = drive.imu
     if imu.az is None:
@@ -85,7 +86,10 @@ def moved(drive: Drive) -> tuple[float, float] | None:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a log whose filter would start in reverse with the course as heading. Earlier reversing is harmless."""
+    """Find a log whose filter would start in reverse, with the course as heading.
+
+    Reversing before the start is harmless.
+    """
     course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
         return

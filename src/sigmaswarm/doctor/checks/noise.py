@@ -1,4 +1,4 @@
-"""The receiver's stated standard deviation compared with the fixes' scatter, correlated errors, and outliers."""
+"""Compare the stated standard deviation with the scatter of the fixes; find correlated errors and outliers."""
 
 from collections.abc import Iterator
 

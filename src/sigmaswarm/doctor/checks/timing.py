@@ -1,4 +1,4 @@
-"""Times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and repeated values."""
+"""Check times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and repeated values."""
 
 from collections.abc import Iterator
 
@@ -33,7 +33,7 @@ nearer to a jump than to a pause."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
-    """Find an offset of the clocks, or state the smallest offset that would be visible."""
+    """Find an offset between the clocks, or report the smallest offset that would be visible."""
     late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
     move = f"subtract {size} from" if late > 0 else f"add {size} to"
@@ -166,8 +166,8 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time, s, from fix j to the next, from the speed around them, and its standard deviation.
 
-    The speed is that of a line through the fixes of `AROUND` seconds on each side, since single fixes are too noisy. If
-    the two speeds differ, the car may have had either.
+    The speed is the slope of a line through the fixes of `AROUND` seconds on each side, since single fixes are too
+    noisy. If the two speeds differ, the car may have had any speed between them.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

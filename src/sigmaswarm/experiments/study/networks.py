@@ -63,7 +63,7 @@ class Training:
 
     @property
     def folder(self) -> str:
-        """Folder of the training, relative to the study's."""
+        """Folder of the training, relative to the study's folder."""
         what = f"trial-{self.trial:03d}" if self.minutes is None else f"curve-{self.minutes:g}-minutes"
         return f"learned/{self.network}/{what}"
 

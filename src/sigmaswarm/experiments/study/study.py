@@ -130,7 +130,7 @@ def run_study(
     out : path
         The study's folder.
     resume : bool
-        Continue the study in ``out``. The result has the same bits as without interruption.
+        Continue the study in ``out``. The result is the same as without interruption.
     executor : concurrent.futures.Executor, optional
         Runs the tunings; by default forked processes on Linux, else threads.
     workers : int, optional
