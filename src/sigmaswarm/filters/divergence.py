@@ -4,10 +4,10 @@ The fixes of the last seconds determine position, speed and heading without a fi
 diverged if it contradicts this alignment for a long time, by far more than its covariance allows. It is then reset to
 the alignment. Runs and live filters use the same rule.
 
-The thresholds come from nine recordings, each run with filters that were tuned on it and on others. The heading of a
-sound filter differs by 20 deg from the alignments for at most 8 s (fixes drift sideways in a city). Its position
-differs by 20 m and 5 sigma from the fixes for at most 6 s. For a diverged filter, both differences persist for at least
-18 s.
+The thresholds were chosen on nine recordings, with filters that were tuned on the recording or on another one. For
+filters that had not diverged, the heading differed by 20 deg from the alignments for at most 8 s (fixes drift sideways
+in a city). The position differed by 20 m and 5 sigma from the fixes for at most 6 s. For diverged filters, both
+differences persisted for at least 18 s.
 """
 
 import math
@@ -218,7 +218,7 @@ def said_of_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """Duration for which checks have contradicted a filter without a break."""
+    """Duration of a contradiction between checks and a filter, without a break."""
 
     def __init__(self) -> None:
         self._since, self._now, self._checks = 0.0, 0.0, 0

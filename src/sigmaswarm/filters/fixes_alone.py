@@ -34,7 +34,7 @@ class MotionNoise:
     Attributes
     ----------
     acceleration : m2/s3, spectral density on each axis
-    fix : factor on the variance that the receiver states of a fix, or on 2.1^2 m2 where it states none
+    fix : factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
     """
 
     acceleration: float
@@ -102,7 +102,7 @@ def noise_of(ready: PreparedDrive) -> MotionNoise:
 
 
 class FixesAlone:
-    """The filter over a replay, from the common start: an iterator with one piece of estimates at the IMU's times."""
+    """A run of the filter over a replay, from the common start: one piece of estimates at the IMU's times."""
 
     failure: str | None = None
     restarts: Sequence[float] = ()

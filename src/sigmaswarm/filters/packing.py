@@ -83,7 +83,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
-    """Lanes of final rows (m, N_KEPT, lanes) without failure and with a definite covariance: True, (m, lanes)."""
+    """Mark the lanes of final rows (m, N_KEPT, lanes) that did not fail and are definite, (m, lanes)."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found

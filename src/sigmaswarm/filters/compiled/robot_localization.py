@@ -1,9 +1,9 @@
 """The extended filter of robot_localization in ``two_d_mode``, for many parameter sets side by side.
 
-Read it next to `filters.robot_localization`, which has the equations and the textbook form. The eight states are in
-planar8's rows: x, y, vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one
-for each row that differs from the identity, and measurements of single states are used one after the other: with a
-diagonal R this is the joint update.
+`filters.robot_localization` contains the equations and the textbook form. The eight states are in planar8's rows: x, y,
+vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one for each row that
+differs from the identity, and measurements of single states are used one after the other: with a diagonal R this is the
+joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -86,7 +86,7 @@ def _predict(w, d, q):
 
 
 RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
-"""States and their derivatives."""
+"""Pairs of states and their derivatives."""
 
 
 def _absorb(w, z, *, state, noise, gate):
@@ -151,11 +151,11 @@ def _look_at_fix(w):
 
 
 BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
-"""Rows that hold x and y as they were before a fix."""
+"""Rows with x and y before a fix."""
 
 
 def _absorb_axis(w, *, state, noise, innovation):
-    """As `_absorb` for one axis of a fix, in the lanes that use it."""
+    """Update with one axis of a fix, like `_absorb`, in the lanes that use the fix."""
     for l in range(LANES):
         r, use = w[noise, l], w[R.USE, l]
         one = use / (w[at(state, state), l] + r)

@@ -1,4 +1,4 @@
-"""The backward pass of Rauch, Tung and Striebel, compiled: one filter over the logged steps, the last one first.
+"""The compiled backward pass of Rauch, Tung and Striebel: one filter over the logged steps, from last to first.
 
     G   = P A^T (P-)^-1
     m^s = m + G (m^s' - m-)
@@ -167,7 +167,7 @@ def _turned(q, x, y, z, out):
 
 
 def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, phi, moved, spread, solve):
-    """Smooth one step: from the state after it to the one before it, ``behind`` (n_state,), in place."""
+    """Smooth one step: replace the state after it by the state before it in ``behind`` (n_state,)."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
@@ -259,10 +259,9 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     name : name of the kernel of the forward pass
     tape : (k, t) `tape.taped_rows` of each step
     start : (s,) the filter's state before the first one: its `state_rows`
-    ends, started : (a,) int, (a, s) the steps behind which the filter was reset, and its state then: what lies
-        before is smoothed without what comes behind
-    sampled : (k,) bool: the steps whose ends are returned
-    behind : (s,) changed: the smoothed state, behind the last step and then before the first
-    out : (r, s) written: the smoothed states at the chosen ends
+    ends, started : (a,) int, (a, s) the steps after which the filter was reset, and its state then; steps before a
+    reset are smoothed without later ones sampled : (k,) bool: the steps whose ends are returned behind : (s,) changed:
+    at first the smoothed state after the last step, at the end the one before the first step out : (r, s) written: the
+    smoothed states at the chosen ends
     """
     _kernel_of(name)(tape, start, ends, started, sampled, behind, out)

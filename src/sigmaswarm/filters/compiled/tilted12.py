@@ -1,8 +1,8 @@
 """tilted12's extended filter; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
 
-The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. The mean's rows I, J and T have the error about east,
-north and up: 0 except between a measurement and `fold`, which rotates the quaternion by it. All other rows are
-planar8's; K and L are the biases of gx and gy.
+The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T of the mean contain the error about east,
+north and up, which is 0 except between a measurement and `fold`, which rotates the quaternion by this error. All other
+rows are those of planar8; K and L are the biases of gx and gy.
 
 F has seven rows that differ from the identity's, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h = dt/2:
 
@@ -10,8 +10,8 @@ F has seven rows that differ from the identity's, D = dt R at the middle of the 
     v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')
     I' = I - D11 K - D12 L - D13 W              J', T' likewise
 
-So P' = F P F^T takes F P first, its seven rows in scratch, then F from the right; the columns of A, B, W, K and L are
-done after the first.
+So P' = F P F^T is computed in two parts: first F P, whose seven rows are in scratch, then the product with F from the
+right. The columns of A, B, W, K and L are computed last.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -189,7 +189,7 @@ def fold(w):
 
 @kernel
 def settle(w):
-    """The heading, for scores."""
+    """Compute the heading for scores."""
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         w[R.HEADING, l] = angle_of(2.0 * (q1 * q2 + q0 * q3), 1.0 - 2.0 * (q2 * q2 + q3 * q3))

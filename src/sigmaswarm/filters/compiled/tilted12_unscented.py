@@ -1,12 +1,13 @@
 """tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
-Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Any square root L of P is right for
-them; take the one that begins with the states that do not enter linearly, in the order of `tilted.STEP_FIRST` and
-`MEASURED_FIRST`. Then its other columns move states that enter linearly while those are fixed: position, velocity and
-the accelerometer's biases. Only the first columns need points:
+Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Every square root L of P is valid; the
+one used begins with the states that do not enter linearly, in the order of `tilted.STEP_FIRST` and `MEASURED_FIRST`.
+The other columns change only states that enter linearly while the first states are fixed: position, velocity and the
+accelerometer's biases. Only the first columns need points:
 
-- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these rotate as
-the center does, so their error does not change, and the acceleration is that of the center, rotated in closed form.
+- In a step, the gyro's biases. The columns of the attitude, which follow, do not change these biases. Their points
+  rotate like the center, so their error does not change, and their acceleration is that of the center, rotated in
+  closed form.
 - In a fix, the attitude, which rotates the lever arm, also in closed form.
 - In the lateral constraint and the odometer, the attitude, which rotates the velocity.
 
@@ -18,10 +19,10 @@ the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points a
     Cov(s, r)  = sum of L_c d^T = P[:, drawn] H,   with L_drawn^T H = d
     Cov(r)     = H^T P[drawn, drawn] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
 
-The turned vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
-|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part with H added to it takes the place of the Jacobian,
-the last two terms of Cov(r) are added to the covariance, and the rest is as in `tilted12`. H is stored in rows
-SLOPE, mu in SHIFT, and these two terms in EXTRA.
+The rotated vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
+|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part plus H replaces the Jacobian, the last two terms of
+Cov(r) are added to the covariance, and the rest is as in `tilted12`. H is stored in rows SLOPE, mu in SHIFT, and these
+two terms in EXTRA.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -125,7 +126,7 @@ def _turned(x, y, z, w, l):
 
 
 def _sinc_cos_far(z):
-    """As `sinc_cos`, of any angle."""
+    """Like `sinc_cos`, for any angle."""
     angle = math.sqrt(z) + TINY
     sine, cos = sincos(angle)
     return sine / angle, cos

@@ -24,11 +24,12 @@ class Log:
     time : ndarray, shape (k,)
         s, strictly increasing.
     measurement_time : ndarray, shape (f,)
-        s, strictly increasing, on its own clock.
+        s, strictly increasing; these times need not be among ``time``.
     measurements : ndarray, shape (f, m)
         (f,) stands for (f, 1).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Mean and covariance of the state at ``time[0]``, where the filter starts. They must not come from truth.
+        Mean and covariance of the state at ``time[0]``, at which the filter starts. They must not be computed from
+        truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; (k,) stands for (k, 1). None: f gets an empty array.
     truth : mapping of str to ndarray, shape (j,)
@@ -142,7 +143,7 @@ class Log:
 class Steps:
     """Steps of a filter over a log.
 
-    The first step has length zero, for a measurement at the very start.
+    The first step has length zero, for a measurement at the first time.
 
     Attributes
     ----------
