@@ -54,7 +54,7 @@ def require_supported(p: FilterParameters) -> None:
 
 
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
-    """Return the steps of a replay for `run`, (k, N_COLUMNS), and the ends of the steps, (k,) s."""
+    """Return the steps of a replay for `run`, (k, N_COLUMNS), and the end times of the steps, (k,) s."""
     line = replay.timeline
     flags = flags_of(line, measured_by(parameters))
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
@@ -126,7 +126,7 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
 
 
 def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
-    """Student's t: see `measurements._weigh`."""
+    """Weight a fix by Student's t: see `measurements._weigh`."""
     import jax.numpy as jnp
 
     weight = 1.0

@@ -1,4 +1,4 @@
-"""Remarks on a log: noise terms that its stretches determine, and signs of a fault of an axis."""
+"""Make remarks on a log: which noise terms it determines, and signs of faults of an axis."""
 
 import math
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
 
 
 def on_gravity(imu: Imu, part: slice) -> list[str]:
-    """Return a remark where the accelerometer does not measure gravity."""
+    """Return a remark if the accelerometer does not measure gravity."""
     if imu.az is None:
         return []
     force = math.hypot(*(float(np.mean(column[part])) for column in (imu.ax, imu.ay, imu.az)))

@@ -1,4 +1,4 @@
-"""Static stretches of a log, and faults that make an axis unusable."""
+"""Find the static stretches of a log, and faults that make an axis unusable."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Stretches:
 
 
 def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
-    """Find the times at which the IMU stands: by its samples, and by the fixes, if there are any.
+    """Find the times at which the IMU is static, from its samples and, if there are any, the fixes.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 def _calm_blocks(
     imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return a mask of the blocks that are nearly as quiet as the quietest, with means like their neighbors'."""
+    """Return a mask of blocks that are nearly as quiet as the quietest and have the means of their neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

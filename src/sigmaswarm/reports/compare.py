@@ -1,4 +1,4 @@
-"""The table and the figure of a comparison of optimizers, and their files."""
+"""Make the table and the figure of a comparison of optimizers, and write their files."""
 
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw cost against evaluations, with quartiles, and the last cost of every run."""
+    """Draw the cost as a function of the evaluations, with quartiles, and the last cost of every run."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
     looks = many_looks(len(contenders), 1.6)

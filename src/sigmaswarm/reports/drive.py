@@ -1,4 +1,4 @@
-"""A drive on one page: path, speed, IMU, fixes, outages, and target and achieved values."""
+"""Draw a drive on one page: path, speed, IMU, fixes, outages, and target and achieved values."""
 
 from typing import Any
 
@@ -113,7 +113,7 @@ def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
 
 
 def _draw_figures(axes: Axes, drive: Drive) -> None:
-    """Draw the table of target and achieved figures of a simulated drive."""
+    """Draw the table of target and achieved values of a simulated drive."""
     axes.axis("off")
     tables: list[Any] = [drive.metadata.get(key) for key in ("target", "achieved")]
     target, achieved = (

@@ -1,7 +1,7 @@
 """A report as one HTML file, which needs no network and no other file.
 
-Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are interactive by plotly.js, whose basic bundle is
-in the page (MIT license, see assets/); the bundle and the tracks are compressed.
+Charts are SVG drawings by matplotlib, like the PNG files. Tracks are interactive drawings by plotly.js, whose basic
+bundle is part of the page (MIT license, see assets/). The bundle and the tracks are compressed.
 """
 
 import base64
@@ -65,8 +65,9 @@ fewer points."""
 class TrackView:
     """Tracks to explore.
 
-    ``labels`` and ``looks`` have an entry per series, the top one first; those in ``shown`` are visible when the page
-    opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
+    ``labels`` and ``looks`` contain an entry for each series, the top one first. The series in ``shown`` are visible
+    when the page opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the
+    scale.
     """
 
     drives: Sequence[Tracks]

@@ -17,9 +17,9 @@ RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT = 2.0
 """Mean NIS of a position with a consistent filter."""
 BEYOND_CHANCE = (1.0, 4.0)
-"""Bounds outside of which a mean NIS means wrong covariances, for any number of fixes."""
+"""Bounds outside of which a mean NIS shows wrong covariances, for any number of fixes."""
 UNLUCKY = 1.2
-"""Ratio of a trial's cost to the lowest cost above which the trial's search counts as unlucky."""
+"""Ratio of a trial's cost to the lowest cost above which the trial counts as a failed search."""
 IN_CONDITIONS = (
     ("untuned", "raw-gps"),
     ("untuned", "ukf-defaults"),
@@ -90,7 +90,7 @@ def _result(results: Results, protocol: str) -> str:
 
 
 def _figures(results: Results) -> tuple[tuple[str, str, str], ...]:
-    """Return the main figures, with the paper's in their notes."""
+    """Return the main numbers, with those of the paper in their notes."""
     shown = [(p, POSITION, "position RMSE", "m", "table_2", "rmse_m") for p in reversed(results.protocols)]
     shown += [("honest", HEADING, "heading error", "deg", "table_3", "heading_deg")]
     shown += [("honest", DRIFT, "drift over 5 s", "m", "table_3", "outage_drift_m")]
@@ -216,7 +216,7 @@ def _comparisons(results: Results) -> Section:
 
 
 def _rivals(record: StudyRecord) -> tuple[Section, ...]:
-    """Show data, times and drift of rivals, their scores elsewhere, and learning curves."""
+    """Show data, times and drift of rivals, their scores on other sensors and cars, and learning curves."""
     found = tuple(tables.rivals_tables(record.results, record.rival_times).values())
     text = "Networks are trained in each trial, for the filter tuned in it, on its training drives."
     notes = dict.fromkeys(table.note for table in found)

@@ -1,4 +1,4 @@
-"""The tables of a study: the paper's next to ours, comparisons, conditions, search results and rivals."""
+"""Make the tables of a study: the paper's results next to ours, comparisons, conditions, search results and rivals."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -64,12 +64,12 @@ Row = tuple[Cell, ...]
 
 
 def _decimals(digits: int, value: float) -> str:
-    """Format a figure as in the paper: decimals only below 100."""
+    """Format a number as in the paper: decimals only below 100."""
     return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
 
 
 def _figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """Make a column of figures, printed as in the paper."""
+    """Make a column of numbers in the format of the paper."""
     return Column(title, printed=partial(_decimals, digits), **more)
 
 
@@ -78,7 +78,7 @@ def _digits(title: str, digits: int) -> Column:
 
 
 def _with_intervals(titles: Iterable[str], interval: str = "95%") -> list[Column]:
-    """Return a column of figures and a column of intervals for each title."""
+    """Return a column of numbers and a column of intervals for each title."""
     return [column for title in titles for column in (_figures(title), _figures(interval, joined=True))]
 
 
@@ -97,7 +97,7 @@ def _table(
 
 
 def study_tables(results: Results) -> dict[str, Table]:
-    """Return all tables of a study but those of run times, which differ between runs.
+    """Return all tables of a study except those of run times, which differ between runs.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def comparison(results: Results, protocol: str, measure: str, against: str) -> P
 
 
 def objectives_compared(results: Results) -> str:
-    """Explain by the study's figures why the paper's objective misleads."""
+    """Explain, with results of the study, why the paper's objective is misleading."""
     wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (UNTUNED, POSITION), ("honest", POSITION))
     found = [results.summary(p, "raw-gps" if p == UNTUNED else MAIN, measure) for p, measure in wanted]
     if None in (means := [each and each.mean for each in found]):
@@ -297,7 +297,7 @@ def _trials(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
 
 
 def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results) -> Table:
-    """Omit the second column, the group of drives, where there is only one group."""
+    """Omit the second column, the group of drives, if there is only one group."""
     if all(row[1] in (ALL, "") for row in rows):
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
     return _table(caption, columns, rows, results)

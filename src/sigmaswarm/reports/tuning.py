@@ -44,7 +44,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
     """Write convergence.csv and the figures of a tuning into its folder; return the pictures' paths.
 
-    ``track`` is of a training drive: `scoring.tracks.picture_of`.
+    ``track`` is the track on a training drive: see `scoring.tracks.picture_of`.
     """
     save_history(tuning, folder)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
@@ -68,7 +68,7 @@ def convergence(tuning: Tuning) -> Figure:
 def _convergence_chart(history: History, best_trial: int, objective: str) -> Chart:
     """Draw the best cost so far and the median cost of each generation; the best trial is bold.
 
-    The scale is logarithmic if all costs are positive; that of a likelihood may be negative.
+    The scale is logarithmic if all costs are positive; the cost of a likelihood may be negative.
     """
 
     def draw(ax: Axes) -> None:
@@ -254,7 +254,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
     """Return the configuration that the search used, without the coefficients of other optimizers.
 
-    A model of the user's own is shown by its name and fingerprint.
+    A user's model is shown by its name and fingerprint.
     """
     if config.get("optimizer", "pso") != "pso":  # old files do not state the optimizer, which was pso
         config = {key: value for key, value in config.items() if key not in SWARM}

@@ -168,7 +168,7 @@ class Replayer:
         return {}
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Score the parameter sets; the bits of the result do not depend on the executor or its number of workers."""
+        """Score the parameter sets; the result does not depend on the executor or its number of workers."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
@@ -180,7 +180,7 @@ class Replayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the parameter sets and apply a function to the scores; it returns shape (n_sets, n_drives)."""
+        """Score the parameter sets, and apply a function to the scores that returns shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:

@@ -1,8 +1,8 @@
-"""Errors of one estimate against truth: the reference definitions in NumPy.
+"""Compute the errors of one estimate against truth: the reference definitions in NumPy.
 
 error = estimate - truth, at truth times from the common start of all methods (`InitialState.time`) to the last IMU
-sample. The estimate is linearly interpolated to the truth times. If truth has standard deviations, errors are weighted:
-see `truth.py`. The compiled batch uses the same definitions through `targets.py`; tests compare the two.
+sample. The estimate is linearly interpolated to the truth times. If the truth has standard deviations, errors are
+weighted (see `truth.py`). The compiled batch uses the same definitions through `targets.py`; tests compare the two.
 """
 
 import math
@@ -18,7 +18,7 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.truth import heading_weights, is_known, root_mean, weights_at
 
 HEADING_COUNTS_ABOVE = 2.0
-"""True speed, m/s, below which the heading error is not scored."""
+"""True speed below which the heading error is not scored, m/s."""
 PIECE = 100_000
 """Number of estimates that are scored at once, to limit the memory."""
 

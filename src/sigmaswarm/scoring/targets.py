@@ -1,4 +1,4 @@
-"""Targets of the compiled batch: truth along the drive, or at the ends of outages."""
+"""Make the targets of the compiled batch: truth along the drive, or at the ends of outages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 """Lengths, s, of outages over which the drift of a tuned filter is compared with that of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""Number of outages per drive for which placements are made; so many outages determine the drift to about 10%."""
+"""Number of outages per drive for which placements are made. With this number the drift is known to about 10%."""
 MOST_PLACEMENTS = 8
 """Largest number of placements of outages on a drive; more placements would hide the same fixes again."""
 OUTAGE_FIRST_AFTER = 10.0
@@ -32,7 +32,7 @@ OUTAGE_APART = 5.0
 
 
 def tracking_replay(ready: PreparedDrive) -> Replay:
-    """Create a replay with all fixes, compared with truth wherever truth is known."""
+    """Create a replay with all fixes, compared with truth at all times at which it is known."""
     timeline = ready.timeline()
     return Replay(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 

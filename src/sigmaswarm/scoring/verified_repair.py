@@ -1,4 +1,4 @@
-"""Verified repairs of a log: repairs that make forecasts worse are not applied."""
+"""Repair a log, but do not apply repairs that make forecasts worse."""
 
 import warnings
 from collections.abc import Collection
@@ -64,7 +64,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     drive : Drive
         The drive that was diagnosed.
     diagnosis : Diagnosis
-        Its findings.
+        The diagnosis of this drive.
     only : collection of str, optional
         Codes of the findings to repair; by default all.
 

@@ -54,7 +54,7 @@ class TouchedBound:
 
 @dataclass(frozen=True)
 class Dimension:
-    """One tuned parameter: its field of FilterParameters, and its range.
+    """One tuned parameter: its field of `FilterParameters`, and its range.
 
     ``entries``: number of consecutive entries that it sets in a tuple; 0 if the field is a number. ``spread``: True if
     the range spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises the parameter per decade of

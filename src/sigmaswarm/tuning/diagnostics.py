@@ -1,8 +1,8 @@
-"""Faults of a tuned filter that its objective hardly shows.
+"""Find faults of a tuned filter that its objective hardly shows.
 
-Divergence and drift: during a tuning a diverged filter is not reset, so its cost is that of a wrong track. A likelihood
-that tolerates outliers can still give it a low cost. Errors of one-step forecasts hardly show long drifts: if
-the search ends too early, its filter may forecast nearly as well as the best one, but drift by a kilometer.
+Divergence and drift: during a tuning a diverged filter is not reset, so its track is wrong. A likelihood that tolerates
+outliers can still give such a filter a low cost. Errors of one-step forecasts hardly show long drifts: if the search
+ends too early, the filter may forecast nearly as well as the best one, but drift by a kilometer.
 
 Scale of the covariance: if all noises and the initial covariance are multiplied by one factor, the gains and estimates
 of a Kalman filter do not change. Its covariances are multiplied and its NIS is divided by the factor. Therefore the
@@ -36,7 +36,7 @@ from sigmaswarm.wording import to_do
 NAMED = 3
 """Drives named in one message, and checked for drift."""
 WATCHED = 3600.0
-"""Seconds of a drive that are checked for divergence; a longer check would determine the peak memory."""
+"""Seconds of a drive that are checked for divergence; a longer check would increase the peak memory."""
 FAR = 1.5
 """Drift relative to the baseline above which a warning is given."""
 FEW = 2

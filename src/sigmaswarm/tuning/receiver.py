@@ -1,11 +1,11 @@
-"""Measurement noise R and the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
+"""Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
 A filter that forecasts fixes well may only copy them. Many receivers smooth their fixes: consecutive errors differ by
-centimeters, but over minutes the error changes by meters. The likelihood of the next fix depends on the centimeters
-only, so its maximum has an R of centimeters, and the filter copies the fixes. The prior therefore adds the receiver's
-stated accuracy: a log-normal distribution of R about the stated variance. It penalizes only a smaller R, since
-receivers in cities state deviations that are too small. Consecutive fixes share their correlated errors, so more fixes
-must not outweigh the prior: its penalty is added once per fix.
+centimeters, but over minutes the error changes by meters. The likelihood of the next fix depends only on the
+differences of centimeters, so it is largest for an R of centimeters, with which the filter copies the fixes. The prior
+therefore represents the receiver's stated accuracy: a log-normal distribution of R about the stated variance. It
+penalizes only a smaller R, since receivers in cities state deviations that are too small. Consecutive fixes share their
+correlated errors, so more fixes must not outweigh the prior; its penalty is added for each fix.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ FAR_BELOW = 3.0
 NO_PART = 0.05
 """Share of R below which the stated accuracy of a fix has no effect."""
 LOOK = 600.0
-"""Seconds of a drive whose fixes are checked for scatter; more would only take more time."""
+"""Seconds of a drive whose fixes are checked for scatter; a longer part would not change the result."""
 PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a warning reports that it determined R."""
 SMOOTH = 0.5

@@ -1,4 +1,4 @@
-"""The folder of a tuning. Files are written atomically, and the same result gives the same bytes.
+"""The folder of a tuning. Files are written atomically, and the same result gives identical files.
 
 The folder contains
 

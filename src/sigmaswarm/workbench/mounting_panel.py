@@ -129,7 +129,7 @@ def sketch(rotation: Array) -> str:
     Parameters
     ----------
     rotation : (3, 3)
-        From the sensor's axes to the vehicle's, as of ``parse_mount``.
+        Rotation from the sensor's axes to the vehicle's axes, as in ``parse_mount``.
     """
     corners = np.array([(0.3, 0.2, 0.0), (-0.3, 0.2, 0.0), (-0.3, -0.2, 0.0), (0.3, -0.2, 0.0)])
     box = _polygon(_place(MOUNTED + corners @ rotation.T), 'fill="#ffffffcc" stroke="#1c2024"')
