@@ -32,7 +32,7 @@ def read_known(place: "Location") -> "Drive":
 
 
 def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
-    """Print the reader's warnings about a drive; those about gaps only if ``gaps``."""
+    """Print the reader's warnings about a drive; warnings about gaps only with ``gaps``."""
     for warning in warned:
         if gaps or not getattr(warning, "code", "").endswith("-gap"):
             warnings.warn(warning, stacklevel=3)

@@ -58,8 +58,9 @@ def reference(
 ) -> None:
     """Compute truth from a good receiver (RTK) on the same vehicle.
 
-    The good receiver's fixes are smoothed with the drive's IMU. The new drive gets a truth.csv at the IMU's times, with
-    standard deviations. The truth has gaps where the solution is float or an outage is too long for the IMU.
+    The good receiver's fixes are smoothed with the drive's IMU. The new drive contains a truth.csv at the IMU's times,
+    with standard deviations. The truth has gaps while the solution is float and in outages that are too long for the
+    IMU.
 
     For example:
 

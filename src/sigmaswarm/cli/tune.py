@@ -197,7 +197,7 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
     train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
     return [
         _evaluate(out),
-        "only one log? this filter was tuned on all of it; for a test on unused data:",
+        "this filter was tuned on the whole log; to test a filter on unused data:",
         f"          sigmaswarm split {quote(str(folder))} --out parts",
         f"          then tune on {train}, and evaluate on {test}",
     ]

@@ -5,7 +5,7 @@ In windows of some seconds the path follows from the IMU, integrated from an unk
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
 and the fixes show it ``late`` s later. theta is known from course and gyro. M (2, 2) and ``late`` are the same in all
-windows; p0, v0 and b (tilt, slope, bias) differ between windows. b varies about a mean, which is fitted, too. For a log
+windows; p0, v0 and b (tilt, slope, bias) differ between windows. b varies about a mean, which is also fitted. For a log
 without faults M is the identity.
 """
 

@@ -148,7 +148,7 @@ def about_z(angle: float) -> Array:
 
 
 def mounting_of(drive: Drive, course: Course) -> Mounting | None:
-    """Estimate the mounting; None where the log lacks an axis, gravity, or a course."""
+    """Estimate the mounting; return None if the log lacks an axis, gravity, or a course."""
     found = _in_si_units(drive, course)
     if found is None:
         return None

@@ -164,7 +164,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what, remedy = f"column az has median {az:.2f}, as if in g", f"multiply ax, ay, az by {GRAVITY}"
     elif az < -0.7 * GRAVITY:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
-        remedy = "turn the axes, or change the sign of ax, ay, az where the sensor reports the opposite"
+        remedy = "turn the axes, or change the sign of ax, ay, az if the sensor reports the opposite"
     elif abs(az) < 0.2 * GRAVITY:
         remedy = "check its unit and axis, or leave it out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
@@ -191,8 +191,8 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
         "a filter crosses a gap with the mean of the samples around it, and its covariance grows; if the car "
         "maneuvered there, split the drive"
     )
-    alone = "a filter uses the IMU alone there; nothing to do if this is intended"
-    unscored = "errors are not measured there; nothing to do if this is intended"
+    alone = "during this time a filter uses only the IMU; nothing to do if this is intended"
+    unscored = "during this time errors are not measured; nothing to do if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
     found: list[tuple[str, str, str]] = []

@@ -77,7 +77,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     elif key == "heading_deg" and abs(numbers[0]) > 360:
         what = "is not an angle; give degrees counter-clockwise from east, -360 to 360"
     elif key not in ("heading_deg", "gps_lever_arm_m") and not min(numbers) > 0:
-        what = "must be positive; leave it out where it is not known"
+        what = "must be positive; leave it out if it is not known"
     if what:
         raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")
 

@@ -82,7 +82,9 @@ def split_time(
     sha256 = fingerprint(drive)
     for part in parts:
         if isinstance(found := find_start(part), NoStart):
-            message = f"{part.name} can't be used alone: {found.what}; split elsewhere, or {found.remedy}"
+            message = (
+                f"{part.name} can't be used as a drive: {found.what}; split elsewhere, or {found.remedy}"
+            )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256}

@@ -20,11 +20,11 @@ from sigmaswarm.wording import names_shown, quoted, shown
 LARGEST = 1e7
 """Largest accepted value: above any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in units that can be
 repaired (mm, mg or mdeg/s)."""
-_METERS, _NO_STD = "give meters from an origin near by", "leave the column out where no deviation is stated"
+_METERS, _NO_STD = "give meters from an origin near by", "leave the column out if no deviation is stated"
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
     "alt": (-LARGEST, LARGEST, "give meters above the ellipsoid"),
-    "lon": (-180.0, 180.0, "give degrees east; subtract 360 where they run from 0 to 360"),
+    "lon": (-180.0, 180.0, "give degrees east; subtract 360 if they run from 0 to 360"),
     **dict.fromkeys(("x", "y"), (-LARGEST, LARGEST, _METERS)),
     **dict.fromkeys(("std_x", "std_y", "std_heading"), (1e-6, LARGEST, _NO_STD)),
     "std_theta": (1e-9, LARGEST, _NO_STD),

@@ -132,7 +132,7 @@ class Comparison:
         return len(self.runs[self.contenders[0].label])
 
     def values(self, label: str, measure: str) -> Array:
-        """Return the values of a measure in every run, shape (seeds,); ``inf`` where it is None."""
+        """Return the values of a measure in every run, shape (seeds,); ``inf`` if it is None."""
         found = [getattr(run, measure) for run in self.runs[label]]
         return np.array([np.inf if v is None else v for v in found], dtype=np.float64)
 

@@ -1,6 +1,6 @@
 """Statistics of repeated tunings: intervals of means and medians, paired tests, and correction for multiple tests.
 
-Scores of a study are arrays of shape (trials, drives); they are NaN where a trial did not test on a drive.
+Scores of a study are arrays of shape (trials, drives); they are NaN if a trial did not test on a drive.
 
 Sources: C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; J. N. K. Rao and
 C. F. J. Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988. As in the

@@ -243,7 +243,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         gamma_squared, spread = _sigma_points(p)
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
-    gyro_note = ", and the gyro shows its bias alone" if model.gyro_bias is not None else ""
+    gyro_note = ", and the gyro shows only its bias" if model.gyro_bias is not None else ""
     own = (
         _texts_of_axes(p, weighs or lasting)
         | _texts_of_states(p)

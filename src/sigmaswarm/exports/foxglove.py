@@ -12,7 +12,7 @@ PLOTS: Mapping[str, tuple[str, ...]] = {
         *("innovation.vector.x", "innovation.vector.y"),
         *("innovation_sigma.vector.x", "innovation_sigma.vector.y"),
     ),
-    "NIS, 2 on average where the filter is consistent": ("nis.data",),
+    "NIS, 2 on average if the filter is consistent": ("nis.data",),
     "Standard deviations: x, y (m), heading (rad)": ("sigma.vector.x", "sigma.vector.y", "sigma.vector.z"),
     "Forward speed, m/s": ("odometry.twist.twist.linear.x",),
 }

@@ -60,7 +60,7 @@ def gpx(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a line, or several where it crosses the antimeridian; with dates a gx:Track, which has times."""
+    """Write a line, or several lines if it crosses the antimeridian; with dates write a gx:Track, which has times."""
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return

@@ -180,7 +180,7 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: Check) -> InitialState | None:
-        """Return the state for a reset after a check; None where the filter continues, or is ``lost``."""
+        """Return the state for a reset after a check; None if the filter continues or is ``lost``."""
         if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]

@@ -47,7 +47,7 @@ MOST_CACHED = 1_000
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums over replays for each parameter set; every array has shape (n_replays, n_sets), NaN where a set failed.
+    """Sums over replays for each parameter set; every array has shape (n_replays, n_sets), NaN if a set failed.
 
     Attributes
     ----------

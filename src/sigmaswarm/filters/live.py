@@ -41,7 +41,7 @@ MOST_HISTORY = 100_000
 MOST_WAITING = 1000
 """Approximate number of fixes that can wait for an IMU sample while the IMU is silent."""
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Errors that invalid input raises: texts, None, too few numbers, integers of 400 digits."""
+"""Errors that invalid input raises, such as texts, None, too few numbers, or integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)

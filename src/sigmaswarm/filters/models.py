@@ -196,7 +196,7 @@ class State:
     variance : (lowest, highest)
         Bounds of the process noise, unit squared per nominal IMU step.
     per_second : bool
-        True: these bounds are per second.
+        True if these bounds are per second.
     shared : str
         Name of the common search parameter if east and north have the same noise.
     bias_of : str or None

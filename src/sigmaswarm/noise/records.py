@@ -99,7 +99,7 @@ class Noise:
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
-        """Return a value for the three axes of a sensor; an unknown axis gets the RMS of the other axes."""
+        """Return a value for the three axes of a sensor; for an unknown axis use the RMS of the other axes."""
         known = {a.axis: value(a) for a in self.axes}
         axes = SENSORS[sensor][0].split()
         there = [known[a] for a in axes if a in known]

@@ -178,7 +178,7 @@ def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float)
 
 
 def _crossing(profile: Callable[[Array], Array], grid: Array, limit: float) -> float:
-    """Return where a profile first exceeds a limit along a grid, which begins below it."""
+    """Return the first place on a grid at which a profile exceeds a limit; it begins below the limit."""
     first, last, share = grid[0], grid[0], 0.0
     for _ in range(PASSES):
         excess = profile(grid) - limit

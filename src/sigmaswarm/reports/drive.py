@@ -94,7 +94,7 @@ def _legend_above(axes: Axes) -> None:
 
 
 def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
-    """Draw the errors of the fixes where the truth is known, else the time from fix to fix."""
+    """Draw the errors of the fixes if the truth is known, else the time from fix to fix."""
     gps, truth = drive.gps, drive.truth
     if truth is None:
         axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=VERMILION, ms=3)

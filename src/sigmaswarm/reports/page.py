@@ -36,9 +36,9 @@ TERMS = {
     "whiteness p": "probability that uncorrelated innovations look at least as correlated as these (Ljung-Box test "
     "over "
     "ten fixes)",
-    "correlation": "correlation of consecutive innovations; 0 where the filter is consistent",
+    "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
-    "95% gate": "share of the fixes whose NIS is below 5.99; 95% where the filter is consistent",
+    "95% gate": "share of the fixes whose NIS is below 5.99; 95% if the filter is consistent",
     "outage drift": "position error at the end of an outage of the fixes, RMS over all outages",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",

@@ -123,7 +123,7 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
         wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
         yield (
             f"{protocol}: {main} is {wrong}: its mean NIS is {nis.mean:.3g}, "
-            "2 where a filter is consistent; do not rely on its covariances"
+            "but 2 if a filter is consistent; do not rely on its covariances"
         )
     unsure = [
         results.label(c.against)

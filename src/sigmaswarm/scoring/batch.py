@@ -31,7 +31,7 @@ LOG_2PI = math.log(2 * math.pi)
 class Scores:
     """Scores of every parameter set on every drive; each array has shape (n_sets, n_drives).
 
-    Names and units are as in `Score`. A value is NaN where the score is undefined or the filter failed.
+    Names and units are as in `Score`. A value is NaN if the score is undefined or the filter failed.
     """
 
     position_rmse: Array

@@ -132,7 +132,7 @@ class PieceErrors:
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
-    """Return the true x and y, m, linearly interpolated; NaN where truth is unknown."""
+    """Return the true x and y, m, linearly interpolated; NaN at times without truth."""
     known = is_known(truth, time)
     x = np.where(known, np.interp(time, truth.time, truth.x), np.nan)
     y = np.where(known, np.interp(time, truth.time, truth.y), np.nan)
@@ -140,7 +140,7 @@ def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
 
 
 def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
-    """Return the distances of positions from the truth, m; NaN where truth is unknown."""
+    """Return the distances of positions from the truth, m; NaN at times without truth."""
     true_x, true_y = truth_at(truth, time)
     return np.hypot(x - true_x, y - true_y)
 

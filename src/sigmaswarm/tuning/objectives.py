@@ -60,7 +60,7 @@ class Objective:
         return mean_cost(self.each(scores), worst)
 
     def each(self, scores: Scores) -> Array:
-        """Return the costs, shape (n_sets, n_drives); ``inf`` where a set failed or can't be scored."""
+        """Return the costs, shape (n_sets, n_drives); ``inf`` if a set failed or can't be scored."""
         costs = self.per_drive(scores)
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 

@@ -44,9 +44,9 @@ STATE = "write the standard deviation of the receiver's fixes, m per axis, as gp
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
     """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
 
-    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0, averaged over both axes.
+    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes.
     ``std``, shape (m, 2), is `receiver_std` of each drive, m. If the filter uses the stated accuracies, R is that of
-    the median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors; where this R is
+    the median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors; if this R is
     larger than std^2, the penalty is 0.5 (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
@@ -145,7 +145,7 @@ def prior_warnings(
         if std == UNSTATED_GPS_STD:
             why = (
                 f"{name} states no accuracy of its fixes, so R was kept near that of a usual receiver, {std:.2g} m per "
-                "axis, and NIS will be low where its fixes are smoothed"
+                "axis, and NIS will be low if the receiver smooths its fixes"
             )
             return [to_do("if the receiver is more or less accurate, write gps_std_m into drive.toml", why)]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]

@@ -96,7 +96,7 @@ class Tuning(Generic[P]):
     start_cost : float or None
         Cost of the start filter on the training drives; None without a start.
     fixes_alone : MotionNoise or None
-        Noises of a constant-velocity filter of the fixes alone, fitted to the training drives by likelihood.
+        Noise parameters of a constant-velocity filter of the fixes alone, fitted to the training drives by likelihood.
     forecasts : tuple of Forecast
         Drift over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
     """
@@ -202,7 +202,7 @@ class Tuning(Generic[P]):
             return MODEL_OBJECTIVES[self.config.objective]
         meaning, prior = objective_named(self.config.objective).summary, self.config.prior
         return (
-            f"{meaning} + {prior:g} x the prior of R where it is smaller than the receiver's"
+            f"{meaning} + {prior:g} x the prior of R, if R is below the receiver's variance"
             if prior
             else meaning
         )
@@ -330,11 +330,11 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
-        why = "fixes alone determine the heading poorly: it may be wrong by tens of degrees with a good position"
+        why = "the fixes alone hardly determine the heading, which may be wrong by tens of degrees"
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -RISE and factor == 1.0:
-        why = f"moving {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
+        why = f"a change of {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
         yield to_do("search longer, with more trials, or polish", why)
     if car and "truth" in objective:
         yield OF_THESE_SENSORS

@@ -174,7 +174,7 @@ def search_space(
     if unknown:
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
     if "slip" in use and "lateral" not in use:
-        raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
+        raise InputError("slip is the tire slip of the lateral constraint; also use lateral")
     if reason := clash(kind, use):
         raise InputError(reason)
     kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu-gate"]

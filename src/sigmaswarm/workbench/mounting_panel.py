@@ -108,7 +108,10 @@ class MountingPanel:
             value=chosen("gps_lever_arm_m", ""),
         )
         part = ui.number(
-            "Recording, where a clock restarts (--part)", value=chosen("part"), min=1, precision=0
+            "Recording to read, if a clock restarts in the log (--part)",
+            value=chosen("part"),
+            min=1,
+            precision=0,
         )
         offset.on("change", lambda: self._choose("gps_offset_s", offset.value or 0.0))
         arm.on("change", lambda: self._choose("gps_lever_arm_m", arm.value))

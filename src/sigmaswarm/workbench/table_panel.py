@@ -69,7 +69,7 @@ class TablePanel:
             for row in self.rows:
                 row.show()
         if (left := len(self.glance.ranges) - MOST_COLUMNS) > 0:
-            text("p", f"and {left} more columns, which expressions can use, too", "soft")
+            text("p", f"and {left} more columns, which expressions can also use", "soft")
         first = self.look.rows[self.glance.table].head(5)
         if len(first) and (names := first.columns[:12]):
             with ui.expansion("First rows").classes("soft"):

@@ -67,7 +67,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
                 "a filter's error can be checked"
             )
             remedy = (
-                "expect larger errors than the filter's standard deviations, which cover the scatter alone"
+                "expect larger errors than the filter's standard deviations, which contain only the scatter"
             )
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy

@@ -83,7 +83,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield _rate("gps", "fixes", gps.time)
     remedy = "a filter uses the mean of the samples around a gap, and increases its covariance"
     yield from _gaps("imu", imu.time, IMU_GAP, remedy)
-    remedy = "a filter uses the IMU alone there; nothing to do if this is intended"
+    remedy = "during this time a filter uses only the IMU; nothing to do if this is intended"
     yield from _gaps("gps", gps.time, GPS_GAP, remedy)
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))

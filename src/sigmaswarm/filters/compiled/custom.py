@@ -186,7 +186,7 @@ def _add_products(a, b, weights, out):
 
 @_kernel
 def _absorb(mean, covariance, nu, s, cross, root):
-    """x + K nu and P - K S K^T; return NIS and log det S, all NaN if S has no root.
+    """Compute x + K nu and P - K S K^T; return NIS and log det S. All are NaN if S has no root.
 
     With S = L L^T, y = L^-1 nu and W = C L^-T: K nu = W y, K S K^T = W W^T, and the NIS is y^T y.
     """

@@ -121,7 +121,7 @@ rearranged.
 
 @_plain
 def _step_to(step, v, to, u, happens, z, wheels):
-    """Step from the time of the state to a moment; u (N_STEP,) has the axes and the gap, and gets its length."""
+    """Step from the time of the state to another time; u (N_STEP,) contains the axes and the gap; its length is set."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale

@@ -154,7 +154,7 @@ def _look(w, l):
 def _measure_fix(w, z, lever, *, n):
     """z = p + R(theta) lever - latency v: nu, H P H^T, C and R.
 
-    R(theta) lever depends on theta alone, so its sigma points have planar5's closed form.
+    R(theta) lever depends only on theta, so its sigma points have planar5's closed form.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]

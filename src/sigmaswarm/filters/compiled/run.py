@@ -105,7 +105,7 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_doubtful(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """As `_score`, for truth with a variance, which weights each moment and is added to P in the NEES.
+    """Score like `_score`, for truth with a variance, which weights each time and is added to P in the NEES.
 
     It is separate from `_score`, which would round differently with a factor of 1.
     """
@@ -337,7 +337,7 @@ def run_kernel(model):
 
 @once
 def taped_kernel(model):
-    """As `run_kernel`, but ``record`` takes the `tape.taped_rows`; with IMU in all flags, of every step."""
+    """Run like `run_kernel`, but write the `tape.taped_rows` to ``record``; if all flags contain IMU, of every step."""
     return _kernel_of(model, partial(step_of, model, noted=True), taped_rows(model), f"{model}, taped")
 
 

@@ -74,7 +74,7 @@ class SingleStep:
 
 @once
 def single_step(model, tape=-1):
-    """The step of a model, compiled now.
+    """Return the compiled step of a model.
 
     ``tape``: the index in the filter's numbers of the number of logged steps; the `taped_rows` of each follow it.
     Negative: no log.

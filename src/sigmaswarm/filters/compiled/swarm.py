@@ -34,7 +34,7 @@ from sigmaswarm.filters.schedule import FIX
 EVIDENCE_LASTS = 60.0
 """Time in which the evidence decays to 1/e, s."""
 LARGEST_NIS = 200.0
-"""Upper limit of the NIS of a fix in the evidence, so that one fix alone does not decide. Student's t would penalize
+"""Upper limit of the NIS of a fix in the evidence, so that a single fix does not decide. Student's t would penalize
 jumps too little: between high buildings fixes are good until they jump, and a lane with a small R would gain.
 """
 EVIDENCE_COUNTS = 0.1
@@ -199,7 +199,7 @@ def _swarm_step(sources, *, step, kept):
 
 @once
 def swarm_step(model):
-    """The step of a filter bank of a model, compiled now, as `single.single_step`."""
+    """Return the compiled step of a filter bank of a model, like `single.single_step`."""
     kept = (*(int(r) for r in state_rows(model)), *range(CONSTANT_ROWS.start, N_KEPT))
     function = named_by_sources(_swarm_step, f"swarm {model}", lambda: {"step": step_of(model), "kept": kept})
     return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (swarm_step, model))

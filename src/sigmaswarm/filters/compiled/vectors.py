@@ -208,7 +208,7 @@ def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
 
 
 class _Frame(NamedTuple):
-    """The values of names in a function: numbers and functions from outside it, and values of its own."""
+    """The values of names in a function: global numbers and functions, and local values."""
 
     names: Names
     values: dict[str, Any]

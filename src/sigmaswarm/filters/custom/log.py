@@ -31,7 +31,7 @@ class Log:
         Mean and covariance of the state at ``time[0]``, at which the filter starts. They must not be computed from
         truth.
     inputs : ndarray, shape (k, u), optional
-        Inputs of the process; (k,) stands for (k, 1). None: f gets an empty array.
+        Inputs of the process; (k,) stands for (k, 1). None: the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
         True values of some or all states, by name. No filter uses them.
     truth_time : ndarray, shape (j,), optional
@@ -187,6 +187,6 @@ def build_steps(log: Log) -> Steps:
 
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
-    """Index in ``times`` of each of ``ends``; -1 where it is not among them."""
+    """Return the index in ``times`` of each of ``ends``; -1 if it is not among them."""
     found = np.isin(ends, times)
     return np.where(found, np.cumsum(found) - 1, -1).astype(np.int64)

@@ -215,7 +215,7 @@ _KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
 
 
 def kernel_of(model: Model, steps: Steps) -> Any:
-    """The model's compiled filter, compiled when first used; None where it can't be compiled."""
+    """Return the model's filter, compiled at its first use; None if it can't be compiled."""
     if model not in _KERNELS:
         _KERNELS[model] = _compiled(model, steps) if model.kind == "ukf" else None
     return _KERNELS[model]
