@@ -171,7 +171,7 @@ _HOMES = {
 }
 """Modules and the names that they define.
 
-Those in ``__all__`` are public. The others (types of results, parts of the public functions, experiments, textbook
+Names in ``__all__`` are public. The other names (types of results, parts of the public functions, experiments, textbook
 filters) can be imported, but ``dir`` does not list them.
 """
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}

@@ -63,7 +63,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     Warns
     -----
     SigmaswarmWarning
-        Each assumption that was made.
+        Each assumption of the import.
     """
     from sigmaswarm.importing.convert import import_drive, request_of
 

@@ -141,8 +141,8 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
 def staged_files(folder: Path) -> Generator[Path]:
     """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
-    They replace files of the same names; others stay. If the block or a replacement fails, the old files stay. The next
-    run that writes into the folder restores them if this one is killed between two replacements.
+    The new files replace files of the same names; other files stay. If the block or a replacement fails, the old files
+    stay. The next run that writes into the folder restores them if this one is killed between two replacements.
     """
     make_folder(folder)
     with _staging(folder / "results", folder) as hidden:

@@ -23,7 +23,7 @@ UNKNOWN = "-"
 WIDEST = 20
 """Characters of a name that a column of a terminal shows without a break."""
 MOST_PRINTED = 10
-"""Rows of a table that `repr` shows."""
+"""Number of rows of a table that `repr` shows."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class ReferenceOptions:
     offset
         Added to the good receiver's times, s.
     accuracy
-        Largest standard deviation per axis of a row of truth, m. Rows with larger ones are left out.
+        Largest standard deviation per axis of a row of truth, m. Rows with larger deviations are left out.
     fix_std
         Lower bound of a fix's standard deviation per axis, m; also used for fixes without a stated deviation.
     seed

@@ -25,7 +25,7 @@ class SimulateOptions:
     out
         Folder for the drive folders; it must not contain drives yet.
     maneuver
-        cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
+        cruise, turns, accelerate, brake, outages: the maneuvers of the paper, all by default. urban: mixed driving.
     environment
         clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs

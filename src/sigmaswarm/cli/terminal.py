@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 LONGEST_LINE = 600
-"""Largest number of characters of an error or warning. Longer ones, such as those with long paths, are shortened."""
+"""Largest number of characters of an error or warning. Longer messages, for example with long paths, are shortened."""
 NARROWEST = 20
 """Smallest number of columns of a table."""
 

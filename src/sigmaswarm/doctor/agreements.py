@@ -61,7 +61,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Parameters
     ----------
     drive : Drive
-        Its truth is not used.
+        A drive; the truth is not used.
     """
     steps = {
         name: (table.time[1:], np.diff(table.time))

@@ -1,4 +1,4 @@
-"""Diagnosis of one drive by all checks."""
+"""Diagnose one drive by all checks."""
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
@@ -43,7 +43,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     Parameters
     ----------
     drive : Drive
-        It is not changed.
+        The drive, which is not changed.
 
     Returns
     -------

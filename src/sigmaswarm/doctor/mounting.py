@@ -64,7 +64,7 @@ Confidence = Literal["sure", "likely", "no"]
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """The rotation from the IMU's axes as recorded to the vehicle's."""
+    """The rotation from the recorded axes of the IMU to the axes of the vehicle."""
 
     rotation: Array  # (3, 3)
     std: Array  # (3,) rad, of roll, pitch and yaw

@@ -113,8 +113,8 @@ def _solve(
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, n, k) and the residuals (w, n).
 
-    The result is the covariance for white residuals, but at least that of the windows' disagreement (the sandwich of
-    White, 1980, with windows as clusters). It is doubled, since each fix is in two windows.
+    The covariance is that for white residuals, but at least that of the disagreement between windows (the sandwich
+    estimate of White, 1980, with windows as clusters). The result is doubled, since each fix is in two windows.
     """
     inverse = np.linalg.pinv(np.einsum("wnk,wnl->kl", a, a), rcond=1e-12, hermitian=True)
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

@@ -84,7 +84,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     Parameters
     ----------
     drive : Drive
-        Its truth is not used.
+        A drive; the truth is not used.
     as_recorded : bool
         Also use stale fixes as positions: see `drives.frozen`.
 

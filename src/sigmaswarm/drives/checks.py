@@ -19,7 +19,7 @@ FEWEST_SAMPLES, FEWEST_FIXES = 100, 10
 IMU_GAP = (10.0, 0.1)
 """An IMU interval is a gap if it exceeds both this many usual intervals and this many s."""
 GPS_GAP = (5.0, 2.0)
-"""The same limits for fixes and truth."""
+"""An interval of fixes or truth is a gap if it exceeds both this many usual intervals and this many s."""
 GRAVITY = 9.80665
 """Standard gravity, m/s2."""
 IMPOSSIBLE_RATE = 3.0

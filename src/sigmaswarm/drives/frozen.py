@@ -80,9 +80,9 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    The result is the smaller of two speeds: that of a straight-line fit, and that of a parabola along this line at the
-    given time, since a car that brakes to a halt was fast a second before. In a log that begins with repeated fixes the
-    result is 0.
+    The estimate is the smaller of two speeds: that of a straight-line fit, and that of a parabola along this line at
+    the given time, since a car that brakes to a halt was fast a second before. In a log that begins with repeated fixes
+    the result is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

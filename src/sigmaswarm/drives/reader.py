@@ -53,7 +53,7 @@ def _files_of(folder: Path, table: str) -> list[Path]:
 def read_drive(path: str | Path) -> Drive:
     """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml, optionally odometer.csv, truth.csv.
 
-    Each of the tables may be a Parquet file instead, with the same columns: imu.parquet.
+    Each table may also be a Parquet file with the same columns, such as imu.parquet.
 
     Parameters
     ----------

@@ -146,8 +146,8 @@ class Comparison:
     def frame(self) -> pl.DataFrame:
         """Table with one row for each contender: medians with 95% intervals, worst runs, and tests against the first.
 
-        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds. It has Holm's correction over all contenders
-        of a measure.
+        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds. For each measure p has Holm's correction over
+        all contenders.
         """
         rows = [self._row(contender) for contender in self.contenders]
         for measure in self.measures:

@@ -127,7 +127,7 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which is killed when its parent or the grid ends.
 
-    This is safe, since files are written atomically.
+    Killing the process is safe, since files are written atomically.
     """
     global _run
     _run = run

@@ -180,9 +180,9 @@ def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
 def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
     """Return a distribution-free interval of the median.
 
-    It is the narrowest symmetric pair of order statistics that covers the median with at least this confidence (W. J.
-    Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2). With too few values (fewer than six at
-    95%) it is the lowest and the highest value.
+    The interval is the narrowest symmetric pair of order statistics that contains the median with at least this
+    confidence (W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2). With too few values
+    (fewer than six at 95%) the interval is from the lowest to the highest value.
     """
     ordered = np.sort(values)
     n = len(ordered)

@@ -262,8 +262,8 @@ def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin)
 def _pose_of(n: int) -> dict[int, int]:
     """Return the states of the pose, and their rows in a message's covariance.
 
-    These rows are x, y, z and rotations about the fixed axes x, y and z. Roll, pitch and theta are such rotations:
-    R = Rz(theta) Ry(pitch) Rx(roll).
+    The rows of a message's covariance are x, y, z and rotations about the fixed axes x, y and z. Roll, pitch and theta
+    are such rotations: R = Rz(theta) Ry(pitch) Rx(roll).
     """
     return {0: 0, 1: 1} | dict(zip(tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
 

@@ -127,7 +127,7 @@ class Check:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """Return True if the heading is far from the alignment's; None without an alignment."""
+        """Return True if the heading is far from that of the alignment; None without an alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None

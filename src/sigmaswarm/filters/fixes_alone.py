@@ -1,8 +1,8 @@
 """A Kalman filter that uses only the fixes: constant velocity with white acceleration, no IMU.
 
-This filter is a reference that a filter with an IMU should beat. The two noises are the median over the training drives
-of maximum-likelihood estimates from the fixes. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications
-to Tracking and Navigation, 2001, section 6.2.2.
+A filter with an IMU should be more accurate than this filter. The two noise parameters are medians over the training
+drives of maximum-likelihood estimates from the fixes. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 2001, section 6.2.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -115,7 +115,7 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
     """Velocity forward (m/s) ``delay`` s ago, as the wheels measure it; ``ax``: acceleration since, m/s2.
 
-    This velocity is the same at the IMU and at the rear axle behind it.
+    The forward velocity is the same at the IMU and at the rear axle behind it.
     """
 
     def h(state: Array) -> Array:

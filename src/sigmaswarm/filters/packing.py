@@ -47,7 +47,7 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
-    """Like `unpack_states`, but a tilted model has the covariance of its angles, not of the rotation error.
+    """Like `unpack_states`, but for a tilted model return the covariance of the angles, not of the rotation error.
 
     For a model that measures the IMU, the result has planar5's five states, with the velocity east and north, m/s. The
     correlated fix error is omitted.

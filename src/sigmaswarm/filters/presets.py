@@ -62,7 +62,7 @@ HALF_A_WHEELBASE = 1.3
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
-It is added to the densities of the sensors.
+`MODEL_NOISE` is added to the densities of the sensors.
 IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With only the densities of data
 sheets, the drift of a filter over 5 s was 1.3 to 60 times that of the tuned filter, on six drives.
 """

@@ -119,7 +119,7 @@ def run_filter(
     Parameters
     ----------
     drive : Drive or PreparedDrive
-        Its truth, if any, is not used.
+        The drive; its truth, if any, is not used.
     parameters : FilterParameters
     initial : InitialState, optional
         State at which the filter starts; by default `initial_state(drive)`.

@@ -220,7 +220,7 @@ class Wheels:
     Attributes
     ----------
     ax : float
-        m/s2: the specific force forward, of which gravity on a slope is a part.
+        Forward specific force, m/s2, which on a slope contains gravity.
     delay : float
         s
     """

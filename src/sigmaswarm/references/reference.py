@@ -94,7 +94,7 @@ def reference(
     Parameters
     ----------
     drive : Drive
-        Its fixes are not used, and its truth is replaced.
+        The drive; its fixes are not used, and its truth is replaced.
     fixes : path, Drive or Gps
         Fixes of the good receiver: a log in any format that can be imported (RTKLIB, NMEA, UBX, CSV ...), a drive's
         folder, or a `Gps` in the drive's local frame. From RTKLIB, NMEA and UBX only fixed solutions are used.

@@ -50,7 +50,7 @@ from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
-"""The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
+"""The series of a track, the last one on top: the line of the tuned filter is wider than that of the truth."""
 HEADING_SHOWN = (1.0, 30.0)
 """Smallest and largest limit of the axis of heading errors, deg; a diverged filter has larger errors."""
 

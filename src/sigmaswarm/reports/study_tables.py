@@ -329,7 +329,7 @@ def trials_table(results: Results) -> Table:
 
 
 def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
-    """Tabulate the parameters of the best trial of each tuning, or of some methods, and the paper's."""
+    """Tabulate the parameters of the best trial of each tuning, or of some methods, and those of the paper."""
     sigma = ("alpha", "beta", "kappa")
     o: dict[str, Any] = results.paper["table_1"]["optimum"]
     rows: list[Row] = [("paper", "", *(o[key] for key in sigma), f"{o['q']:g}", f"{o['r']:g}", None)]

@@ -64,9 +64,9 @@ class Score:
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
     """Return the negative log-likelihood, nats, of innovations under a distribution that tolerates outliers.
 
-    It is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c). With c = v this is the negative logarithm of Student's t
-    in two dimensions with v degrees of freedom, up to a constant. The value of c is chosen so that the minimum for
-    Gaussian innovations is at a mean NIS of 2: see `sigmaswarm.filters.student`.
+    The value is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c). With c = v this is the negative logarithm of
+    Student's t in two dimensions with v degrees of freedom, up to a constant. The value of c is chosen so that the
+    minimum for Gaussian innovations is at a mean NIS of 2: see `sigmaswarm.filters.student`.
 
     Parameters
     ----------

@@ -77,8 +77,8 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
     """Return seeds for several random placements of outages of ``length`` s, since the drift depends on the placement.
 
-    There are at least two and at most `MOST_PLACEMENTS`, if possible enough for `OUTAGES_WANTED` outages. The list is
-    empty if no outage fits. The first seed is ``seed`` itself.
+    The list contains at least two and at most `MOST_PLACEMENTS` seeds, if possible enough for `OUTAGES_WANTED` outages.
+    The list is empty if no outage fits. The first seed is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
     wanted = min(max(-(-OUTAGES_WANTED // fitting), 2), MOST_PLACEMENTS) if fitting else 0

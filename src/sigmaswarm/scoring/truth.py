@@ -15,8 +15,9 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-This is the accuracy of the best filters with cheap receivers. Without this limit, stretches under open sky would have
-nearly all the weight, since the reference is most accurate there; but every filter is accurate there.
+The value is the accuracy of the best filters with cheap receivers. Without this limit, stretches under open sky would
+have nearly all the weight, since the reference is most accurate there, although every filter is accurate under open
+sky.
 """
 HEADING_FLOOR = math.radians(0.3)
 """Standard deviation of the true heading, rad, below which the weight hardly increases."""

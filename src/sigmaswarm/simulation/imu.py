@@ -125,7 +125,7 @@ IMU_GRADES = {
         ),
     )
 }
-"""Grades by name, from the worst to the best real ones, then CARLA's."""
+"""Grades by name: real sensors from the worst to the best, then CARLA's sensor."""
 
 
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
@@ -168,8 +168,8 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
 def carla_force(times: Array, motion: Motion) -> Array:
     """Compute specific force like CARLA's IMU sensor, shape (n - 2, 3); the first row belongs to the third sample.
 
-    It is the second difference of the last three positions, which is late by one tick, plus gravity, in the current
-    attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
+    The force is the second difference of the last three positions, which is late by one tick, plus gravity, in the
+    current attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
     """
     steps = np.diff(times)[:, None]
     speeds = np.diff(motion.position, axis=0) / steps

@@ -186,7 +186,7 @@ MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
     "outages": outages,
     "urban": urban,
 }
-"""Maneuvers by name, in the paper's order; the first five are the paper's."""
+"""Maneuvers by name, in the order of the paper, which has the first five."""
 
 
 def find_maneuver(name: str) -> Callable[[Road, np.random.Generator], Maneuver]:

@@ -68,7 +68,7 @@ class Terrain:
     grade_std, grade_length, grade_limit : float
         Standard deviation, correlation length and bound of the slope along the road; inf for no bound.
     bank_std, bank_length, bank_limit : float
-        The same values for the slope across the road.
+        Standard deviation, correlation length and bound of the slope across the road.
     crossfall : float
         Mean slope down to the right, for drainage.
     superelevation : float

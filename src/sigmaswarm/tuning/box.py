@@ -25,7 +25,7 @@ NOISES = (
 class TouchedBound:
     """A parameter that ended at a bound: the optimum may lie beyond it.
 
-    Its text is stored in files, as ``q_x at its lower bound (1e-05)``.
+    The text of this record is stored in files, as ``q_x at its lower bound (1e-05)``.
     """
 
     parameter: str

@@ -255,7 +255,8 @@ def _deviations(
 ) -> tuple[float, float]:
     """Return the standard deviations of the lever arm, forward and left, m.
 
-    Each is the larger one of the model's and of the sandwich estimate from blocks of the drives (White, 1980).
+    Each standard deviation is the larger one of the model's estimate and of the sandwich estimate from blocks of the
+    drives (White, 1980).
     """
     spread, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:

@@ -55,7 +55,7 @@ class Objective:
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
         """Return the cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
 
-        It is the mean over the worst drives of each set, a share ``worst`` of all; 1 means all drives.
+        The cost is the mean over the worst drives of each set; ``worst`` is their share, and 1 means all drives.
         """
         return mean_cost(self.each(scores), worst)
 

@@ -67,7 +67,7 @@ class Raced:
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return the rungs as (number of candidates, number of drives): each halves the former and doubles the latter."""
+    """Return the rungs: numbers of candidates and of drives. Each has half the candidates and twice the drives."""
     found = [(n_candidates, n_drives // FIRST if n_drives >= MANY else min(1, n_drives))]
     while (drives := found[-1][1]) < n_drives:
         found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))

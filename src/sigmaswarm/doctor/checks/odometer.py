@@ -182,7 +182,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return the ratios of the odometer's to the fixes' displacements, and the latter, m.
+    """Return the ratios of the displacements by odometer and by fixes, and the displacements by fixes, m.
 
     The gyro gives the directions of the odometer's displacements.
     """

@@ -1,7 +1,7 @@
 """Networks of a study. Each supports the filter of one trial and is trained only on the training drives of that trial.
 
-Each has a folder in learned/, as written by `sigmaswarm learn`. They are trained one after the other, so that the
-processor time of each can be measured.
+Each network has a folder in learned/, as written by `sigmaswarm learn`. The networks are trained one after the other,
+so that the processor time of each can be measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -85,7 +85,8 @@ class Trained:
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    With more minutes, the drives for fewer minutes are included. If these are too few for training, drives are added.
+    With more minutes, the drives for fewer minutes are included. If the drawn drives are too few for training, drives
+    are added.
     """
     left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()

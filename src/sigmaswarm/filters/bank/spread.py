@@ -60,7 +60,7 @@ class Spread:
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Name and standard deviation of each offset, in decades of variance; the rear axle's in m."""
+        """Name and standard deviation of each offset, in decades of variance; for the rear axle in m."""
         p, found = self.tuning, dict[str, float]()
         for state in MODELS[p.model].states:
             found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD

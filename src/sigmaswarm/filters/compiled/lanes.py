@@ -26,8 +26,8 @@ OPTIONS = {"error_model": "numpy", "nogil": True}
 def kernel(function, **known):
     """A function to be inlined into others, with its keyword-only parameters bound: see `Kernel` and `put_loops`.
 
-    Its first argument is the array of rows ``w``; it returns nothing and has no early return. Its loops over lanes
-    become separate functions. Its code is generated when a caller is compiled.
+    The function's first argument is the array of rows ``w``; it returns nothing and has no early return. The loops over
+    lanes become separate functions. The code is generated when a caller is compiled.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 

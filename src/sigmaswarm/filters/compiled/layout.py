@@ -111,7 +111,7 @@ NAMES = tuple(name for block in _BLOCKS.values() for name in block)
 N_ROWS = len(NAMES)
 
 R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
-"""Each row's number under its name."""
+"""The number of each row, by the row's name."""
 P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
 ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0, R.PIVOT0
 """First rows: P[i, j] with i <= j is in row P0 + j (j + 1) / 2 + i, the i-th of the others in row Q0 + i and so on."""

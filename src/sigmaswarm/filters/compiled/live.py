@@ -183,7 +183,7 @@ def _check(v):
 def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
     """Process the fixes up to a sample's time; then apply the odometer and the constraints of a car.
 
-    ``number``: of the sample, from the start.
+    ``number``: number of the sample, counted from the start.
     """
     before, nothing = v[TIME], np.zeros(11)
     no_fix, wheels = nothing[:8], nothing[8:]

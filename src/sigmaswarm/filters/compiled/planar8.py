@@ -1,10 +1,10 @@
 """planar8's prediction in closed form: planar5 with the IMU's biases as random walks.
 
-u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with b the accelerometer's biases and w the gyro's.
-The process is bilinear in theta and b. The square root of P again begins with theta: its first column changes theta by
-d, and also b. The other columns change only b while theta is fixed, so for them the process is linear. g0 is the mean
-specific force minus bias in the local frame, and J is a rotation by 90 degrees. gamma, d, e and k are as in planar5,
-t = R P[b, theta], and m = (1 - cos d) / P[theta, theta]. The sums over the sigma points are
+u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with the accelerometer's biases b and the gyro's bias
+w. The process is bilinear in theta and b. The square root of P again begins with theta: its first column changes theta
+by d, and also b. The other columns change only b while theta is fixed, so for them the process is linear. g0 is the
+mean specific force minus bias in the local frame, and J is a rotation by 90 degrees. gamma, d, e and k are as in
+planar5, t = R P[b, theta], and m = (1 - cos d) / P[theta, theta]. The sums over the sigma points are
 
     mean of g   = g0 + mu,    mu = e g0 - k J t
     Cov(s, g)   = P[:, theta] (k J g0 + m t)^T - P[:, b] R^T

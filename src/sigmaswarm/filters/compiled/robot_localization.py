@@ -90,7 +90,7 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 
 
 def _absorb(w, z, *, state, noise, gate):
-    """A measurement of one state: x += K nu; P' = P - p p' / S, and the state's own column p R / S.
+    """Update with a measurement of one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
 
     ``gate``: the row of the NIS at which it is rejected; 0: none.
     """

@@ -61,7 +61,7 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 def _take_logarithm(w):
     """Add the logarithms of the products of the last fixes to the sums, and reset the products.
 
-    It is slow and rarely called.
+    This function is slow and rarely called.
     """
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
@@ -107,7 +107,7 @@ def _score_doubtful(
 ):
     """Score like `_score`, for truth with a variance, which weights each time and is added to P in the NEES.
 
-    It is separate from `_score`, which would round differently with a factor of 1.
+    This function is separate from `_score`, which would round differently with a factor of 1.
     """
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)

@@ -55,9 +55,9 @@ def _step(
 ):  # fmt: skip
     """Predict, and update with the measurements.
 
-    These arguments are tuples: ``u``, the numbers DT ... GY of a step; ``z``, a row of `Timeline.fixes`; ``wheels``, a
-    row of `Wheels.rows`. ``happens`` contains the bits of `schedule`, ``lever`` is the lever arm of the time line, and
-    ``since`` is the scale of Q since the last fix.
+    The following arguments are tuples: ``u``, the numbers DT ... GY of a step; ``z``, a row of `Timeline.fixes`;
+    ``wheels``, a row of `Wheels.rows`. ``happens`` contains the bits of `schedule`, ``lever`` is the lever arm of the
+    time line, and ``since`` is the scale of Q since the last fix.
     """
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:

@@ -3,9 +3,9 @@
 A smoother does not need the measurements. For each step it uses three things: the state after it; the prediction
 (mean and covariance, with Q, gaps, fading factor and the inflation after a run of outliers); and the covariance of the
 state before with the state after, P A^T. A is the transition: the Jacobian of an extended filter, or the statistical
-linearization of an unscented filter, Cov(s', s) P^-1. In the closed forms of planar5.py and planar8.py the latter is
-the Jacobian with k J g0 + m t in place of J g0. The few numbers that determine A are written to rows MOVE, which
-`smoothing` reads.
+linearization of an unscented filter, Cov(s', s) P^-1. In the closed forms of planar5.py and planar8.py this
+linearization is the Jacobian with k J g0 + m t in place of J g0. The few numbers that determine A are written to rows
+MOVE, which `smoothing` reads.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false

@@ -4,7 +4,8 @@ The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T o
 north and up, which is 0 except between a measurement and `fold`, which rotates the quaternion by this error. All other
 rows are those of planar8; K and L are the biases of gx and gy.
 
-F has seven rows that differ from the identity's, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h = dt/2:
+F has seven rows that differ from those of the identity, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h
+= dt/2:
 
     u' = u + g J - a_n T - D11 A - D12 B        x' = x + h (u + u')
     v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')

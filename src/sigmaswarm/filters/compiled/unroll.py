@@ -88,7 +88,7 @@ class Kernel:
 
     @cached_property
     def name(self) -> str:
-        """Its qualified name."""
+        """The qualified name of the function."""
         return _name(self.source, self.known)
 
     @cached_property

@@ -185,7 +185,7 @@ class Model:
 
 
 def as_covariance(noise: Any) -> Array:
-    """Q or R, (n, n), from a matrix or its diagonal."""
+    """Return Q or R, (n, n), from a matrix or its diagonal."""
     noise = np.asarray(noise, dtype=np.float64)
     return np.diag(noise) if noise.ndim == 1 else noise
 

@@ -61,7 +61,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Parameters
     ----------
     log : Log
-        Its truth, if any, is not used.
+        The log; its truth, if any, is not used.
     model : Model
     parameters : mapping of str to float
         The model's parameters by name, as in `Tuning.parameters`; for an unscented filter also alpha, beta, kappa.
