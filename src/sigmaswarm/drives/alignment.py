@@ -73,7 +73,7 @@ class NoStart:
 
 
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
-    """Find the first moment at which position, speed and heading are known.
+    """Find the first time at which position, speed and heading are known.
 
     The start is the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), with at
     least four fixes in that time. On a slower drive it is the first fix after 10 m of travel in up to 90 s, or after
@@ -91,7 +91,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     Raises
     ------
     AlignmentError
-        If there is no such moment; the message gives the reason.
+        If there is no such time; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, NoStart):

@@ -248,7 +248,7 @@ def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) ->
 
     Of the first ``n`` rows, those up to ``now`` are read. The result is valid until ``until[0]`` if no fix is added.
     ``kinds`` has the kind of each fix, see `frozen`; stale fixes of a driving car are not used. After an outage the
-    window must be full first: the slope over half a window is three times as noisy, and a car that departs with
+    window must first be full: the slope over half a window is three times as noisy, and a car that departs with
     constant acceleration would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

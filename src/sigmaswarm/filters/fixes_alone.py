@@ -42,7 +42,7 @@ class MotionNoise:
 
     @classmethod
     def typical(cls, each: Iterable["MotionNoise"]) -> "MotionNoise":
-        """Return the median of the noises of several drives, on a logarithmic scale."""
+        """Return the median of the noise parameters of several drives, on a logarithmic scale."""
         density, fix = np.exp(np.median([(np.log(n.acceleration), np.log(n.fix)) for n in each], axis=0))
         return cls(float(density), float(fix))
 
@@ -79,7 +79,7 @@ def _variances(line: Timeline) -> Array:
 
 
 def fit_noise(replay: Replay) -> MotionNoise:
-    """Estimate the noises by maximum likelihood of the fixes of a drive."""
+    """Estimate the noise parameters by maximum likelihood of the fixes of a drive."""
     line = replay.timeline
     fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
     if len(fixes) < 3:
@@ -97,7 +97,7 @@ def fit_noise(replay: Replay) -> MotionNoise:
 
 
 def noise_of(ready: PreparedDrive) -> MotionNoise:
-    """Estimate the noises on a prepared drive."""
+    """Estimate the noise parameters on a prepared drive."""
     return fit_noise(replay_of(ready))
 
 

@@ -316,7 +316,7 @@ def trials_table(results: Results) -> Table:
     """Tabulate the costs of the trials and the bounds that they touch."""
     costs = ("lowest cost", "median cost", "highest cost")
     columns = [*map(Column, ("method", "drives", "trials")), *(Column(title, "m") for title in costs)]
-    columns += map(Column, ("evaluations", "failures", "bounds touched, in how many trials"))
+    columns += map(Column, ("evaluations", "failures", "touched bounds, number of trials"))
     rows: list[Row] = []
     for (protocol, method, group), own in _trials(results).items():
         each = [t.cost for t in own]

@@ -54,8 +54,8 @@ def inflated(
     """Inflate the process noise of the best point, shape (d,), until the cost has risen by the allowed share.
 
     ``allowed`` is the relative cost increase for up to `REFERENCE_DURATION` seconds of driving. The function returns
-    the last point within it (after applying the lower limits), its cost, and the largest factor of any noise. All
-    noises stay within their bounds.
+    the last point within it (after applying the lower limits), its cost, and the largest factor of any noise. All noise
+    variances stay within their bounds.
     """
     space = problem.space
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)

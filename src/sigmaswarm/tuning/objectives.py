@@ -36,7 +36,7 @@ class Objective:
     likelihood : bool
         True for a negative log-likelihood. In a sum with such a term, all terms are treated as nats.
     nats : float
-        Total weight of the logarithmic terms: errors that are 1% larger cost 0.01 nats per element of a measurement.
+        Total weight of the logarithmic terms: errors that are 1% larger add 0.01 nats per element of a measurement.
         If 0, the cost is a positive error, and its own relative increase is used.
     warning : str or None
         Shown to the user before the search.

@@ -133,7 +133,7 @@ def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) ->
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Return the columns in the order of the drives and as C-order, since the last bits of sums depend on both."""
+    """Return the columns in the order of the drives and as C-order, since the rounding of sums depends on both."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 

@@ -310,12 +310,12 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings
     if factor != 1.0:
-        inflated = f"all process noises are {factor:.3g}"
+        inflated = f"all process noise variances are {factor:.3g}"
         if car and MODELS[car.model].measures_imu:
-            inflated = f"the noises of position, velocity and acceleration are {factor:.3g}"
+            inflated = f"the noise variances of position, velocity and acceleration are {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
-            inflated = f"the random walks of the biases are {factor:.3g} and the noises of position and velocity {root}"
+            inflated = f"the random walks of biases are {factor:.3g} and the noise of position and velocity is {root}"
         yield INFLATED.format(inflated)
     for touched in t.touched_bounds:
         if touched.parameter not in t.unidentified:
@@ -326,7 +326,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             "rises by less than 1%"
         )
     if NOISE_SCALE in t.unidentified and objective not in SCALE_FREE:
-        why = "it does not determine the common scale of all noises, so the covariances can't be trusted"
+        why = "it does not determine the common scale of all noise variances, so the covariances can't be trusted"
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"

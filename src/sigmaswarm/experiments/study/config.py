@@ -26,7 +26,7 @@ from sigmaswarm.tuning.space import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"
-"""Name of the group of all conditions; also stands for an unknown maneuver or environment."""
+"""Name of the group of all conditions, and of an unknown maneuver or environment."""
 UNTUNED = "untuned"
 """The protocol of methods without tuning."""
 ProtocolName = Literal["paper", "honest"]

@@ -50,7 +50,7 @@ class Trajectory:
 
     @classmethod
     def empty(cls, k: int, n: int, *, covariances: bool = True, failed: int = -1) -> "Trajectory":
-        """Make a trajectory of NaN, of n states at k moments."""
+        """Make a trajectory of NaN, of n states at k times."""
         return cls(np.full((k, n), np.nan), np.full((k if covariances else 0, n, n), np.nan), failed)
 
 

@@ -85,8 +85,8 @@ class BayesianOptimization(AskTell):
 def leveled(costs: Array) -> Array:
     """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one must be finite.
 
-    A diverged filter may cost a thousand times as much as a good one, and a process fitted to such costs is flat near
-    the best point. The transformation is nearly linear below the median and logarithmic above. Infinite costs are
+    The cost of a diverged filter may be a thousand times that of a good one, and a process fitted to such costs is flat
+    near the best point. The transformation is nearly linear below the median and logarithmic above. Infinite costs are
     replaced by the highest finite one.
     """
     finite = np.isfinite(costs)
