@@ -49,7 +49,7 @@ def require_regular(path: Path) -> None:
     except OSError:
         return  # reading it gives the reason
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise InputError(f"{path}: is not a regular file; copy its content into a file, and name that")
+        raise InputError(f"{path}: is not a regular file; copy its content into a file, and name this file")
 
 
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Range = tuple[float | None, float | None]
 """Lowest and highest value, such as an interval; sorted by the lowest value."""
 Cell = str | float | Range | None
-"""None: not known."""
+"""Value of a cell; None if it is not known."""
 UNKNOWN = "-"
 WIDEST = 20
 """Characters of a name that a column of a terminal shows without a break."""

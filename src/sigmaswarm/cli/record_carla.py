@@ -34,13 +34,13 @@ class RecordCarlaOptions:
     map
         Town to load, such as Town06; by default the town that the server has loaded.
     accel_noise
-        m/s2, standard deviation of each sample.
+        Standard deviation of each acceleration sample, m/s2.
     gyro_noise
-        rad/s, standard deviation of each sample.
+        Standard deviation of each gyro sample, rad/s.
     gyro_bias
-        rad/s; the constant bias of a run is drawn uniformly from +- this value.
+        Largest gyro bias, rad/s; each drive has a constant bias within +- this value.
     gps_noise
-        m per axis, of each fix.
+        Standard deviation of each fix, m per axis.
     timeout
         Time to wait for an answer of the server, s.
     patience

@@ -24,7 +24,7 @@ class ReferenceOptions:
     out
         Folder of the new drive.
     lever_arm
-        From the IMU to the good receiver's antenna, m forward,left,up; none by default.
+        Vector from the IMU to the good receiver's antenna, m forward,left,up; by default 0,0,0.
     offset
         Added to the good receiver's times, s.
     accuracy

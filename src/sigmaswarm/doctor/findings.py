@@ -90,7 +90,8 @@ class Diagnosis:
         The drive's name.
     findings : tuple of Finding
     visible_clock_offset : float or None
-        s: the smallest offset between the clocks of IMU and GPS that would have been detected; None if no offset would.
+        Smallest offset between the clocks of IMU and GPS that would have been detected, s; None if no offset would have
+        been detected.
     """
 
     drive: str

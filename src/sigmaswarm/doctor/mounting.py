@@ -202,7 +202,7 @@ def level(imu: Imu) -> Array:
 def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
     """Convert the IMU to m/s2 and rad/s, from the size of gravity and the turns of the course; None without six axes.
 
-    Also return the fit of the levelled yaw rate.
+    The second result is the fit of the levelled yaw rate.
     """
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
@@ -306,7 +306,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
     """Fit the slopes (2,) of the integrals of gx and gy on that of gz within windows, minus straight lines.
 
-    Also return their standard deviations.
+    The second result contains the standard deviations of the slopes.
     """
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)

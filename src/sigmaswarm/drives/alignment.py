@@ -132,7 +132,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """Start at the first usable fix, with the heading stated there or at the first IMU sample, and unknown speed."""
+    """Start at the first usable fix, with its stated heading or that of the first IMU sample, and unknown speed."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):

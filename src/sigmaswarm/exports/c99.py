@@ -137,7 +137,7 @@ def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
     """Return times, s, positions, m, and, if logged, velocities, m/s, and standard deviations, m, east and north.
 
     With ``heading``, the array has all columns (NaN without a velocity, 0 without a standard deviation). The last two
-    are the heading and its standard deviation, rad.
+    columns are the heading and its standard deviation, rad.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]

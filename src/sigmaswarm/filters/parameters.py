@@ -65,7 +65,7 @@ class FilterParameters:
         unscented with a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules
         (`filters.fuzzy`).
     forgetting : float
-        In (0, 1): forgetting factor per fix of an adaptive, strong tracking or fuzzy filter.
+        Forgetting factor per fix of an adaptive, strong tracking or fuzzy filter, in (0, 1).
     fuzzy_widths : tuple of float, length 2
         Magnitudes of ratio and trend, both in (-1, 1), at which "large" and "rises" have membership 1.
     fuzzy_gains : tuple of float, length 2

@@ -34,7 +34,7 @@ class TextbookRobotLocalization:
     parameters : FilterParameters
         ``process_noise`` per ``nominal_interval``, 1 s by default.
     mean, covariance : ndarray, shapes (8,), (8, 8)
-        In the order of the module's docstring.
+        Mean and covariance at the start, in the order of the module's docstring.
     """
 
     def __init__(self, parameters: FilterParameters, mean: Array, covariance: Array) -> None:

@@ -240,7 +240,7 @@ def run_textbook(
     Parameters
     ----------
     drive, parameters, initial
-        As in `run_filter`.
+        See `run_filter`.
     heading_first : bool
         Compute the square root of P with theta first, like the compiled filter. False: use the Cholesky factor in the
         order of the states, like FilterPy.

@@ -51,7 +51,7 @@ def smooth(
     Parameters
     ----------
     drive, parameters, initial, recover, as_recorded
-        As in `run_filter`.
+        See `run_filter`.
 
     Returns
     -------

@@ -87,7 +87,7 @@ def _sinc(x: float) -> float:
 
 
 def turn(vector: Array) -> Array:
-    """exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
+    """Return exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
     angle = float(np.sqrt(vector @ vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -165,7 +165,7 @@ class Antenna:
     Attributes
     ----------
     lever : (float, float, float)
-        m forward, left and up from the IMU.
+        Vector from the IMU to the antenna, m forward, left and up.
     latency : float
     """
 
@@ -193,7 +193,7 @@ class RearAxle:
     yaw_rate : float
         rad/s
     distance : float
-        m from the rear axle forward to the IMU.
+        Distance from the rear axle forward to the IMU, m.
     """
 
     yaw_rate: float

@@ -66,7 +66,7 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 class NoiseRun(PausingRecording):
     """Run of a filter over a replay with a network that scales Q and R.
 
-    With an untrained network its pieces equal those of `Recording`.
+    With an untrained network the pieces of the run equal those of `Recording`.
 
     Parameters
     ----------

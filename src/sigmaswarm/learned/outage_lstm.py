@@ -141,7 +141,7 @@ def untrained(
 class OutageRun(PausingRecording):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    Without outages its pieces equal those of `Recording`.
+    Without outages the pieces of the run equal those of `Recording`.
 
     Parameters
     ----------

@@ -68,7 +68,8 @@ def simulate_many(
     Yields
     ------
     Drive, or the result of `use`
-        In the order maneuver, environment, run, for any number of workers; each is yielded as soon as it is ready.
+        The drives are in the order maneuver, environment, run, for any number of workers; each is yielded when it is
+        ready.
 
     Raises
     ------

@@ -38,8 +38,9 @@ INFLATED = (
     "roads it drifts slightly more over outages; --inflation 0 turns it off"
 )
 OF_THESE_SENSORS = (
-    "a filter tuned with truth suits the receiver and the IMU of these drives: with others it may be far less accurate "
-    "than the fixes. For others tune without truth (--objective innovation-t)"
+    "a filter tuned with truth suits only the receiver and the IMU of these drives: with other sensors it may be far "
+    ""
+    "less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 LARGE_GAP = 0.2

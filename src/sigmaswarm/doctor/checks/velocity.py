@@ -82,7 +82,7 @@ def agrees(evidence: Evidence) -> bool:
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
     """Find the delay of speed and course relative to the positions, s, that fits best.
 
-    Also return the ratio of the misfits with and without this delay.
+    The second result is the ratio of the misfits with and without this delay.
     """
     course = evidence.course
     assert course is not None

@@ -135,7 +135,7 @@ class LiveFilterBank(LiveFilter):
     Parameters
     ----------
     parameters, initial, nominal_interval, lever_arm, history, recover, as_recorded
-        As of `LiveFilter`.
+        See `LiveFilter`.
     seed : int
         Seed of the lanes' first offsets and of the search.
     searches : bool

@@ -214,7 +214,7 @@ def run_bank(
     Parameters
     ----------
     drive, parameters, initial, recover, as_recorded
-        As in `run_filter`.
+        See `run_filter`.
     seed, searches
         See `LiveFilterBank`.
 

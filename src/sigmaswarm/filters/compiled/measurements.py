@@ -152,7 +152,7 @@ def _look(w, l):
 
 
 def _measure_fix(w, z, lever, *, n):
-    """z = p + R(theta) lever - latency v: nu, H P H^T, C and R.
+    """Compute nu, H P H^T, C and R of z = p + R(theta) lever - latency v.
 
     R(theta) lever depends only on theta, so its sigma points have planar5's closed form.
     """
@@ -186,7 +186,7 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """R(theta) lever, k J R(theta) lever, and e: the effect of the heading and its spread on the lever arm."""
+    """Compute R(theta) lever, k J R(theta) lever, and e: effects of the heading and its variance on the lever arm."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
@@ -289,7 +289,7 @@ def _reason(w, *, n):
 
 
 def _stretch(w, l, s11, s12, s22, factor, *, n):
-    """P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and adapt S and C; a factor of 1 changes nothing.
+    """Compute P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and adapt S and C; a factor of 1 changes nothing.
 
     ``s11``, ``s12`` and ``s22`` are H P H^T.
     """
@@ -420,7 +420,7 @@ def _take_velocity(w, zu, zv, *, n):
 
 
 def _measure_along(w, u, wheels, *, n, bias, lateral):
-    """z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward: nu, S and C.
+    """Compute nu, S and C of z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward.
 
     To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: the reading of the wheels, speed /
     scale = forward - delay (ax - b).
@@ -502,7 +502,7 @@ def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
 
 
 def _measure_heading(w, *, n):
-    """z = theta: its prediction, C and H P H^T; linear in the state."""
+    """Compute the prediction, C and H P H^T of z = theta, which is linear in the state."""
     for l in range(LANES):
         w[R.N1, l], w[R.S11, l] = w[R.T, l], w[R.TT, l]
         for i in range(n):
@@ -524,7 +524,7 @@ def absorb_heading(w, u, z, *, tilted, measure_heading):
 
 
 def _absorb_one(w, *, n):
-    """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
+    """Update x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C are in rows S11, N1 and C1."""
     for l in range(LANES):
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
         g = 1.0 / w[R.S11, l]
@@ -536,7 +536,7 @@ def _absorb_one(w, *, n):
 
 
 def _absorb_two(w, *, n, tilted):
-    """x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, in rows G11, G12, G22."""
+    """Update x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, is in rows G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0

@@ -47,7 +47,7 @@ def _wrap(angle):
 
 @kernel
 def _predict(w, d, q):
-    """x += cos A - sin B, y += sin A + cos B with A = vx d + ax d2/2 and B = vy d + ay d2/2; P = J P J' + q Q."""
+    """Predict x += cos A - sin B, y += sin A + cos B, with A = vx d + ax d2/2, B = vy d + ay d2/2; P = J P J' + q Q."""
     h = 0.5 * d
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
@@ -129,7 +129,7 @@ _absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
 
 @kernel
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
-    """nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU, rotated by the mean heading."""
+    """Compute nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU at the mean heading."""
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
         w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]

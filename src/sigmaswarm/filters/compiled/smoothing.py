@@ -57,7 +57,7 @@ def _moved_planar8(move, p, ap, n):
 
 @_plain
 def _moved_tilted12(move, p, ap, n):
-    """A P, of the error; its third, first and second part are in rows 4, 8 and 9."""
+    """Compute A P of the error; its third, first and second part are in rows 4, 8 and 9."""
     dt, east, north = move[0], move[1], move[2]
     h, g = 0.5 * dt, GRAVITY * dt
     for c in range(n):
@@ -74,7 +74,7 @@ def _moved_tilted12(move, p, ap, n):
 
 
 def _moved_unscented(move, p, ap, n, *, first):
-    """A P, of the error, made from the rows D and the slopes."""
+    """Compute A P of the error from the rows D and the slopes."""
     h = 0.5 * move[0]
     for c in range(n):
         vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
@@ -103,7 +103,7 @@ _MOVED = {
 
 
 def _spread(state, p, *, n, first):
-    """The covariance (n, n) of a packed upper triangle, column by column."""
+    """Return the covariance (n, n) of an upper triangle that is packed column by column."""
     at = first
     for b in range(n):
         for a in range(b + 1):
@@ -154,7 +154,7 @@ def _turn_between(q, p, error):
 
 @_plain
 def _turned(q, x, y, z, out):
-    """exp((x, y, z)) q."""
+    """Return exp((x, y, z)) q."""
     angle = 0.5 * math.sqrt(x * x + y * y + z * z)
     k = 0.5 * math.sin(angle) / angle if angle > 0.0 else 0.5
     c, x, y, z = math.cos(angle), k * x, k * y, k * z

@@ -197,7 +197,7 @@ def settle(w):
 
 
 def measure_fix_tilted(w, z, lever, *, n):
-    """z = p + (R lever) - latency v: nu, H P H^T, C and R; of the error's part e x (R lever), see `tilted.Antenna`."""
+    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v; for the error see `tilted.Antenna`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     for l in range(LANES):
@@ -231,7 +231,7 @@ def measure_fix_tilted(w, z, lever, *, n):
 
 
 def measure_heading_tilted(w, *, n):
-    """z = yaw of the attitude: its prediction, C and H P H^T; H as `tilted.Heading`."""
+    """Compute the prediction, C and H P H^T of z = yaw of the attitude; for H see `tilted.Heading`."""
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         east, north = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3)
@@ -244,7 +244,7 @@ def measure_heading_tilted(w, *, n):
 
 
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
-    """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
+    """Compute nu, C and S of the velocity to the left at the rear axle, or forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:
         shown = u[GZ]
     else:

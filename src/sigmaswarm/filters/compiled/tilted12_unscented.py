@@ -78,7 +78,7 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """H in place of the slopes, mu, and the addition of the curvatures to the covariance.
+    """Compute H in place of the slopes, mu, and the addition of the curvatures to the covariance.
 
     ``columns`` of each output.
     """
@@ -287,7 +287,7 @@ def _turn_acceleration(w):
 
 @kernel
 def _unscented_transition(w, u):
-    """H, mu and the addition to the covariance of a step; mu is added to the mean."""
+    """Compute H, mu and the addition to the covariance of a step; mu is added to the mean."""
     _root_of_step(w)
     ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
     far = 0
@@ -402,7 +402,7 @@ _linearize_along = kernel(_linearize, columns=(3,))
 
 @kernel
 def measure_fix_unscented(w, z, lever):
-    """z = p + (R lever) - latency v, as `tilted12.measure_fix_tilted`."""
+    """Compute z = p + (R lever) - latency v like `tilted12.measure_fix_tilted`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     _root_of_rotation(w)
@@ -452,7 +452,7 @@ def measure_fix_unscented(w, z, lever):
 
 @kernel
 def measure_heading_unscented(w):
-    """z = yaw of the attitude: its prediction, C and H P H^T from the turns of the forward axis by sigma points."""
+    """Compute the prediction, C and H P H^T of z = yaw from the rotations of the forward axis by sigma points."""
     _root_of_rotation(w)
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
@@ -483,7 +483,7 @@ def measure_heading_unscented(w):
 
 
 def _measure_along(w, u, wheels, *, lateral, bias):
-    """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
+    """Compute nu, C and S of the velocity to the left at the rear axle, or forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:
         shown = u[GZ]
     else:

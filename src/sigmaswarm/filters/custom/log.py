@@ -24,7 +24,7 @@ class Log:
     time : ndarray, shape (k,)
         s, strictly increasing.
     measurement_time : ndarray, shape (f,)
-        s, strictly increasing; these times need not be among ``time``.
+        Times of the measurements, s, strictly increasing; they need not be among ``time``.
     measurements : ndarray, shape (f, m)
         (f,) stands for (f, 1).
     mean, covariance : ndarray, shapes (n,), (n, n)

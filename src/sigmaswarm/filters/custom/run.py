@@ -90,7 +90,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     Parameters
     ----------
     log, model, parameters
-        As in `run_model`.
+        See `run_model`.
 
     Returns
     -------
