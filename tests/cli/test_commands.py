@@ -409,7 +409,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
         at = {"protocol": protocol, "method": method, "measure": measure, "maneuver": "all"}
         return next(r["mean"] for r in results["summary"] if at.items() <= r.items())
 
-    why = next(line for line in ended.out.splitlines() if line.startswith("There are two objectives"))
+    why = next(line for line in ended.out.splitlines() if line.startswith("The study has two objectives"))
     for figures in (
         ("paper", "pso-ukf", "gps_rmse_m"),
         ("paper", "pso-ukf", "position_rmse_m"),
@@ -418,7 +418,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
     ):
         assert f"{mean(*figures):.2f} m" in why
     assert all(Path(f"show/figures/{name}.png").exists() for name in ("convergence", "trajectory"))
-    assert "There are two objectives" in Path("show/page.html").read_text()
+    assert "The study has two objectives" in Path("show/page.html").read_text()
     again = sigmaswarm("demo", "--out", "show")
     assert again.code == 0
     assert json.loads(Path("show/results.json").read_text()) == results
