@@ -57,7 +57,7 @@ def test_one_call_for_each_job_of_the_command_line(tmp_path):
     np.testing.assert_array_equal(plain.mean, sigmaswarm.run(drive, tmp_path / "tuning.toml").mean)
     np.testing.assert_array_equal(plain.mean, sigmaswarm.run_filter(drive, tuning.parameters).mean)
     assert not np.array_equal(sigmaswarm.run(drive, tuning, smooth=True).mean, plain.mean)
-    with pytest.raises(sigmaswarm.InputError, match="exclude each other"):
+    with pytest.raises(sigmaswarm.InputError, match="can't be combined"):
         sigmaswarm.run(drive, tuning, smooth=True, bank=True)
     evaluation = sigmaswarm.evaluate(drive, tuning)
     assert evaluation.drives[drive.name].record.seen_s  # the tuning states that it saw this drive

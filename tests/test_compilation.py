@@ -248,7 +248,7 @@ def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: s
         for folder in folders:
             folder.chmod(0o755)
     (said,) = told["said"]
-    assert "compiled filters are not kept" in said
+    assert "compiled filters are not cached" in said
     assert str(home) in said
     if done is not None:
         assert done.returncode == 0, done.stderr

@@ -77,7 +77,7 @@ def _passed(row: Row, plan: Plan) -> bool:
 def velocity_check(rows: Sequence[Row]) -> float:
     """Return the RMS difference between the snapshots' velocity and the central difference of their positions, m/s.
 
-    It is large if CARLA gives the velocity of the center of mass, but the position of the car's origin.
+    The difference is large if CARLA gives the velocity of the center of mass, but the position of the car's origin.
     """
     total = 0.0
     for a, b, c in zip(rows, rows[1:], rows[2:]):
@@ -86,7 +86,7 @@ def velocity_check(rows: Sequence[Row]) -> float:
 
 
 def achieved(maneuver: str, recording: Recording, began: float) -> dict[str, float]:
-    """Return the figures that the car achieved, with the names of the plan's ``target``."""
+    """Return the values that the car achieved, with the names of the plan's ``target``."""
     rows = recording.rows
     own = [row for row in rows if row.t >= began]
     speeds = [row.speed for row in rows]

@@ -41,9 +41,9 @@ class Plan:
 
 
 def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> Plan:
-    """Draw the random figures of one of the paper's maneuvers, and find a path for it.
+    """Draw the random values of one of the paper's maneuvers, and find a path for it.
 
-    The figures are those of `sigmaswarm.simulation.maneuvers`: the paper's, or the largest that the friction allows.
+    The values are those of `sigmaswarm.simulation.maneuvers`: those of the paper, or the largest that friction allows.
     Each maneuver begins with at least 30 m at 5 m/s or more, so that a filter can find its heading.
     """
     hard = 0.9 * friction * GRAVITY

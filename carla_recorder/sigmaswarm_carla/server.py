@@ -14,7 +14,7 @@ from .geometry import Geodesy
 from .options import ENVIRONMENTS, TICK, LostConnection, Options, RecorderError
 
 _KEEP: list[Any] = []
-"""Objects of a broken connection: their destructors would wait for the lost server."""
+"""Objects of a broken connection, which are kept because their destructors would wait for the lost server."""
 
 
 def reachable(host: str, port: int, seconds: float) -> bool:
@@ -33,7 +33,7 @@ def number_of(version: str) -> str:
 
 
 def import_carla() -> Any:
-    """Import the client; raise RecorderError where it is not installed."""
+    """Import the client; raise RecorderError if it is not installed."""
     try:
         return import_module("carla")
     except ImportError as error:

@@ -18,7 +18,7 @@ SETTLE = 100
 
 
 class Physics(NamedTuple):
-    """The car's physics: the figures for driving, and all of CARLA's record for recording.json."""
+    """The car's physics: the values for driving, and CARLA's whole record for recording.json."""
 
     wheelbase: float  # m
     ahead: float  # m, from the rear axle to the car's origin, where the IMU is
@@ -28,7 +28,7 @@ class Physics(NamedTuple):
 
 
 def edit_physics(session: Session, car: Any, tire_friction: float | None, share: float = 1.0) -> Physics:
-    """Set the friction of the tires, stronger brakes and a flat steering curve; check that the server took them.
+    """Set the friction of the tires, stronger brakes and a flat steering curve; check that the server applied them.
 
     Without `tire_friction`, the friction is `share` times that of the stock tires.
     """
@@ -58,7 +58,7 @@ def axles(wheels: Sequence[Any], car: Any) -> tuple[float, float]:
     """Return the wheelbase, and the distance from the rear axle to the car's origin, m.
 
     CARLA gives the wheels' positions in the world, in cm, front wheels first. If they do not have the proportions of a
-    car, the figures of the real car are returned.
+    car, the values of the real car are returned.
     """
     heading, (x, y, _) = heading_of(car.rotation), polar(car.location)
     places = [polar(wheel.position) for wheel in wheels]

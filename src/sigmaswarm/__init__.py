@@ -7,15 +7,16 @@ turns scores into a cost; a swarm searches the parameters with the lowest cost; 
 
 Conventions
 -----------
-- SI units and radians inside; degrees only in text for people and in columns whose names end in ``deg``.
+- Values are in SI units and radians. Degrees are used only in text and in columns whose names end in ``deg``.
 - Local frame: east-north-up; x east, y north. Heading ``theta`` counter-clockwise from east, in (-pi, pi].
-- Body frame: x forward, y left, z up (REP-103). The IMU gives specific force and angular rate in it.
-- Attitude of models with roll and pitch: R = Rz(theta) Ry(pitch) Rx(roll) turns body into local axes, so that
+- Body frame: x forward, y left, z up (REP-103). The IMU measures specific force and angular rate in this frame.
+- Attitude of models with roll and pitch: R = Rz(theta) Ry(pitch) Rx(roll) rotates body axes into local axes, so that
   ``roll`` is positive left side up and ``pitch`` nose down.
 - Time: float64 seconds, strictly increasing within a sensor; sensors keep their own clocks and rates.
 - State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad). ``process_noise`` is the diagonal of Q, the variance
-  added per nominal IMU step; ``measurement_noise`` the diagonal of R. Other models have more states behind these.
-- A filter never sees truth. error = estimate - truth. Costs: lower wins, a failed filter costs ``inf``.
+  added per nominal IMU step; ``measurement_noise`` is the diagonal of R. Other models have additional states after
+  these.
+- Filters never use truth. The error is estimate - truth. Costs are minimized; the cost of a failed filter is ``inf``.
 
 Symbols: x, P state mean and covariance; Q, R process and measurement noise covariance; alpha, beta, kappa sigma-point
 scaling (Merwe); z, nu, S, K measurement, innovation, its covariance, gain; w, c1, c2 inertia, cognitive and
@@ -170,12 +171,12 @@ _HOMES = {
 }
 """Modules and the names that they define.
 
-Those in ``__all__`` are public. The others (types of results, parts of the public functions, experiments, textbook
+Names in ``__all__`` are public. The other names (types of results, parts of the public functions, experiments, textbook
 filters) can be imported, but ``dir`` does not list them.
 """
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
-"""Names of 0.3.0, kept for one release."""
+"""Deprecated names of version 0.3.0."""
 
 __all__ = [
     "AlignmentError",
@@ -213,7 +214,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: `sigmaswarm --help` must not wait for Numba."""
+    """Import a public name at its first use, so that `sigmaswarm --help` does not wait for Numba."""
     if name in _RENAMED:
         warnings.warn(f"sigmaswarm.{name} is now {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
         return __getattr__(_RENAMED[name])

@@ -1,4 +1,4 @@
-"""`python -m sigmaswarm`: the command, where its script is not on the path."""
+"""Run the command line as `python -m sigmaswarm`, also if the script is not on the path."""
 
 from sigmaswarm.cli import main
 

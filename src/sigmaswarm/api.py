@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from sigmaswarm.scoring.evaluation import Evaluation
 
 Filter = FilterParameters | Tuning[Any] | str | Path
-"""Parameters, a tuning, or the file or folder of one."""
+"""Parameters of a filter, a tuning, or the file or folder of a tuning."""
 
 
 def filter_of(given: Filter) -> FilterParameters:
-    """Return the parameters of a filter, given in any of these forms."""
+    """Return the parameters of a filter that is given as in `Filter`."""
     if isinstance(given, str | Path):
         return FilterParameters.load(given)
     parameters = given.parameters if isinstance(given, Tuning) else given
@@ -45,7 +45,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     log : str or Path
         A file or folder; it contains the IMU.
     name : str, optional
-        Name of the drive; by default that of the log.
+        Name of the drive; by default the name of the log.
     **settings
         ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ({"ax": "acc_x*g"}), ``tables`` ({"imu":
         "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe, such as ``mount``, ``gps_offset_s``,
@@ -54,17 +54,17 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     Returns
     -------
     Drive
-        Without its folder; `write_drive` makes one.
+        The drive in memory; `write_drive` writes its folder.
 
     Raises
     ------
     InputError
-        The log can't be read; one line gives the file, the place and the remedy.
+        The log can't be read; the message has one line with file, place and remedy.
 
     Warns
     -----
     SigmaswarmWarning
-        Each assumption that was made, and times that only the IMU or only the fixes cover.
+        Each assumption of the import, and times that only the IMU or only the fixes cover.
     """
     from sigmaswarm.importing.convert import import_drive, request_of
 
@@ -80,12 +80,12 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
 
 
 def inspect_log(log: str | Path, **settings: Any) -> "Look":
-    """Return the tables of a log, the recipe that `import_log` would use, and its assumptions; as ``import --show``.
+    """Return the tables of a log, the recipe that `import_log` would use, and the assumptions, like ``import --show``.
 
     Parameters
     ----------
     log, **settings
-        As of `import_log`.
+        See `import_log`.
     """
     from sigmaswarm.importing.convert import request_of
     from sigmaswarm.importing.look import look
@@ -96,9 +96,9 @@ def inspect_log(log: str | Path, **settings: Any) -> "Look":
 def split(
     drive: Drive, train_fraction: float = 0.7, *, at: float | tuple[float, float] | None = None
 ) -> tuple[Drive, Drive]:
-    """Split a drive in time into a part to tune on and a part to test on; parameters as of ``split_time``.
+    """Split a drive in time into a part to tune on and a part to test on. Parameters: see ``split_time``.
 
-    With two times in ``at``, what lies between them is left out.
+    With two times in ``at``, the part between them is left out.
     """
     return split_time(drive, train_fraction, at=at)
 
@@ -120,15 +120,15 @@ def run(
     drive : Drive
     parameters : FilterParameters, Tuning, or the path of a tuning
     smooth : bool
-        Smooth the estimates: each uses all fixes, later ones too.
+        Smooth the estimates, so that each uses all fixes, also later ones.
     bank : bool
         Run a bank of sixteen filters with different parameters; their mixture is the estimate.
     initial : InitialState, optional
-        Where to start; by default the first moment at which the drive shows position, speed and heading.
+        Start of the filter; by default the first time at which the drive shows position, speed and heading.
     recover : bool
-        Reset the filter where it diverges.
+        Reset the filter if it diverges.
     as_recorded : bool
-        Run without preprocessing: use stale fixes, and step over gaps of the IMU as over other intervals.
+        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps.
 
     Returns
     -------
@@ -145,7 +145,9 @@ def run(
     chosen = filter_of(parameters)
     options: dict[str, Any] = {"initial": initial, "recover": recover, "as_recorded": as_recorded}
     if smooth and bank:
-        raise InputError("smooth and bank exclude each other: a filter bank is not smoothed; leave one out")
+        raise InputError(
+            "smooth and bank can't be combined, since a filter bank is not smoothed; leave one out"
+        )
     if smooth:
         from sigmaswarm.filters.smoothing import smooth as run_smoother
 
@@ -160,25 +162,25 @@ def run(
 def evaluate(
     drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
 ) -> "Evaluation":
-    """Compare a filter with the baseline, raw GPS and IMU only on drives that its tuning did not use.
+    """Compare a filter with the baseline, raw GPS and the IMU alone, on drives that the tuning did not use.
 
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Without truth only the drift over outages and the consistency are scored, against the fixes.
+        Without truth the scores are the consistency and the drift over outages, relative to the fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
-        A `Tuning` also contains the names of its drives: the evaluation warns where they overlap.
+        A `Tuning` also identifies its training drives: the evaluation warns if ``drives`` contain parts of them.
     against : the same, optional
-        A second filter, of any model; also the path of an ekf.yaml of robot_localization.
+        A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
-        ``fixes_alone`` (noises of the filter of the fixes alone; a `Tuning` has them),
+        ``fixes_alone`` (noise parameters of the filter of the fixes alone; a `Tuning` contains them),
         ``cluster``.
 
     Returns
     -------
     Evaluation
-        Scores by drive and method; ``print`` shows them, ``to_frame()`` and ``save(folder)`` keep them.
+        Scores by drive and method, for ``print``, ``to_frame()`` and ``save(folder)``.
 
     Raises
     ------
@@ -200,14 +202,14 @@ def evaluate(
 def export(
     parameters: Filter, to: "Target", folder: str | Path | None = None, **options: Any
 ) -> dict[str, str]:
-    """Write a filter for use elsewhere: ``c99``, ``filterpy`` or ``robot_localization``.
+    """Export a filter to other software: ``c99``, ``filterpy`` or ``robot_localization``.
 
     Parameters
     ----------
     parameters : FilterParameters, Tuning, or the path of a tuning
     to : str
     folder : str or Path, optional
-        Where to write the files; by default nothing is written.
+        Folder for the files; by default nothing is written.
     **options
         ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``.
 
@@ -288,7 +290,7 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     Returns
     -------
     matplotlib.figure.Figure
-        ``savefig`` writes it.
+        The figure; ``savefig`` writes it to a file.
 
     Raises
     ------

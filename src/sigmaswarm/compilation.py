@@ -1,8 +1,8 @@
-"""Compile functions with Numba, and cache the machine code between processes where that is safe.
+"""Compile functions with Numba, and cache the machine code between processes if this is safe.
 
-Numba caches machine code in pickles, so a user who can write them can run code with the rights of the user who reads
-them. The cache is therefore in a folder that only its owner can write. Without a writable folder, or with a damaged
-file, Numba itself would fail; here both cost only another compilation.
+Numba caches machine code in pickles, so a user who can write these files can run code with the rights of the user who
+reads them. The cache is therefore in a folder that only its owner can write. Without a writable folder, or with a
+damaged file, Numba would fail; this module compiles the function again instead.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def once(make: Callable[P, T]) -> Callable[P, T]:
-    """As `functools.cache`, but threads wait while another one computes the same value."""
+    """Cache results like `functools.cache`, but let threads wait while another thread computes the same value."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)
@@ -49,9 +49,10 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A function that is generated only if its machine code is not cached: generating a kernel takes half a second.
+    """A function that is generated only if its machine code is not cached.
 
-    ``like`` has its name and parameters; ``key`` identifies it among those of this name, as its source text would.
+    Generating a kernel takes half a second. ``like`` is a function with the same name and parameters. ``key``
+    distinguishes functions of this name, like their source text.
     """
 
     like: Callable[..., Any]
@@ -60,7 +61,7 @@ class Recipe:
 
 
 def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) -> Any:
-    """Compile with `numba.njit` and cache the machine code between processes, where a folder allows it."""
+    """Compile with `numba.njit`, and cache the machine code between processes if there is a safe folder."""
     if function is None:
         return lambda function: cached(function, **options)
     if config.DISABLE_JIT:
@@ -73,7 +74,7 @@ def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) 
 def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
     """Compile a function as `cached` does and return the address of its machine code, valid in this process.
 
-    Without compiling (NUMBA_DISABLE_JIT) the function itself is returned.
+    If compilation is off (NUMBA_DISABLE_JIT), return the function itself.
     """
     if config.DISABLE_JIT:
         return function.make()
@@ -85,7 +86,7 @@ def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
 
 
 _CALLED: list[CFunc] = []
-"""Keeps machine code alive whose address is in use."""
+"""Functions whose machine code must stay in memory, since its address is in use."""
 
 
 def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
@@ -148,7 +149,7 @@ def _is_private(folder: Path) -> bool:
 
 
 class _Checked(CompileResultCacheImpl):
-    """Machine code with its checksum: a flipped bit would crash, or change results."""
+    """Machine code with a checksum, since a damaged bit would cause a crash or wrong results."""
 
     def reduce(self, cres: Any) -> Any:
         kept = dumps(super().reduce(cres))
@@ -162,7 +163,7 @@ class _Checked(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """A cache whose faults cost a compilation but never end the run; damaged files are written again."""
+    """A cache whose damaged files are compiled and written again instead of ending the run."""
 
     _impl_class = _Checked
     recipe: Recipe | None = None
@@ -197,7 +198,7 @@ class _Cache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """No cache; warns when it would have saved machine code for the first time."""
+    """A cache that stores nothing and warns at its first use."""
 
     def __init__(self, trouble: str) -> None:
         self._trouble = trouble
@@ -215,7 +216,8 @@ def _log_once(folder: str) -> None:
 @cache
 def _warn_once(trouble: str) -> None:
     warnings.warn(
-        f"compiled filters are not kept, since {trouble}: each start compiles them again, for about ten seconds; "
+        f"compiled filters are not cached, since {trouble}: each start compiles them again, which takes about ten "
+        f"seconds; "
         "set NUMBA_CACHE_DIR to a folder of your own",
         SigmaswarmWarning,
         stacklevel=2,

@@ -16,7 +16,7 @@ class DriveError(InputError):
 
 
 class AlignmentError(DriveError):
-    """No filter can start on the drive: too slow, too few fixes, or fixes that contradict the IMU."""
+    """No filter can start on a drive: the vehicle is too slow, fixes are too few, or they contradict the IMU."""
 
 
 class TuningStopped(SigmaswarmError):

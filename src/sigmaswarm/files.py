@@ -1,9 +1,10 @@
-"""Write files and folders whole or not at all.
+"""Write files and folders completely or not at all.
 
-New content is written under a hidden name next to its destination, flushed to the disk and then renamed. So no reader,
-kill, full disk or second run leaves a part of it under the final name, and the old content stays until then. A rename
-replaces a symbolic link and never follows it. A locked file next to the hidden name shows that a run is writing. The
-next run that writes into the same folder removes what killed runs left there: a lock ends with its process.
+New content is written under a hidden name next to its destination, flushed to the disk and then renamed. So a kill, a
+full disk or a second run never leaves partial content under the final name, and the old content stays until the rename.
+A rename replaces a symbolic link and never follows it. A locked file next to the hidden name shows that a run is
+writing. A lock ends with its process, so the next run that writes into the same folder removes the files of killed
+runs.
 """
 
 import io
@@ -31,13 +32,13 @@ _LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file of bytes, or of text as UTF-8, as `whole_file` does."""
+    """Write bytes, or text as UTF-8, to a file with `whole_file`."""
     with whole_file(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
 
 def write_json(path: Path, content: Any, indent: int = 2) -> None:
-    """Write JSON with every bit of its floats."""
+    """Write JSON with the exact values of its floats."""
     write_whole(path, json.dumps(content, indent=indent) + "\n")
 
 
@@ -62,7 +63,7 @@ def finite(content: Any) -> Any:
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
-    """Make a folder and its missing parents; an `InputError` names the obstacle, and ``remedy``."""
+    """Make a folder and its missing parents; an `InputError` states the obstacle and ``remedy``."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -72,7 +73,7 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
 
 @contextmanager
 def held_folder(path: Path) -> Generator[Path]:
-    """Make a folder where it is missing, and lock it against other runs until the block ends."""
+    """Make a folder if it is missing, and lock it against other runs until the block ends."""
     file = make_folder(path) / ".sigmaswarm.lock"
     try:
         lock = _lock(file, wait=False)
@@ -95,7 +96,7 @@ def held_folder(path: Path) -> Generator[Path]:
 
 @contextmanager
 def whole_file(path: Path) -> Generator[BinaryIO]:
-    """Open a file for bytes that takes its place when the block ends, and never if the block fails."""
+    """Open a file for bytes that gets its final name when the block ends without an error."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if path.exists() and not path.is_file():  # as root, /dev/null could be replaced
@@ -116,9 +117,9 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
 
 @contextmanager
 def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
-    """Yield a path at which to make a folder, which takes its own place when the block ends.
+    """Yield a path at which to make a folder, which gets its final name when the block ends.
 
-    With ``replace`` it may take the place of a folder that is not empty.
+    With ``replace`` it may replace a folder that is not empty.
     """
     with _staging(path) as hidden:
         new, old = hidden / "new" / path.name, hidden / "old" / path.name
@@ -138,10 +139,10 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
 
 @contextmanager
 def staged_files(folder: Path) -> Generator[Path]:
-    """Yield a hidden folder for files that take their places in ``folder`` when the block ends, all or none.
+    """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
-    They replace files of the same names; others stay. If the block or a replacement fails, the old files stay. The next
-    run that writes into the folder restores them if this one is killed between two replacements.
+    The new files replace files of the same names; other files stay. If the block or a replacement fails, the old files
+    stay. The next run that writes into the folder restores them if this one is killed between two replacements.
     """
     make_folder(folder)
     with _staging(folder / "results", folder) as hidden:
@@ -157,7 +158,7 @@ def staged_files(folder: Path) -> Generator[Path]:
 
 
 def _exchange(hidden: Path, folder: Path) -> None:
-    """Move new files to their places, and the old ones aside; undo it if one can't be moved."""
+    """Move new files to their places, and the old files aside; undo this if one can't be moved."""
     new, old = hidden / "new", hidden / "old"
     files = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
     for name in files:
@@ -178,7 +179,7 @@ def _exchange(hidden: Path, folder: Path) -> None:
 
 
 def _restore(hidden: Path, folder: Path) -> None:
-    """Put the files that an unfinished exchange moved aside back to their places."""
+    """Move the files back that an unfinished exchange moved aside."""
     for file in (hidden / "old").rglob("*"):
         if file.is_file():
             file.replace(folder / file.relative_to(hidden / "old"))
@@ -204,7 +205,7 @@ class _Part(io.FileIO):
     failure: OSError | None = None
 
     def write(self, data: Any, /) -> int:
-        """Write as any file does."""
+        """Write like any file."""
         try:
             return super().write(data)
         except OSError as error:
@@ -248,7 +249,7 @@ def _remove(hidden: Path) -> None:
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
     """Lock a file, made if missing, until its release or the end of the process; None where files can't be locked.
 
-    Without ``wait``, raise `TimeoutError` where another run has the lock.
+    Without ``wait``, raise `TimeoutError` if another run has the lock.
     """
     from filelock import FileLock, Timeout  # not needed by commands that only read
 
@@ -273,7 +274,7 @@ def _flush(folder: Path) -> None:
 
 @cache  # once per folder and process: each process removes its own
 def _sweep(folder: Path) -> None:
-    """Remove what killed runs left in a folder: hidden names of ours whose lock file is ours and not locked."""
+    """Remove the files of killed runs from a folder: hidden names of this user whose lock file is not locked."""
     _sweep_all(folder, ".*.lock")
 
 

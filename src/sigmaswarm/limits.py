@@ -1,6 +1,6 @@
-"""Limits of files, checked before they are read: a small or damaged file can claim any size.
+"""Check the sizes of files before they are read, since a small or damaged file can claim any size.
 
-Within these bounds a file that is refused takes at most 1.5 GB of memory and 10 s.
+Within these limits, refusing a file needs at most 1.5 GB of memory and 10 s.
 """
 
 import re
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     import zipfile
 
 LONGEST_LINE = 1 << 20
-"""Bytes of a text's line."""
+"""Largest number of bytes in a line of text."""
 MOST_CELLS = 120_000_000
-"""Cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz."""
+"""Largest number of cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz."""
 MOST_COLUMNS = 1000
-"""Columns of a drive's table."""
+"""Largest number of columns of a drive's table."""
 LONGEST_NAME = 1000
-"""Characters of a column's name."""
+"""Largest number of characters of a column's name."""
 MOST_TOML = 1 << 20
-"""Bytes of a TOML file, which takes 3 s to parse."""
+"""Largest size of a TOML file, bytes; parsing takes 3 s."""
 MOST_JSON = 1 << 26
-"""Bytes of a JSON file, which takes 0.6 GB when parsed."""
+"""Largest size of a JSON file, bytes; parsing needs 0.6 GB."""
 MOST_MEMBERS = 10_000
-"""Arrays in an npz file."""
+"""Largest number of arrays in an npz file."""
 MOST_UNPACKED = 1_000_000_000
-"""Bytes of the arrays in an npz file."""
+"""Largest total size of the arrays in an npz file, bytes."""
 
 _PACKED = {
     b"\x1f\x8b": "gzip",
@@ -37,26 +37,26 @@ _PACKED = {
     b"\x78\x9c": "zlib",
     b"\x78\xda": "zlib",
 }
-"""First bytes of the compressed files that polars unpacks to any size, whatever they are called."""
+"""First bytes of compressed files, which polars unpacks to any size, regardless of their names."""
 _LONG_KEY = re.compile(rb"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
-"""A dotted key of TOML: tomllib's time grows with the square of its parts."""
+"""Pattern of a long dotted key of TOML; the time of tomllib grows with the square of the number of its parts."""
 
 
 def require_regular(path: Path) -> None:
-    """Refuse anything but files and folders: reading a pipe, a socket or a device may never end."""
+    """Refuse everything except files and folders, since reading a pipe, a socket or a device may never end."""
     try:
         mode = path.stat().st_mode
     except OSError:
         return  # reading it gives the reason
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise InputError(f"{path}: is not a regular file; copy its content into a file, and name that")
+        raise InputError(f"{path}: is not a regular file; copy its content into a file, and name this file")
 
 
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
     """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes.
 
-    ``shown_as`` is its name in messages, where it was unpacked to another place. Returns its first line and the number
-    of its lines, empty ones as well: polars makes a row of each.
+    ``shown_as`` is the name of the file in messages, if it was unpacked to another place. Return the first line and the
+    number of lines, including empty lines, from which polars also makes rows.
     """
     require_regular(path)
     with path.open("rb") as file:

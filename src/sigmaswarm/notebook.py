@@ -1,4 +1,4 @@
-"""HTML of records for notebooks, tables and tracks without scripts or other files, and pandas' tables.
+"""Make HTML of records for notebooks (tables and tracks, without scripts or other files), and pandas' tables.
 
 The functions take plain numbers and texts, which each record supplies. Texts are escaped, since names come from logs.
 """
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0
-"""px, of a picture."""
+"""Width and height of a picture, px."""
 MOST_POINTS = 400
-"""Largest number of points of a line; a notebook stores its pictures."""
+"""Largest number of points of a line, since a notebook stores its pictures."""
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
 """Colors of all pictures, distinguishable with color blindness too."""
 
@@ -50,7 +50,7 @@ def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -
 
 
 def listed(title: str, sentences: Sequence[str]) -> str:
-    """Write sentences as a list under a title; empty without sentences."""
+    """Write sentences as a list under a title; return an empty text if there are none."""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<p>{escape(title)}</p><ul>{items}</ul>" if sentences else ""
 
@@ -58,8 +58,8 @@ def listed(title: str, sentences: Sequence[str]) -> str:
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
     """Draw paths from above, north up and to scale, with a sentence that describes the picture.
 
-    ``paths``: m east and north, shape (n,) each; NaN where unknown. The path called fixes is drawn as dots, and names
-    in `COLORS` have these colors.
+    ``paths``: m east and north, shape (n,) each; NaN where unknown. The path with the name fixes is drawn as dots;
+    paths whose names are in `COLORS` have these colors.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}

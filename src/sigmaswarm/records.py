@@ -1,6 +1,6 @@
 """Read the records that sigmaswarm writes, TOML, JSON and npz files, into typed records.
 
-All records are read here, so that any damaged one gives one line that names the file and the remedy.
+All records are read by this module, so that every damaged record gives one line with the file and the remedy.
 """
 
 import json

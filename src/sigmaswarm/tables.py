@@ -1,4 +1,4 @@
-"""Tables of results, written once: the terminal, notebooks, pages, Markdown, LaTeX and CSV render the same record."""
+"""Tables of results: one record that terminal, notebooks, pages, Markdown, LaTeX and CSV render."""
 
 import math
 import re
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 Range = tuple[float | None, float | None]
-"""Lowest and highest value, such as an interval; sorted by its lowest."""
+"""Lowest and highest value, such as an interval; sorted by the lowest value."""
 Cell = str | float | Range | None
-"""None: not known."""
+"""Value of a cell; None if it is not known."""
 UNKNOWN = "-"
 WIDEST = 20
 """Characters of a name that a column of a terminal shows without a break."""
 MOST_PRINTED = 10
-"""Rows of a table that `repr` shows."""
+"""Number of rows of a table that `repr` shows."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Column:
 class Table:
     """A table, which a notebook shows as HTML.
 
-    The rows whose indices are in ``strong`` are emphasized; ``note`` explains the figures.
+    The rows whose indices are in ``strong`` are emphasized; ``note`` explains the values.
     """
 
     caption: str
@@ -132,7 +132,7 @@ class Table:
         return drawn
 
     def _printed(self) -> list[list[str]]:
-        """Heading and rows for print; the text of a joined column is part of that before it."""
+        """Return heading and rows for print; the text of a joined column is added to the previous column."""
         lines: list[list[str]] = [[]]
         for column in self.columns:
             if column.joined:
@@ -160,7 +160,7 @@ def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
 
 
 def numbers_of(cell: Cell) -> list[float] | None:
-    """Return the number of a cell, or both ends of its range; None where one of them is not known."""
+    """Return the number of a cell, or both ends of its range; None for an unknown end."""
     ends = cell if isinstance(cell, tuple) else (cell,)
     known = [float(end) for end in ends if isinstance(end, int | float) and math.isfinite(end)]
     return known if len(known) == len(ends) else None

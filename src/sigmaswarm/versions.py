@@ -1,8 +1,8 @@
-"""The library's version, and the versions that a result depends on."""
+"""The version of the library, and the versions of software that affect results."""
 
 __version__ = "0.4.0"
 SAME_RESULTS = {"0.3.0", "0.4.0"}
-"""Versions that compute the same bits, so that one continues the work of the other."""
+"""Versions with identical results, so that one can continue the work of the other."""
 
 
 def versions() -> dict[str, str]:
@@ -23,7 +23,7 @@ def versions() -> dict[str, str]:
 
 
 def same_results(one: dict[str, str], other: dict[str, str]) -> bool:
-    """Check that the software of two results computes the same bits."""
+    """Check that the software of two results computes identical numbers."""
     ours = {one.get("sigmaswarm"), other.get("sigmaswarm")}
     drop = {"sigmaswarm"} if ours <= SAME_RESULTS else set[str]()
     return {k: v for k, v in one.items() if k not in drop} == {

@@ -30,7 +30,7 @@ def counted(n: int, noun: str) -> str:
 
 
 def visible(text: str, kept: str = "\n\t") -> str:
-    """Escape control characters except ``kept``: a name may contain commands to a terminal."""
+    """Escape control characters except ``kept``, since a name may contain commands to a terminal."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)

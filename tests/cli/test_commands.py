@@ -255,7 +255,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert "raw GPS" in shown
     assert "\nurban-clear-03: without truth there are no errors of position and heading." in shown
     assert shown.count("Position error on") == 1, "where there is truth, it tells"
-    assert shown.endswith("next: run this command with --out evaluation, for pictures and a page\n")
+    assert shown.endswith("next: repeat this command with --out evaluation to get figures and a page\n")
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
@@ -370,7 +370,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
     assert (
-        f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 20 m of" in said
+        f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix before which" in said
     )
     assert f"wrote the {len(pl.read_csv('f.csv'))} earlier fixes to f.csv" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
@@ -409,7 +409,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
         at = {"protocol": protocol, "method": method, "measure": measure, "maneuver": "all"}
         return next(r["mean"] for r in results["summary"] if at.items() <= r.items())
 
-    why = next(line for line in ended.out.splitlines() if line.startswith("There are two objectives"))
+    why = next(line for line in ended.out.splitlines() if line.startswith("The study has two objectives"))
     for figures in (
         ("paper", "pso-ukf", "gps_rmse_m"),
         ("paper", "pso-ukf", "position_rmse_m"),
@@ -418,7 +418,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
     ):
         assert f"{mean(*figures):.2f} m" in why
     assert all(Path(f"show/figures/{name}.png").exists() for name in ("convergence", "trajectory"))
-    assert "There are two objectives" in Path("show/page.html").read_text()
+    assert "The study has two objectives" in Path("show/page.html").read_text()
     again = sigmaswarm("demo", "--out", "show")
     assert again.code == 0
     assert json.loads(Path("show/results.json").read_text()) == results

@@ -95,7 +95,7 @@ def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path
     before = {file.name: file.read_bytes() for file in sick.iterdir()}
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
     assert ended.code == 0  # nothing serious is left
-    assert "mended: gyro-sign. Remaining findings:" in ended.out
+    assert "repaired: gyro-sign. Remaining findings:" in ended.out
     assert {file.name: file.read_bytes() for file in sick.iterdir()} == before
     copy = read_drive(here / "mended" / good.name)
     assert copy.imu.gz.tobytes() == good.imu.gz.tobytes()
@@ -163,7 +163,7 @@ def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here
     assert line.startswith(f"lever arm: antenna {forward} m ")
     assert f") and {left} m " in line
     assert copy.metadata["repaired"] == ["lever-arm"]
-    assert "mended: lever-arm. Remaining findings" in ended.out
+    assert "repaired: lever-arm. Remaining findings" in ended.out
 
 
 def test_a_lever_arm_that_the_turns_do_not_show_changes_no_copy(sigmaswarm, good, here: Path):

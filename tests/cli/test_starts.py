@@ -70,7 +70,7 @@ def test_a_heading_column_of_a_moving_vehicle_is_in_the_convention_that_its_cour
 def test_split_says_that_a_part_has_no_start(sigmaswarm: Command, tmp_path) -> None:
     write_drive(still(), tmp_path / "still")
     ended = sigmaswarm("split", tmp_path / "still", "--out", tmp_path / "parts")
-    assert ended.code == 0 and "still-test can't be used alone" in ended.err.replace("\n", " ")
+    assert ended.code == 0 and "still-test can't be used as a drive" in ended.err.replace("\n", " ")
     assert (
         f"next: sigmaswarm doctor {tmp_path / 'parts' / 'still-train'} " in ended.out
         and "tune" not in ended.out

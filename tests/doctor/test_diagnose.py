@@ -475,7 +475,7 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
             for t in (drive.imu, drive.gps)
         )
         for found in clock_jumps(imu.time, gps):
-            unsure = "does not distinguish the two" in found.what
+            unsure = "does not show which" in found.what
             named += not unsure
             wrong += not unsure and (found.code == "clock-jump") != jumped
     assert wrong == 0

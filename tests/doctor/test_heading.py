@@ -25,8 +25,8 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str, str]] = {
         "heading-convention",
         "heading is in deg clockwise from north",
     ),
-    "mounted askew": (lambda h: h + np.radians(6.0), "heading-offset", "deg off the course"),
-    "mounted across": (lambda h: h - np.pi / 2, "heading-offset", "deg off the course"),
+    "mounted askew": (lambda h: h + np.radians(6.0), "heading-offset", "heading differs from the course by"),
+    "mounted across": (lambda h: h - np.pi / 2, "heading-offset", "heading differs from the course by"),
 }
 
 

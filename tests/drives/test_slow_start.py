@@ -112,7 +112,7 @@ def test_an_impossible_heading_is_refused(tmp_path, value: str) -> None:
 
 @pytest.mark.parametrize(("at", "part"), [(10.0, "train"), (230.0, "test"), (6.0, "train")])
 def test_split_warns_of_a_part_without_a_start(at: float, part: str) -> None:
-    with pytest.warns(SigmaswarmWarning, match=f"robot-{part} can't be used alone"):
+    with pytest.warns(SigmaswarmWarning, match=f"robot-{part} can't be used as a drive"):
         split_time(robot(1.0, 0.5), at=at)
 
 

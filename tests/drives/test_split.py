@@ -41,7 +41,7 @@ def test_each_drive_is_drawn_as_often_as_the_others():
     assert np.all(np.abs(counts - 1400) < 5 * np.sqrt(2000 * 0.7 * 0.3))  # 5 sigma
 
 
-@pytest.mark.filterwarnings("ignore:.*can't be used alone")
+@pytest.mark.filterwarnings("ignore:.*can't be used as a drive")
 @given(fractions)
 def test_the_parts_in_time_make_up_the_drive(fraction: float):
     train, test = split_time(DRIVE, fraction) if 0.002 < fraction < 0.998 else split_time(DRIVE)
@@ -66,7 +66,7 @@ def test_seventy_percent_of_the_time_by_default():
     assert train.imu.time[-1] > 13.98
 
 
-@pytest.mark.filterwarnings("ignore:.*can't be used alone")
+@pytest.mark.filterwarnings("ignore:.*can't be used as a drive")
 def test_at_a_moment_of_the_drive_s_own_clock():
     train, test = split_time(replace(DRIVE, imu=replace(DRIVE.imu, time=DRIVE.imu.time + 100.0)), at=103.0)
     assert train.imu.time[-1] < 103.0 <= test.imu.time[0]
@@ -110,7 +110,7 @@ def test_a_clip_with_nothing_in_it(start: float, end: float):
         clip(DRIVE, start, end)
 
 
-@pytest.mark.filterwarnings("ignore:.*can't be used alone")
+@pytest.mark.filterwarnings("ignore:.*can't be used as a drive")
 def test_the_part_between_two_times_is_left_out():
     before, after = split_time(DRIVE, at=[3.0, 7.0])
     assert (before.name, after.name) == ("synthetic-before", "synthetic-after")

@@ -241,7 +241,7 @@ def test_a_study_goes_on_only_with_what_it_was_asked_for(whole: Study, tmp_path:
     with pytest.raises(InputError, match="add --resume"):
         run_study(TINY, whole.folder)
     other = TINY.model_copy(update={"seed": 1})
-    with pytest.raises(InputError, match="seed = 0, now asked for 1"):
+    with pytest.raises(InputError, match="seed = 0, but this command has 1"):
         run_study(other, whole.folder, resume=True)
 
 

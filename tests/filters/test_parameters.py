@@ -74,7 +74,7 @@ def test_options_that_exclude_each_other_are_named_with_their_file(tmp_path: Pat
     with pytest.raises(InputError) as refusal:
         FilterParameters.load(tmp_path / "p.toml")
     assert str(refusal.value).startswith(f"{tmp_path / 'p.toml'}: filter: ")
-    assert "robust and gate exclude each other" in str(refusal.value)
+    assert "robust and gate can't be combined" in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
 
@@ -169,7 +169,7 @@ def test_a_record_can_not_be_changed():
         ({"nominal_interval": 0.0}, "nominal_interval"),
         ({"accuracy_scale": 0.0}, "accuracy_scale"),
         ({"robust_dof": -1.0}, "robust_dof"),
-        ({"robust_dof": 4.0, "gate": 9.2}, "robust and gate exclude each other"),
+        ({"robust_dof": 4.0, "gate": 9.2}, "robust and gate can't be combined"),
         (
             {"robust_dof": 4.0, "kind": "strong-tracking-ukf"},
             "robust can't be combined with strong-tracking-ukf",

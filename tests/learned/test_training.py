@@ -65,7 +65,7 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
     ("p", "said"),
     [
         (parameters("tilted12"), "does not support tilted12"),
-        (parameters("planar8", kind="adaptive-ukf"), "adapts its own noises"),
+        (parameters("planar8", kind="adaptive-ukf"), "adapts its noise itself"),
         (parameters("planar8", velocity_noise=0.1), "velocity_noise"),
     ],
 )
@@ -145,7 +145,7 @@ def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Pa
         learn(config, tmp_path / "parts", progress=stop)
     with pytest.raises(InputError, match="add --resume"):
         learn(config, tmp_path / "parts")
-    with pytest.raises(InputError, match="seed = 0, now asked for seed = 1"):
+    with pytest.raises(InputError, match="seed = 0, but this command has seed = 1"):
         learn(replace(config, seed=1), tmp_path / "parts", resume=True)
     found = learn(config, tmp_path / "parts", resume=True)
     for file in ("learned.toml", "weights.npz", "tuning.toml", "learned_seen.npz"):

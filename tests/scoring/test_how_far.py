@@ -49,7 +49,7 @@ def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
 def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
     """The filter's own sigmas exceed what it expects of the fixes: the difference of the two is no error."""
     said = said_of_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
-    assert said.startswith("not known. The filter estimates 1.6 m (RMS) for itself, but the fixes")
+    assert said.startswith("not known. The filter's own estimate is 1.6 m (RMS), but the fixes")
 
 
 def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_out():

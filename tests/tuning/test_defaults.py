@@ -276,7 +276,7 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
     before = replayer.scores([CAREFUL.scaled(2.0)])
     (said,) = scale_warnings("truth-pose", CAREFUL.scaled(2.0), replayer)
     assert "truth-pose leaves the scale of the covariances free: mean NIS is" in said
-    factor = float(said.split("all noises times ")[1].split()[0])
+    factor = float(said.split("all variances times ")[1].split()[0])
     after = replayer.scores([CAREFUL.scaled(2.0).scaled(factor)])
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
     assert abs(before.mean_nis[0, 0] - 2.0) > 0.4  # or the test says nothing
@@ -293,6 +293,6 @@ def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
     (said,) = scale_warnings("truth-rmse", five, replayer)
     assert "leaves the scale" in said
-    assert "all noises times" not in said
+    assert "all variances times" not in said
     for objective in ("truth-pose + 0.2 nees", "innovation-t", "gps-rmse"):
         assert scale_warnings(objective, five, replayer) == []

@@ -66,10 +66,10 @@ def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: st
 @pytest.mark.parametrize(
     ("model", "said"),
     [
-        ("planar8", "all process noises are {:.3g} times as large as at the lowest cost"),
+        ("planar8", "all process noise variances are {:.3g} times as large as at the lowest cost"),
         (
             "tilted12",
-            "the random walks of the biases are {:.3g} and the noises of position and velocity {:.3g} times as",
+            "the random walks of biases are {:.3g} and the noise of position and velocity is {:.3g} times as",
         ),
     ],
 )

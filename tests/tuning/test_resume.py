@@ -227,13 +227,13 @@ def test_a_folder_with_results_needs_resume(started: Path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"particles": 7}, "particles = 5, now asked for particles = 7"),
-        ({"seed": 4}, "seed = 3, now asked for seed = 4"),
+        ({"particles": 7}, "particles = 5, but this command has particles = 7"),
+        ({"seed": 4}, "seed = 3, but this command has seed = 4"),
         ({"generations": 9}, "generations = 6"),
-        ({"scale": "linear"}, "scale = log10, now asked for scale = linear"),
-        ({"objective": "truth-pose"}, "objective = truth-rmse, now asked for objective = truth-pose"),
-        ({"inertia": 0.5}, "inertia = 0.7298, now asked for inertia = 0.5"),
-        ({"patience": 5}, "patience = None, now asked for patience = 5"),
+        ({"scale": "linear"}, "scale = log10, but this command has scale = linear"),
+        ({"objective": "truth-pose"}, "objective = truth-rmse, but this command has objective = truth-pose"),
+        ({"inertia": 0.5}, "inertia = 0.7298, but this command has inertia = 0.5"),
+        ({"patience": 5}, "patience = None, but this command has patience = 5"),
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
 )

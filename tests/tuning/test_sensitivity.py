@@ -71,7 +71,7 @@ def test_all_noises_together_are_moved_two_decades():
     tuning = tune(make_drive(duration=30.0), particles=4, generations=2)
     assert tuning.sensitivities[-1].name == NOISE_SCALE
     flat = replace(tuning, sensitivities=(Sensitivity(NOISE_SCALE, 1.0, None, None),))
-    assert any("the common scale of all noises" in remark for remark in flat.remarks)
+    assert any("the common scale of all noise variances" in remark for remark in flat.remarks)
 
 
 def test_failures_bound_a_range():

@@ -136,7 +136,7 @@ def test_stated_accuracy_is_among_the_noises_that_scale_together():
 @pytest.mark.parametrize(
     ("kind", "use", "said"),
     [
-        ("ukf", ("gate", "robust"), "robust and gate exclude each other"),
+        ("ukf", ("gate", "robust"), "robust and gate can't be combined"),
         ("adaptive-ukf", ("robust",), "robust can't be combined with adaptive-ukf"),
         ("strong-tracking-ukf", ("robust",), "robust can't be combined with strong-tracking-ukf"),
         ("fuzzy-ukf", ("robust",), "robust can't be combined with fuzzy-ukf"),
@@ -160,7 +160,7 @@ def test_tire_slip_is_searched_where_it_is_chosen():
     space = search_space("planar8", "log10", use=("lateral", "slip"))
     at = space.names.index("tire_slip")
     assert (space.lowest[at], space.highest[at], bool(space.logarithmic[at])) == (0.0, 0.02, False)
-    with pytest.raises(InputError, match="use lateral, too"):
+    with pytest.raises(InputError, match="also use lateral"):
         search_space("planar8", "log10", use=("slip",))
 
 

@@ -360,7 +360,7 @@ def test_validation_drives_are_scored_but_choose_nothing():
     plain = tune(training, **SMALL)
     assert plain.validation is None
     assert any("of the drives it was tuned on" in remark for remark in plain.remarks)
-    strange, blind = "suits the receiver and the IMU of these drives", {"objective": "innovation-t"}
+    strange, blind = "suits only the receiver and the IMU of these drives", {"objective": "innovation-t"}
     assert any(strange in remark for remark in plain.remarks)
     without = replace(plain, config=plain.config.model_copy(update=blind))
     assert not any(strange in remark for remark in without.remarks)

@@ -38,7 +38,7 @@ app = App(
     version=sigmaswarm.__version__,
     help="""Tune the Kalman filter that fuses a vehicle's IMU and GPS.
 
-A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.csv. The usual commands:
+A drive is a folder with imu.csv, gps.csv, drive.toml and, if known, truth.csv. The usual commands:
 
     sigmaswarm doctor drives/monday drives/tuesday
     sigmaswarm tune drives/monday drives/tuesday --out tuned --objective truth-pose

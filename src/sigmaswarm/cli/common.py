@@ -23,7 +23,7 @@ MOST_SENTENCES = 3
 
 
 def read_known(place: "Location") -> "Drive":
-    """Read a drive that was imported, checked or tuned on before, without warning of its gaps again."""
+    """Read a drive that an earlier command has read; do not repeat the warnings about its gaps."""
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
@@ -32,14 +32,14 @@ def read_known(place: "Location") -> "Drive":
 
 
 def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
-    """Print the reader's warnings about a drive; those about gaps only if ``gaps``."""
+    """Print the reader's warnings about a drive; warnings about gaps only with ``gaps``."""
     for warning in warned:
         if gaps or not getattr(warning, "code", "").endswith("-gap"):
             warnings.warn(warning, stacklevel=3)
 
 
 def read_drives(places: "Sequence[Location]") -> "list[Drive]":
-    """Read drives as `read_known` does; a folder of drive folders stands for all of them."""
+    """Read drives with `read_known`; a folder of drive folders names all drives in it."""
     from sigmaswarm.drives.reader import all_drive_locations
 
     return [read_known(place) for place in all_drive_locations(places)]
@@ -47,7 +47,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 @contextmanager
 def cluster_at(address: str | None) -> "Generator[Client | None]":
-    """Connect to the cluster at an address until the block ends; None without an address."""
+    """Connect to the cluster at an address until the block ends; without an address yield None."""
     if address is None:
         yield None
         return
@@ -62,7 +62,7 @@ def read_datasets(
 ) -> "list[Dataset]":
     """Read groups of drives on a cluster's workers or in this process.
 
-    Drives that are not ``trusted`` are checked for serious faults. ``gaps`` prints warnings about gaps.
+    Drives that are not ``trusted`` are checked for serious faults. With ``gaps``, warnings about gaps are printed.
     """
     from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.cli.terminal import progress_bar
@@ -96,7 +96,7 @@ def tuned_as_recorded(tuning: Path) -> bool:
 
 
 def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
-    """Parse an option of ``count`` numbers separated by commas; None if it is not given."""
+    """Parse an option of ``count`` numbers separated by commas; return None if the option is missing."""
     from sigmaswarm.errors import InputError
 
     if text is None:
@@ -106,7 +106,9 @@ def numbers_of(text: str | None, count: int, option: str, example: str) -> tuple
     except ValueError:
         numbers = ()
     if len(numbers) != count:
-        raise InputError(f"{option} {text!r} is not {count} numbers; write them with commas, as {example}")
+        raise InputError(
+            f"{option} {text!r} is not {count} numbers; separate them by commas, as in {example}"
+        )
     return numbers
 
 
@@ -156,5 +158,5 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
         )
         return
     left = f", {len(sentences) - MOST_SENTENCES} more remarks" if len(sentences) > MOST_SENTENCES else ""
-    adds = f"--verbose adds {'each drive, ' if several else ''}consistency{left}"
+    adds = f"--verbose also shows {'each drive, ' if several else ''}consistency{left}"
     say(*sentences[:MOST_SENTENCES], adds)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sigmaswarm.experiments.comparison import Comparison
 
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
-"""Options of a tuning that the comparison varies, or that do not apply to it."""
+"""Options of a tuning that a comparison varies or does not use."""
 SHOWN = ("objective", "particles", "generations", "model")
 
 
@@ -38,9 +38,9 @@ def compare(
 ) -> None:
     """Compare optimizers with the same budget on the same drives.
 
-    OUT gets comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and all tunings. The result is valid for these drives: the intervals cover other
-    seeds, not other drives.
+    OUT contains comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
+    comparison.png, times.csv and all tunings. The result is valid for these drives only: the intervals cover other
+    seeds but not other drives.
 
     For example:
 
@@ -53,14 +53,14 @@ def compare(
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        Names, with settings after a colon, such as pso:polish=300; all need the same budget. The first is the
-        reference.
+        Names of optimizers, with settings after a colon, such as pso:polish=300. All must have the same budget. The
+        others are compared with the first one.
     scales
-        log10, linear or both; log10 by default.
+        Scales of the search space: log10 (the default), linear or both.
     seeds
         Runs of each optimizer.
     validation
-        Drives that the search does not use, to measure the result on other drives.
+        Drives that the search does not use; the tuned filters are also evaluated on them.
     workers
         Threads, or with --cluster simultaneous tunings; all cores by default. The result does not depend on the number.
     resume
@@ -82,7 +82,7 @@ def compare(
 def _compare(
     groups: "Sequence[Dataset]", asked: Mapping[str, Any], options: dict[str, Any]
 ) -> "tuple[Comparison, list[str]]":
-    """Compare; return the result and a line about the model, if it was chosen."""
+    """Compare optimizers; return the result, and a line about the model if the options do not name it."""
     from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.tuning.defaults import with_filter
 

@@ -17,8 +17,8 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
     Parameters
     ----------
     out
-        Folder for results, tables, figures and the page; an unfinished demo in it is continued, a
-        finished one shown again.
+        Folder for results, tables, figures and the page. An unfinished demo in this folder is continued; a finished
+        demo is shown again.
     seed
         Seed of the drives, the splits and the swarms.
     """

@@ -45,7 +45,8 @@ def doctor(
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm for all drives; --fix writes each axis whose 95% interval is within this many meters.
+        Estimate one lever arm for all drives. --fix writes each axis whose 95% interval is at most this many meters to
+        each side.
     """
     read = _read(drives)
     if fix is not None:
@@ -68,7 +69,7 @@ def doctor(
             diagnosis = sigmaswarm.diagnose(copy)
             found["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if mended and not json:
-                say(f"wrote {folder}, mended: {', '.join(mended)}. Remaining findings:\n")
+                say(f"wrote {folder}, repaired: {', '.join(mended)}. Remaining findings:\n")
                 print_diagnosis(diagnosis)
             elif not json:
                 say(f"wrote {folder}, an unchanged copy: the doctor has no repair for these findings\n")

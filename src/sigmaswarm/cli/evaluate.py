@@ -35,11 +35,12 @@ class EvaluateOptions:
     Attributes
     ----------
     against
-        A second tuning to compare with, your own parameters in a table [filter], or an ekf.yaml of robot_localization.
+        Second filter of the comparison: a tuning, a TOML file with your parameters in a table [filter], or an ekf.yaml
+        of robot_localization.
     out
-        Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` needs.
+        Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     outage_length
-        Length of the outages at whose end the drift is measured, s.
+        Length of the outages, s. The drift is measured at the end of an outage.
     outage_seed
         Seed of the outage windows.
     as_recorded
@@ -49,7 +50,7 @@ class EvaluateOptions:
     swarm
         Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture.
     verbose
-        Also print each drive, the consistency, all remarks and the files.
+        Also print the scores of each drive, the consistency, all remarks and the names of the files.
     """
 
     against: Path | None = None
@@ -70,7 +71,7 @@ def evaluate(
         Path,
         Parameter(
             name="TUNING",
-            help="A tuning.toml, or the folder that contains it; also a folder of `sigmaswarm learn`.",
+            help="A tuning.toml, the folder that contains it, or a folder written by `sigmaswarm learn`.",
         ),
     ],
     drives: Places,
@@ -82,7 +83,7 @@ def evaluate(
 
     The filter is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that
     the tuning did not use. All methods start at the same time from the same state. Without truth the scores are the
-    drift over outages, against the hidden fixes, and the consistency of the innovations.
+    consistency of the innovations and the drift over outages, relative to the hidden fixes.
 
     For example:
 
@@ -117,7 +118,7 @@ def evaluate(
     page = (
         f"sigmaswarm report {out}"
         if out
-        else "run this command with --out evaluation, for pictures and a page"
+        else "repeat this command with --out evaluation to get figures and a page"
     )
     say(f"next: {page}")
 

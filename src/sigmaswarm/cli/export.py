@@ -25,14 +25,15 @@ class ExportOptions:
     Attributes
     ----------
     to
-        filterpy: a Python script. c99: a C library. robot_localization: parameters, initial ones unless tuned with
-        --model robot-localization.
+        filterpy: a Python script. c99: a C library. robot_localization: a parameter file, which is only a start unless
+        the tuning used --model robot-localization.
     out
         Folder to write to; created if missing.
     replay
-        c99: a drive, written as input of the replay program.
+        c99: drive that is written as the input of the replay program.
     check
-        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives of the errors in README.md.
+        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives on which the errors in
+        README.md are measured.
     against
         robot-localization, with --check: a second tuning to compare in README.md.
     lanes
@@ -105,7 +106,7 @@ def export(
 def _accuracy(
     parameters: "sigmaswarm.FilterParameters", drives: "Sequence[Drive]", tuning: Path, against: Path | None
 ) -> str:
-    """Return the section of README.md on the accuracy on drives."""
+    """Return the section of README.md about the accuracy on drives."""
     from sigmaswarm.exports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.tuning.record import seen_by, tuning_file
@@ -118,13 +119,16 @@ def _found(checked: "Checked", lanes: int) -> str:
     """Describe the differences on a drive in one line."""
     library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
     line = (
-        f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in every state "
+        f"{checked.drive}: every state in C is within {checked.double.state:.1e} of {library} "
         "(relative for values above 1)"
     )
     single = checked.single
     if single is None:
-        return f"{line}; float can't hold this filter"
-    return f"{line}; in float within {1e3 * single.position:.2g} mm and {math.degrees(single.heading):.1g} degrees"
+        return f"{line}; the filter fails in float"
+    return (
+        f"{line}; in float the difference is at most {1e3 * single.position:.2g} mm and "
+        f"{math.degrees(single.heading):.1g} degrees"
+    )
 
 
 def _next_step(to: str, out: Path, *, replay: bool) -> str:

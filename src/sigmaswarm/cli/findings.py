@@ -77,7 +77,7 @@ def cutting(diagnosis: "Diagnosis", folder: "Location") -> str:
 def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If no fault can be repaired, return the command that explains the faults, and None.
+    If no fault can be repaired, return the command that shows the faults, and None.
     """
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
     if not any(f.severity == "serious" and f.repair for f in diagnosis.findings):

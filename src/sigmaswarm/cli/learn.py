@@ -58,10 +58,10 @@ def learn(
 ) -> None:
     """Train a network that supports a tuned filter.
 
-    outage-lstm forecasts displacements during outages. noise-gru scales Q and R by the latest innovations, and is
-    trained through planar5 and planar8. OUT includes the filter: `sigmaswarm run` and `evaluate` read it as a tuning.
-    Training needs the extra `learned`; a trained network does not. By default the last quarter of each drive is held
-    out; outage-lstm holds out the last third of three drives or more.
+    outage-lstm forecasts displacements during outages. noise-gru scales Q and R by the latest innovations, and supports
+    filters with model planar5 or planar8. OUT includes the filter, so `sigmaswarm run` and `evaluate` read OUT as a
+    tuning. Training needs the extra `learned`; running a trained network does not. By default the last quarter of each
+    drive is held out. With three or more drives, outage-lstm instead holds out the last third of the drives.
 
     For example:
 
@@ -99,10 +99,10 @@ def _learn(network: NetworkName, tuning: Path, drives: list[str], options: Learn
 def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
     net, training = record.network, record.training
     yield (
-        f"{record.kind}: {net.numbers} numbers, {net.units} units, window {net.window:.3g} s, learned from "
+        f"{record.kind}: {net.numbers} weights, {net.units} units, window {net.window:.3g} s, learned from "
         f"{training.driven_s / 60:.1f} minutes of driving in {training.epochs} epochs"
     )
-    yield f"loss on {training.held_back}: {training.loss:.4f}, untrained {training.loss_before:.4f}"
+    yield f"loss on {training.held_back}: {training.loss:.4f}, before training {training.loss_before:.4f}"
     if record.kind == "outage-lstm":
         yield (
             f"calibration: factor {net.inflation:.3g} on the predicted variances"

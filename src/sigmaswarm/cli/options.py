@@ -35,9 +35,9 @@ class _MoreOptions(Group):
 
 
 MORE = Parameter(group=_MoreOptions("More options"))
-"""Marks an option that the short help leaves out."""
+"""Mark of an option that the short help leaves out."""
 FIELDS = Parameter(name="*", help="The options of the command line.")
-"""Marks a record whose fields are the options of a command."""
+"""Mark of a record whose fields are the options of a command."""
 AT_LEAST_1 = Parameter(validator=validators.Number(gte=1))
 AT_LEAST_0 = Parameter(validator=validators.Number(gte=0))
 Count = Annotated[int | None, AT_LEAST_1]
@@ -70,10 +70,10 @@ def options_of(
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command with ``**options`` the fields of a model as options; the command gets those that the user gave.
+    """Give a command with ``**options`` the fields of a model as options; it receives the options that the user gave.
 
-    ``shown`` are the fields in the short help, ``apart`` those that are not options of the command, ``by_data`` those
-    whose default is not a constant. ``renamed`` maps deprecated names to the current ones.
+    ``shown`` are the fields in the short help, ``apart`` are fields that are not options of the command, and
+    ``by_data`` are fields whose default depends on the data. ``renamed`` maps deprecated names to the current ones.
     """
     old = {new: name for name, new in (renamed or {}).items()}
     added = {

@@ -34,19 +34,19 @@ class RecordCarlaOptions:
     map
         Town to load, such as Town06; by default the town that the server has loaded.
     accel_noise
-        m/s2, standard deviation of each sample.
+        Standard deviation of each acceleration sample, m/s2.
     gyro_noise
-        rad/s, standard deviation of each sample.
+        Standard deviation of each gyro sample, rad/s.
     gyro_bias
-        rad/s; the constant bias of a run is drawn uniformly from +- this value.
+        Largest gyro bias, rad/s; each drive has a constant bias within +- this value.
     gps_noise
-        m per axis, of each fix.
+        Standard deviation of each fix, m per axis.
     timeout
-        Seconds to wait for an answer.
+        Time to wait for an answer of the server, s.
     patience
-        Seconds to wait for a server that was lost.
+        Time to wait for a lost server, s.
     brake_sweep
-        First measure the friction that each tire_friction gives, and use the result.
+        First measure the friction at each value of CARLA's tire_friction, and use the result.
     resume
         Keep existing drives and record the missing ones.
     """
@@ -72,11 +72,11 @@ class RecordCarlaOptions:
 def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
     """Record drives with known truth from a CARLA server.
 
-    The maneuvers and weathers are the paper's, the car is a Tesla Model 3.
+    The maneuvers and weathers are those of the paper. The car is a Tesla Model 3.
 
-    By default the paper's 25 conditions, 20 runs of each. Needs `pip install carla==0.9.16` for CARLA 0.9.16;
-    for an older server `python -m sigmaswarm_carla.pack carla_recorder.pyz` writes the recorder as one file, to be run
-    with the Python of its client (docs/carla.md).
+    By default 20 runs of each of the paper's 25 conditions are recorded. CARLA 0.9.16 needs `pip install
+    carla==0.9.16`. For an older server, write the recorder as one file with `python -m sigmaswarm_carla.pack
+    carla_recorder.pyz`, and run the file with the Python of the server's client (docs/carla.md).
 
     For example:
 

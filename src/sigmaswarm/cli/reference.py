@@ -24,11 +24,11 @@ class ReferenceOptions:
     out
         Folder of the new drive.
     lever_arm
-        From the IMU to the good receiver's antenna, m forward,left,up; none by default.
+        Vector from the IMU to the good receiver's antenna, m forward,left,up; by default 0,0,0.
     offset
         Added to the good receiver's times, s.
     accuracy
-        Largest standard deviation per axis of a row of truth, m; rows above it are left out.
+        Largest standard deviation per axis of a row of truth, m. Rows with larger deviations are left out.
     fix_std
         Lower bound of a fix's standard deviation per axis, m; also used for fixes without a stated deviation.
     seed
@@ -58,8 +58,9 @@ def reference(
 ) -> None:
     """Compute truth from a good receiver (RTK) on the same vehicle.
 
-    Its fixes are smoothed with the drive's IMU. The new drive gets a truth.csv at the IMU's times, with standard
-    deviations. The truth has gaps where the solution is float or an outage is too long for the IMU.
+    The good receiver's fixes are smoothed with the drive's IMU. The new drive contains a truth.csv at the IMU's times,
+    with standard deviations. The truth has gaps while the solution is float and in outages that are too long for the
+    IMU.
 
     For example:
 
@@ -91,7 +92,8 @@ def reference(
     )
     if about["stretched"] > 1:
         say(
-            f"the errors at hidden fixes exceeded the smoother's standard deviations, so these were multiplied by "
+            f"the errors at hidden fixes exceeded the smoother's standard deviations, which were therefore multiplied "
+            f"by "
             f"{about['stretched']:.2g}"
         )
     say(f"wrote {out}", f"next: sigmaswarm tune {quote(str(out))} --out tuned")

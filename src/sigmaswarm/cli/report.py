@@ -16,9 +16,9 @@ def report(
     out: Path | None = None,
     json: Json = False,
 ) -> None:
-    """Write an HTML page on a folder of results.
+    """Write an HTML page about a folder of results.
 
-    The page needs no network and no other file. The folder is one of `sigmaswarm tune`, `sigmaswarm evaluate` or
+    The page needs no network and no other file. The folder was written by `sigmaswarm tune`, `sigmaswarm evaluate` or
     `sigmaswarm study`.
 
     For example:

@@ -30,7 +30,8 @@ class RunOptions:
     truth
         Also write the drive's truth, in the format given by the file extension.
     merge
-        With --out NAME.ros2: also copy the messages of the ROS 2 bag of the drive. --beside is the deprecated name.
+        With --out NAME.ros2: also copy the messages of this ROS 2 bag, from which the drive was imported. The
+        deprecated name is --beside.
     before
         Also write the fixes before the filter's start to NAME.csv, .geojson, .gpx or .kml.
     as_recorded
@@ -38,7 +39,7 @@ class RunOptions:
     smooth
         Write smoothed estimates, which also use later fixes.
     bank
-        Estimate with a bank of sixteen filters with different parameters. --swarm is the deprecated name.
+        Use a filter bank: sixteen filters with different parameters. The deprecated name is --swarm.
     json
         Print a summary as JSON.
     """
@@ -71,9 +72,10 @@ def run(
 
     The file extension selects the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
     .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder). The bag
-    has innovations, NIS and a layout for Foxglove. A filter that was tuned without preprocessing runs without it.
-    Smoothing ends and restarts at a reset. The bank adapts to changes of sensors or surroundings; with NAME.csv it also
-    writes NAME.swarm.csv, a log of the bank each second, and NAME.swarm.toml, its last filter.
+    also contains innovations, NIS and a layout for Foxglove. A filter that was tuned without preprocessing runs without
+    it. The parts before and after a reset are smoothed separately. The filter bank adapts to changes of sensors or
+    surroundings. With --bank, NAME.csv is accompanied by NAME.swarm.csv, a log of the bank with one row per second, and
+    NAME.swarm.toml, the filter that the bank converged to.
 
     For example:
 
@@ -112,7 +114,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     out, smooth, before, truth = options.out, options.smooth, options.before, options.truth
     if smooth and options.bank:
         raise InputError(
-            "--smooth and --bank exclude each other: a filter bank is not smoothed; leave one out"
+            "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"
         )
     learned = None if smooth or options.bank else load_learned(tuning)
     place = _place(options.origin) if options.origin else None

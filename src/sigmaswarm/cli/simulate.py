@@ -25,7 +25,7 @@ class SimulateOptions:
     out
         Folder for the drive folders; it must not contain drives yet.
     maneuver
-        cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
+        cruise, turns, accelerate, brake, outages: the maneuvers of the paper, all by default. urban: mixed driving.
     environment
         clear, night, rain, fog, slippery; all by default. Clear, night and fog have the same physics.
     runs
@@ -95,8 +95,8 @@ OF_A_DRIVE = (
 def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     """Simulate drives with known truth.
 
-    The car is a Tesla Model 3; maneuvers and weathers are the paper's; sensor errors are those of real sensors. By
-    default the paper's 25 conditions, 20 runs of each. The same seed gives the same bytes.
+    The car is a Tesla Model 3; maneuvers and weathers are those of the paper; sensor errors are those of real sensors.
+    By default 20 runs of each of the paper's 25 conditions are simulated. The same seed gives the same files.
 
     For example:
 
@@ -149,7 +149,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
     drives = sorted(found | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
-            f"{out}: contains {drives[0]} already; name another folder, or keep what is there with --resume"
+            f"{out}: contains {drives[0]} already; name another folder, or keep the existing drives with --resume"
         )
     for name in sorted(found):
         _require_made_with(out / name / "drive.toml", made_with)

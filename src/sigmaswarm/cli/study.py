@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Options of `sigmaswarm study`; None: the value of the configuration.
+    """Options of `sigmaswarm study`; for None the configuration's value is used.
 
     Attributes
     ----------
@@ -36,21 +36,22 @@ class StudyOptions:
     particles
         Size of the swarm; 30 by default.
     generations
-        Moves of the swarm, including the first placement; 50 by default.
+        Generations of the swarm, including the initial one; 50 by default.
     seed
         Seed of drives, splits and swarms.
     per_condition
         Tune one filter for each condition instead of one for all.
     racing
-        Drop the worse candidates after a few drives, which takes a fifth of the time. --no-racing: as in the paper.
+        Evaluate the worse candidates on a few drives only, which takes a fifth of the time. --no-racing: as in the
+        paper.
     rivals
         Compare with fuzzy rules, Bayesian optimization and two networks, also on other sensors and another car.
     learn_minutes
         With --rivals: minutes of training data for a network; 20 by default.
     elsewhere
-        With --rivals: drives with truth from other sensors or another car. Simulated without --drives.
+        With --rivals: drives with truth from other sensors or another car; without --drives such drives are simulated.
     workers
-        Processes on Linux, else threads; all cores by default. With --cluster, simultaneous tunings.
+        Number of processes (on Linux) or threads; all cores by default. With --cluster, number of simultaneous tunings.
     cluster
         Dask cluster: tcp://host:8786, a scheduler file, or local:4 for four processes of this machine.
     resume
@@ -82,17 +83,17 @@ class StudyOptions:
 def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     """Run the paper's experiment.
 
-    Each trial tunes on another 70% of the simulated drives and scores all methods on the rest: IMU only, raw GPS,
-    manual EKF, adaptive UKF and UKF, PSO-UKF as in the paper, EKF, adaptive UKF and planar8 tuned with the same
-    budget, and the default filter of `tune`. Filters are tuned under two protocols. paper: cost against the GPS,
-    linear search. honest: cost against truth, logarithmic search.
+    Each trial tunes on a different 70% of the simulated drives and scores all methods on the others. The methods are
+    IMU only, raw GPS, three filters with manual parameters (EKF, adaptive UKF, UKF), the paper's PSO-UKF, three filters
+    tuned with the same budget (EKF, adaptive UKF, planar8) and the default filter of `tune`. Filters are tuned under
+    two protocols. paper: cost against the GPS, linear search. honest: cost against truth, logarithmic search.
 
-    Racing is the default with 96 training drives or more. --rivals tunes a fuzzy UKF, and a UKF by Bayesian
-    optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8 in each trial. It adds
-    drift over 15, 30 and 60 s, drives of another sensor grade and another car, and learning curves.
-    It needs pip install 'sigmaswarm[learned,bo]'.
+    Racing is the default with 96 training drives or more. In each trial, --rivals tunes a fuzzy UKF, tunes a UKF by
+    Bayesian optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8. The option adds
+    drift over 15, 30 and 60 s, drives of another sensor grade and another car, and learning curves. The option needs
+    pip install 'sigmaswarm[learned,bo]'.
 
-    The tables also have the paper's figures. A killed study continues with --resume and gives the same bytes, on any
+    The tables also list the paper's values. A killed study continues with --resume; the result is the same for any
     number of workers.
 
     For example:

@@ -1,4 +1,4 @@
-"""Output on terminals that may be narrow, ASCII only or closed, without control characters; progress bars."""
+"""Print text without control characters on terminals that may be narrow, ASCII-only or closed; show progress bars."""
 
 import logging
 import os
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 LONGEST_LINE = 600
-"""Largest number of characters of an error or warning; a path or an expression may have any length."""
+"""Largest number of characters of an error or warning. Longer messages, for example with long paths, are shortened."""
 NARROWEST = 20
 """Smallest number of columns of a table."""
 
@@ -67,7 +67,7 @@ def one_line(text: object) -> str:
 
 
 def mute() -> None:
-    """Discard the remaining output of a closed stream, about which Python would complain at exit."""
+    """Discard the remaining output of a closed stream, which would cause an error message of Python at exit."""
     if sys.stdout is not None:
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -87,10 +87,10 @@ def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]"
 def progress_bar(
     title: str, counted: str = "", waiting: str = "", **fields: Any
 ) -> Generator[Callable[..., None]]:
-    """Show a bar and the remaining time on stderr; yield the function that moves it: done, total, fields.
+    """Show a bar and the remaining time on stderr; yield a function of done, total and fields that updates the bar.
 
-    The bar appears with the first progress, so that an error is one line. Until then a terminal shows ``waiting``.
-    Without ``counted`` the bar shows percent.
+    The bar appears with the first progress, so that an error before it is one line. Until then a terminal shows
+    ``waiting``. Without ``counted`` the bar shows percent.
     """
     from rich.console import Console
     from rich.progress import (

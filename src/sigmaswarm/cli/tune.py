@@ -62,11 +62,12 @@ def tune(
     out
         Folder for tuning.toml, the convergence history and figures.
     validation
-        Drives that the search does not use, to measure the result on other drives.
+        Drives that the search does not use; the tuned filter is also evaluated on them.
     start
-        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization; --use chooses the inputs.
+        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization, whose inputs --use selects.
     paper
-        Use the paper's settings: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
+        Use the paper's settings: optimizer pso, 30 particles, 50 generations, scale linear, objective gps-rmse, model
+        planar5, kind ukf. Contradicting options are refused.
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
@@ -91,7 +92,7 @@ def _tune(
     options: dict[str, Any],
     workers: int | None,
 ) -> "tuple[Tuning[Any], FirstLook, list[str], list[str]]":
-    """Tune; return the result, its first look at the drives, and lines to print before and after it."""
+    """Tune; return the result, the first look at the drives, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.drives.sensors import sensors_of
@@ -147,7 +148,7 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
     yield f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}"
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
-        yield f"racing: {tuning.steps} filter steps, {share:.0%} of those that the evaluations take without racing"
+        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the steps without racing"
     if tuning.validation:
         gap = tuning.validation.gap
         said = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
@@ -196,7 +197,7 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
     train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
     return [
         _evaluate(out),
-        "only one log? this filter was tuned on all of it; for a test on unused data:",
+        "this filter was tuned on the whole log; to test a filter on unused data:",
         f"          sigmaswarm split {quote(str(folder))} --out parts",
         f"          then tune on {train}, and evaluate on {test}",
     ]

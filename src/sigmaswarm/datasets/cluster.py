@@ -1,4 +1,4 @@
-"""A Dask cluster: its address, its workers and their versions, and its errors as messages of one line."""
+"""Connect to a Dask cluster, check the versions of its workers, and convert its errors to messages of one line."""
 
 import asyncio
 import json
@@ -49,7 +49,7 @@ class Cluster:
         return str(scheduler.address if scheduler is not None else "?")
 
     def workers(self) -> dict[str, int]:
-        """Return the present workers: the number of threads of each, by address.
+        """Return the number of threads of each present worker, by address.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Cluster:
         return {address: int(worker["nthreads"]) for address, worker in found.items()}
 
     def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
-        """Return an error for each worker whose versions may give other bits."""
+        """Return an error for each worker with software versions that may give other results."""
         try:
             run: Any = self.client.run
             answers: dict[str, Any] = run(versions, workers=addresses, on_error="return") if addresses else {}
@@ -79,7 +79,7 @@ class Cluster:
         own, found = versions(), dict[str, ClusterError]()
         for address, theirs in sorted(answers.items()):
             if not isinstance(theirs, Mapping):
-                said = f"sigmaswarm can't be used there ({type(theirs).__name__}: {theirs}); install it"
+                said = f"sigmaswarm can't be imported ({type(theirs).__name__}: {theirs}); install it on this worker"
                 found[address] = ClusterError(f"worker {address}: {said}")
                 continue
             for name in ("sigmaswarm", "numpy", "numba", "scipy"):
@@ -91,14 +91,14 @@ class Cluster:
         return found
 
     def require_same_versions(self) -> None:
-        """Raise the first of `version_errors`, if any."""
+        """Raise the first error of `version_errors`, if any."""
         for error in self.version_errors(list(self.workers())).values():
             raise error
 
     def lost_scheduler(self) -> ClusterError:
         """Return the error for a scheduler that does not answer."""
         return ClusterError(
-            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: continue with "
+            f"the scheduler at {self.address} no longer answers; with --out, results so far are saved: continue with "
             "--resume and another cluster"
         )
 
@@ -118,7 +118,7 @@ def connected(address: str) -> Generator["Client"]:
     InputError
         If dask is not installed, or the address is invalid.
     ClusterError
-        If no scheduler answers there.
+        If no scheduler answers at the address.
     """
     try:
         import distributed

@@ -1,4 +1,4 @@
-"""A dataset: drives in this process or on a cluster's workers. Functions are applied where the drives are."""
+"""A dataset: drives in this process or on the workers of a cluster, and functions that are applied to them there."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class Dataset(Protocol):
-    """Drives in order. A function that is applied to them must be importable by name, as `pickle` requires."""
+    """Drives in a fixed order. Functions that are applied to them must be importable by name, as `pickle` requires."""
 
     def __len__(self) -> int: ...
 
@@ -62,12 +62,12 @@ def datasets_of(
     executor: Executor | None = None,
     takes: str = "Drives are needed",
 ) -> list[Dataset]:
-    """Make a dataset of each group of drives; on a cluster its workers read them all at once.
+    """Make a dataset of each group of drives; on a cluster all workers read their drives at the same time.
 
     Parameters
     ----------
     *groups
-        Each a Drive, a sequence of them, or a dataset; with a cluster also paths and URLs.
+        Each group is a Drive, a sequence of Drives, or a dataset; with a cluster also paths and URLs.
     takes : str
         The accepted input of the calling function, for messages.
 
@@ -78,7 +78,7 @@ def datasets_of(
     """
     if cluster is not None and executor is not None:
         raise InputError(
-            "both an executor and a cluster were given; a cluster's workers share the work already"
+            "executor and cluster can't be combined, since a cluster distributes the work itself; leave one out"
         )
     each = [_listed(group, cluster, takes) for group in groups]
     lists = [group for group in each if isinstance(group, list)]

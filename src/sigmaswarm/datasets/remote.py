@@ -1,9 +1,9 @@
 """A dataset on the workers of a Dask cluster: each worker reads its drives once and caches them.
 
-A call is one task per worker with the function, its arguments and the keys of the drives. Each result depends on one
-drive alone, so the distribution of the drives does not change it. Tasks are bound to their workers: if a worker is
+Each call sends one task to each worker: the function, its arguments and the keys of the drives. Each result depends on
+only one drive, so the distribution of the drives does not affect it. Tasks are bound to their workers: if a worker is
 lost, its drives are assigned to other workers, which read these drives, and only the lost tasks run again. New workers
-get their share.
+get a share of the drives.
 """
 
 import threading
@@ -124,14 +124,14 @@ class Assignment:
 
 
 def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
-    """Assign drives to workers in proportion to their threads, to within 5%, and move few drives.
+    """Assign drives to workers in proportion to their threads, with a tolerance of 5%, and move few drives.
 
     Parameters
     ----------
     sizes : sequence of float, shape (n,)
     threads : mapping of worker to int
     before : sequence of str, shape (n,)
-        The workers of the drives so far.
+        The previous workers of the drives.
     """
     share = sum(sizes) / sum(threads.values())
     load, found = dict.fromkeys(threads, 0.0), [""] * len(sizes)
@@ -201,7 +201,7 @@ class RemoteDataset:
         return in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function to one drive after another, in tasks of one drive each; some finish in advance."""
+        """Apply a function to one drive after another, in tasks of one drive each; some tasks run in advance."""
 
         def one(place: int) -> T:
             return self.subset([place]).map(function)[0]
@@ -219,7 +219,7 @@ def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
 def remote_dataset(
     cluster: Cluster, sources: Iterable[Source], *, progress: Progress | None = None
 ) -> tuple[RemoteDataset, list[SigmaswarmWarning]]:
-    """Have the workers of a cluster read drives, and return the warnings of reading.
+    """Let the workers of a cluster read drives, and return the warnings of the reader.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def _size_and_warnings(
 def remote_datasets(
     cluster: Cluster, groups: Sequence[Sequence[Any]], *, progress: Progress | None = None
 ) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
-    """Have the workers read groups of drives, paths or URLs, all at once: a dataset of each, and the warnings."""
+    """Let the workers read drives, paths or URLs together; return a dataset of each group, and the warnings."""
     sources = [source_of(drive) for group in groups for drive in group]
     dataset, warned = remote_dataset(cluster, sources, progress=progress)
     ends = accumulate(map(len, groups), initial=0)

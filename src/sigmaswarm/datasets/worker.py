@@ -14,7 +14,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 
 T = TypeVar("T")
 Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
-"""A picklable function that returns a drive and its warnings."""
+"""Picklable function that returns a drive and the warnings about it."""
 
 USABLE_MEMORY = 0.8
 """Usable share of a worker's memory; above this share Dask pauses the worker."""
@@ -60,7 +60,7 @@ class DriveCache:
     Parameters
     ----------
     worker : str
-        Its address, for messages.
+        Address of the worker, for messages.
     threads : int
     memory : float
         Bytes for drives.
@@ -73,7 +73,7 @@ class DriveCache:
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
-        """Return drives by key, and read missing drives; None if this requires a source that the worker does not have.
+        """Return drives by key, and read missing drives; return None if a required source is not on the worker.
 
         Raises
         ------

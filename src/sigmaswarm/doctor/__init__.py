@@ -1,5 +1,5 @@
-"""The doctor: finds the faults of a log before a tuning, and repairs some of them.
+"""The doctor: find faults of a log before a tuning, and repair some of them.
 
-The doctor compares the motion of the fixes with the IMU. If fixes and IMU disagree, but agree after a column is
-rotated, scaled or shifted in time, this is a finding. Truth is never used.
+The doctor compares the motion of the fixes with the IMU. If they disagree, but agree after a column is rotated, scaled
+or shifted in time, the doctor reports a finding. Truth is never used.
 """

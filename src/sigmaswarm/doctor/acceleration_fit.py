@@ -1,12 +1,12 @@
 """Regression of the path on the accelerations, forward and lateral: mounting, scale, tilt, and the fixes' delay.
 
-Within a window of some seconds the path is that of the IMU, integrated from an unknown start:
+In windows of some seconds the path follows from the IMU, integrated from an unknown start:
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
-observed ``late`` s later. theta is known from course and gyro; M (2, 2) and ``late`` are the same in all windows, p0,
-v0 and b (tilt, slope, bias) belong to one window; b scatters about a mean of all windows, which is fitted, too. For a
-good log M is the identity.
+and the fixes show it ``late`` s later. theta is known from course and gyro. M (2, 2) and ``late`` are the same in all
+windows; p0, v0 and b (tilt, slope, bias) differ between windows. b varies about a mean, which is also fitted. For a log
+without faults M is the identity.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ BIAS_SPREAD = (0.1, 0.5)
 FEW = 8.0
 """Number of windows for which the covariance is doubled; the factor is 1 + FEW / number."""
 LEAST_NOISE = 0.03
-"""Smallest standard deviation assumed for the IMU's path over some seconds, m."""
+"""Smallest assumed standard deviation of the IMU's path over some seconds, m."""
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)
 """Delays of the fixes to try, s."""
@@ -38,7 +38,7 @@ BIN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class AccelerationFit:
-    """The fit."""
+    """Result of the regression."""
 
     matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
     covariance: Array  # (5, 5), of M's rows, one after the other, and of `late`

@@ -1,4 +1,4 @@
-"""Quantities of the IMU and the values that the motion of the fixes requires, for plots."""
+"""Compare measured quantities of the IMU with the values that follow from the motion of the fixes, for plots."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ FINDINGS = {
     "speed": ("speed", "velocity", "odometer"),
     "course": ("course",),
 }
-"""Beginnings of the codes of the findings that each agreement shows."""
+"""For each agreement, the beginnings of the codes of the findings that its plot shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Parameters
     ----------
     drive : Drive
-        Its truth is not used.
+        A drive; the truth is not used.
     """
     steps = {
         name: (table.time[1:], np.diff(table.time))
@@ -128,7 +128,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
     """Compare the integral of gz with the course.
 
-    Each piece between two stops is shifted, since only its shape matters.
+    Each part between two stops is shifted by a constant, since only its shape is compared.
     """
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))

@@ -18,8 +18,9 @@ SPAN = 5.0
 LEAST, CLEARLY = 0.8, 0.15
 """Share of the turns that an offset must explain, and smallest lead of this share over that of any other offset."""
 FEWER = 4.0
-"""Alternative to the lead: factor by which any other offset leaves a larger share of the turns unexplained. Turns may
-repeat, so other offsets may explain a large share."""
+"""Alternative to the lead: factor by which the unexplained share of the turns is larger at any other offset. Turns may
+repeat, so other offsets may explain a large share.
+"""
 FEWEST = 20
 LEAST_TURN = 0.15
 """RMS change of the course within `SPAN` below which no offset is searched, rad."""
@@ -40,7 +41,7 @@ def search_offset(drive: Drive, course: Course) -> float | None:
     total = integral(imu.time, imu.gz if planar else turned(imu, level(imu)).gz)
 
     def explained(lag: float) -> float:
-        """Return the share of the turns that the gyro explains, with either sign and in any unit."""
+        """Return the share of the turns that the gyro explains, with any sign and unit."""
         start, end = at[first] - lag, at[last] - lag
         inside = (start >= imu.time[0]) & (end <= imu.time[-1])
         if np.count_nonzero(inside) < max(FEWEST, len(turn) / 3):

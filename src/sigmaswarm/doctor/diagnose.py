@@ -1,4 +1,4 @@
-"""Diagnosis of one drive by all checks."""
+"""Diagnose one drive by all checks."""
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
@@ -33,7 +33,7 @@ CHECKS = (
 )
 """Order of findings of equal severity."""
 KEPT = 32
-"""Largest number of diagnoses in memory: a command and a page use the diagnosis of a drive more than once."""
+"""Largest number of diagnoses that are cached, since commands and pages use the diagnosis of a drive more than once."""
 _kept: dict[tuple[str, str], Diagnosis] = {}
 
 
@@ -43,7 +43,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     Parameters
     ----------
     drive : Drive
-        It is not changed.
+        The drive, which is not changed.
 
     Returns
     -------

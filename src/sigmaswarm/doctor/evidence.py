@@ -20,7 +20,7 @@ from sigmaswarm.drives.sensors import white_noise
 SEARCHED = 2.3
 """Offset, s, above which the fit is not used, since the tried delays end at 2.5 s."""
 LEAST_SEARCHED = 0.3
-"""Smallest offset, s, that the search shows; if the fits do not show a smaller one, the log does not."""
+"""Smallest offset that the search finds, s; smaller offsets are found by the fits only."""
 USUAL = 1.0
 """Largest usual delay of a receiver, s. A larger offset is accepted only if the search finds no other offset."""
 AS_RECORDED = Yaw(known=True)
@@ -28,8 +28,9 @@ AS_RECORDED = Yaw(known=True)
 FEWEST = 20
 """Number of fixes below which only the checks that need no motion run."""
 KEPT = 256
-"""Largest number of drives whose scatter is kept in memory: a tuning uses the scatter after the diagnosis, and in each
-repetition."""
+"""Largest number of drives whose scatter is cached, since a tuning uses the scatter after the diagnosis and in each
+repetition.
+"""
 _scatters: dict[str, float] = {}
 
 

@@ -1,4 +1,4 @@
-"""Findings, each with its place, confidence, remedy and perhaps a repair."""
+"""Findings of the doctor, with place, confidence, remedy and, if possible, a repair."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from sigmaswarm.drives.checks import Remark
 
 Severity = Literal["note", "warning", "serious"]
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
-"""serious: filters tuned on this log learn the fault; warning: they are less accurate; note: information."""
+"""serious: filters tuned on the log adapt to the fault; warning: such filters are less accurate; note: information."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Finding:
         A short, stable name for programs: "gyro-sign", "clock-offset" and so on (docs/doctor.md has all).
     severity : {"note", "warning", "serious"}
     what : str
-        A sentence: the fault, with figures.
+        The fault in one sentence, with values.
     where : str
         File and columns.
     span : (float, float)
@@ -47,9 +47,9 @@ class Finding:
     remedy : str
         The remedy.
     repair : Repair or None
-        The action of ``repair``; None where there is none.
+        The repair that ``repair`` applies; None if there is none.
     cut : float or None
-        s: where to cut the log, so that the part after it is free of the fault.
+        Time at which to cut the log, s, so that the later part does not contain the fault.
     """
 
     code: str
@@ -75,7 +75,7 @@ def finding_of(
     confidence: float,
     repair: Repair | None = None,
 ) -> Finding:
-    """Return a remark of the reader as a finding."""
+    """Convert a remark of the reader to a finding."""
     where = f"{remark.file}, {remark.columns}"
     return Finding(remark.code, severity, remark.what, where, span, confidence, remark.remedy, repair)
 
@@ -90,7 +90,8 @@ class Diagnosis:
         The drive's name.
     findings : tuple of Finding
     visible_clock_offset : float or None
-        s: the smallest offset between the clocks of IMU and GPS that would have been detected; None if no offset would.
+        Smallest offset between the clocks of IMU and GPS that would have been detected, s; None if no offset would have
+        been detected.
     """
 
     drive: str
@@ -118,7 +119,7 @@ class Diagnosis:
 
 
 _HIGHEST_CONFIDENCE = 0.999
-"""Largest confidence: a log may have faults that no check considers."""
+"""Largest confidence, below 1, since a log may have faults that no check considers."""
 
 
 def confidence_of(deviations: float) -> float:

@@ -1,4 +1,4 @@
-"""Course and speed from the fixes alone, and the fixes that jump."""
+"""Compute course and speed from the fixes alone, and find fixes that jump."""
 
 from dataclasses import dataclass
 
@@ -60,7 +60,7 @@ def jumps(time: Array, position: Complex) -> Mask:
 
 
 def _off_line(time: Array, position: Complex) -> Complex:
-    """Return the offset of each fix from the straight line through its neighbors, without itself, (n,) m."""
+    """Return the offset of each fix from the straight line through the neighboring fixes, (n,) m."""
     n = len(time)
     offsets = np.array([k for k in range(-NEIGHBORS, NEIGHBORS + 1) if k])
     index = np.arange(n)[:, None] + offsets

@@ -1,9 +1,9 @@
-"""The mounting of the IMU: one rotation, from gravity, from turning and from the direction of travel.
+"""Estimate the mounting of the IMU as one rotation, from gravity, turns and the direction of travel.
 
 Roll and pitch of the sensor follow from the direction of the specific force, minus the vehicle's own motion, and from
-the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. The direction
-of travel gives yaw and pitch more exactly, once both are known roughly. Each round rotates the recorded axes by the
-result of the last one, until the rotation is zero.
+the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. When yaw and
+pitch are known roughly, the direction of travel shows them more precisely. Each round rotates the recorded axes by the
+result of the previous round, until the rotation is zero.
 """
 
 import math
@@ -24,7 +24,8 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive, Imu
 
 ROUNDS = 12
-"""Largest number of rounds. Few logs need more than six; with only six, these logs would be wrong by up to a degree."""
+"""Largest number of rounds. A few logs need more than six; with only six rounds, their errors would be up to a degree.
+"""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """Largest total standard deviation, rad, of a mounting with confidence "sure", and with confidence "likely"."""
 LEAST_SHARE = 0.5
@@ -37,7 +38,7 @@ YAW_FLOOR = math.radians(0.8)
 TRAVEL_FLOOR = math.radians(0.8)
 """Smallest standard deviation of the direction of travel (slip, suspension), rad."""
 ALIKE = 0.025
-"""Tolerance of an entry of M, which covers slip, and tilt in maneuvers."""
+"""Tolerance of an entry of M, due to slip and to tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
 """Window over which the axis of turning is fitted, s."""
@@ -63,7 +64,7 @@ Confidence = Literal["sure", "likely", "no"]
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """The rotation from the IMU's axes as recorded to the vehicle's."""
+    """The rotation from the recorded axes of the IMU to the axes of the vehicle."""
 
     rotation: Array  # (3, 3)
     std: Array  # (3,) rad, of roll, pitch and yaw
@@ -79,8 +80,8 @@ class Mounting:
     def repair(self) -> Array:
         """Return the certain part of the rotation, (3, 3).
 
-        Exchanged axes are exchanged exactly. The rest is levelled and rotated about the vertical only where that is
-        significant.
+        Exchanged axes are exchanged exactly. The remaining tilt and the rotation about the vertical are corrected only
+        if they are significant.
         """
         exchanged = max(AXES, key=lambda axes: float(np.trace(self.rotation @ axes.T)))
         rest, repair = self.rotation @ exchanged.T, exchanged
@@ -147,7 +148,7 @@ def about_z(angle: float) -> Array:
 
 
 def mounting_of(drive: Drive, course: Course) -> Mounting | None:
-    """Estimate the mounting; None where the log lacks an axis, gravity, or a course."""
+    """Estimate the mounting; return None if the log lacks an axis, gravity, or a course."""
     found = _in_si_units(drive, course)
     if found is None:
         return None
@@ -169,9 +170,9 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 
 
 def _leaning(imu: Imu) -> Array:
-    """Return how clearly the body leans out of turns, and back while the car gains speed, each from -1 to 1.
+    """Return how clearly the body leans outward in turns, and backward while the car gains speed, each from -1 to 1.
 
-    On springs the body does both. With a reversed axis one of the values is negative, although turns and accelerations
+    A body on springs does both. If an axis is reversed, one of the values is negative, although turns and accelerations
     agree with the fixes.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
@@ -201,7 +202,7 @@ def level(imu: Imu) -> Array:
 def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
     """Convert the IMU to m/s2 and rad/s, from the size of gravity and the turns of the course; None without six axes.
 
-    Also return the fit of the levelled yaw rate.
+    The second result is the fit of the levelled yaw rate.
     """
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
@@ -305,7 +306,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
     """Fit the slopes (2,) of the integrals of gx and gy on that of gz within windows, minus straight lines.
 
-    Also return their standard deviations.
+    The second result contains the standard deviations of the slopes.
     """
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)
@@ -351,7 +352,7 @@ def _follows(turns: YawFit) -> bool:
 
 
 def _confidence(seen: _Round) -> tuple[Confidence, str]:
-    """Return the confidence in the mounting, and the reason why it is not higher."""
+    """Return the confidence in the mounting, and the reason if it is not "sure"."""
     lateral, total = seen.lateral, float(np.linalg.norm(seen.std))
     uncertain = f"its standard deviation is {math.degrees(total):.0f} deg"
     for fault, reason in (

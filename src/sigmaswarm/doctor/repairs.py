@@ -1,4 +1,4 @@
-"""Repair of a drive by its findings. The given drive and its truth stay unchanged."""
+"""Repair the faults that a diagnosis found. The given drive and its truth are not changed."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +26,7 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     drive : Drive
         The drive that was diagnosed.
     diagnosis : Diagnosis
-        Of it.
+        The diagnosis of this drive.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
 
 
 def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
-    """Add s to a sensor's times."""
+    """Add a constant, s, to a sensor's times."""
     table = getattr(drive, sensor)
     return _with(sensor, drive, time=table and table.time + seconds)
 
@@ -171,5 +171,6 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
-"""Actions in the order of their application: rows are identified by recorded times, fixes by times after a correction
-of the clock."""
+"""Actions in the order of their application. Rows are identified by their recorded times, fixes by their times after a
+correction of the clock.
+"""

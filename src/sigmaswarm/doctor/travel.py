@@ -4,8 +4,9 @@ A car's velocity lies along its x axis e. In the axes that the IMU has at the st
 
     velocity = C (speed e + rate x lever) = v0 + g t + integral of C force
 
-C is the gyro's integral, to first order in roll and pitch; speed is that of the fixes. Each window has its own v0 and g
-(gravity, slope, bias). The components across e do not contain the errors of the speed, so they have the larger weight.
+C is the gyro's integral, to first order in roll and pitch; the speed is computed from the fixes. Each window has its
+own v0 and g (gravity, slope, bias). The components perpendicular to e do not contain errors of the speed, so they have
+the larger weight.
 """
 
 from typing import Any
@@ -29,8 +30,8 @@ LEAST_STRAIGHT = 0.5
 def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
     """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
 
-    The axes are nearly aligned with the vehicle. The result is None if no window is
-    usable. ``late`` is the delay of the fixes, s.
+    The IMU's axes must be nearly aligned with the vehicle. The result is None if no window is usable. ``late`` is the
+    delay of the fixes, s.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:

@@ -31,10 +31,11 @@ course's changes: in a city, or with outliers, errors of the fixes cause most ch
 CLEARLY = 16.0
 """Smallest lead in chi-square of another interpretation over the log as recorded, and largest chi-square of a log in g.
 
-In steady circles forces barely exceed the noise of their windows, and show no unit. Logs in g have a chi-square of 4.
+In steady circles the forces barely exceed the noise of their windows, and do not show the unit. Logs in g have a
+chi-square of 4.
 """
 ALIKE = 0.05
-"""Tolerance of the entries of M off the diagonal, which covers slip, and tilt in maneuvers."""
+"""Tolerance of the entries of M off the diagonal, due to slip and to tilt in maneuvers."""
 SCALE = 0.12
 """Tolerance of the entries on the diagonal: roll and pitch of the body add 5 to 10% to the acceleration."""
 SHOWN = 0.25
@@ -51,7 +52,7 @@ ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 @dataclass(frozen=True)
 class Yaw:
-    """The yaw rate in rad/s as a column times a factor; ``known`` if the drive shows it."""
+    """The yaw rate in rad/s as a column times a factor; ``known`` is true if the drive shows column and factor."""
 
     column: str = "gz"
     factor: float = 1.0
@@ -59,7 +60,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find the column, sign and unit of the gyro that agree with the course; if unclear, return those of the format."""
+    """Find the column, sign and unit of the gyro that agree with the course, else return those of the format."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()

@@ -1,4 +1,4 @@
-"""Integrals, means, overlapping windows over the fixes, and least squares with unknowns of one window alone."""
+"""Integrals, means, overlapping windows of fixes, and least squares with common and with separate unknowns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
 
 def integral(time: Array, values: Values) -> Values:
-    """Integrate from the first sample on, by trapezoids, (n,)."""
+    """Integrate from the first sample by the trapezoidal rule, (n,)."""
     total: Any = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
     return total
 
@@ -34,7 +34,7 @@ def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
 def moving_mean(rows: Array, count: int) -> Array:
     """Compute the moving mean over ``count`` samples of rows (r, n), mirrored at their ends.
 
-    It is `scipy.ndimage.uniform_filter1d`, whose import takes longer than all checks.
+    This function replaces `scipy.ndimage.uniform_filter1d`, whose import takes longer than all checks.
     """
     left = count // 2
     padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")
@@ -123,8 +123,8 @@ def pinv(gram: Array) -> Array:
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
-    The result is the covariance for white residuals, but at least that of the windows' disagreement (the sandwich of
-    White, 1980, with windows as clusters). It is doubled, since each fix is in two windows.
+    The covariance is that for white residuals, but at least that of the disagreement between windows (the sandwich
+    estimate of White, 1980, with windows as clusters). The result is doubled, since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

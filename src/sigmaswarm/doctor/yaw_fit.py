@@ -1,4 +1,4 @@
-"""Regression of the course on the integrated gyro: column, gain, and the fixes' delay."""
+"""Regress the course on the integrated gyro: column, gain, and delay of the fixes."""
 
 import math
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
-"""The start of a filter: an initial state from the drive alone, causal, without truth.
+"""Find the start of a filter: an initial state from earlier samples of the drive, without truth.
 
-The heading of a car is not observable at standstill, and a GPS fix has none. Once the car has driven some meters, its
-course over ground shows the heading; the gyro corrects it for turns and the accelerometer for changes of speed.
-`initial_state` fits the last seconds of fixes (`alignment_fit`).
+At standstill the heading of a car is not observable. After some meters of driving, the course over ground shows the
+heading. The gyro corrects this heading for turns, the accelerometer for changes of speed. `initial_state` fits the last
+seconds of fixes (`alignment_fit`).
 
 The effect of the gyro's bias is stored separately (`gyro_seen`). The bias is subtracted, and the fit is repeated, only
 if the fixes contradict a gyro without bias.
@@ -73,25 +73,25 @@ class NoStart:
 
 
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
-    """Find the first moment at which position, speed and heading are known.
+    """Find the first time at which position, speed and heading are known.
 
-    The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and at least
-    four fixes in that time. A slower drive starts at the first fix with 10 m of travel in up to 90 s, or more if the
-    fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at the first IMU
-    sample), the start is the first fix; if the fixes have a column ``heading``, the first fix with one. The state
-    depends on earlier samples only.
+    The start is the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), with at
+    least four fixes in that time. On a slower drive it is the first fix after 10 m of travel in up to 90 s, or after
+    more travel if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at
+    the first IMU sample), the start is the first fix; if the fixes have a column ``heading``, it is the first fix with
+    a heading. The state depends only on earlier samples.
 
     Parameters
     ----------
     drive : Drive
-        Its truth is not used.
+        A drive; the truth is not used.
     as_recorded : bool
         Also use stale fixes as positions: see `drives.frozen`.
 
     Raises
     ------
     AlignmentError
-        If there is no such moment; the message gives the reason.
+        If there is no such time; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, NoStart):
@@ -132,7 +132,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoStart:
-    """Start at the first usable fix, with the heading stated there or at the first IMU sample, and unknown speed."""
+    """Start at the first usable fix, with its stated heading or that of the first IMU sample, and unknown speed."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
@@ -199,7 +199,7 @@ class Alignments:
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return NoStart(
                     f"its fixes move {travel} within {time}, but never as the IMU measured, so the heading "
-                    "can't be found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
+                    "can't be found: the fixes scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
                     "repair what `sigmaswarm doctor` finds",
                 )
             return NoStart(
@@ -211,11 +211,14 @@ class Alignments:
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
-            what = f"its fixes come every {every:.3g} s, and the heading needs {ALIGNMENT_FIXES} of them within {time}"
+            what = f"its fixes come every {every:.3g} s, but the heading needs {ALIGNMENT_FIXES} fixes within {time}"
             return NoStart(f"no filter can start: {what}", "log the receiver at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
-        needs = f"the heading needs {ALIGNMENT_FIXES} within {time}, at least {MIN_DURATION:g} s from first to last"
+        needs = (
+            f"the heading needs {ALIGNMENT_FIXES} fixes within {time}, "
+            f"at least {MIN_DURATION:g} s from first to last"
+        )
         return NoStart(
             f"no filter can start: only {usable}, and {needs}",
             "use a longer drive with fixes at 1 Hz or faster, without gaps and repeated positions",
@@ -236,7 +239,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit the gyro's bias, too, but without the accelerometer, whose bias accumulates over the longer time."""
+        """Fit also the gyro's bias, but do not use the accelerometer, whose bias accumulates over the longer time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -271,10 +274,10 @@ class Alignments:
     @cached_property
     @np.errstate(all="ignore")
     def course(self) -> Array:
-        """A rough heading at each fix, (m,) rad; NaN without an alignment.
+        """Rough heading at each fix, (m,) rad; NaN without an alignment.
 
-        It is the chord of the last seconds, corrected for turns; changes of speed in a turn cause errors of some
-        degrees.
+        The heading is the direction of the chord of the last seconds, corrected for turns; changes of speed in a turn
+        cause errors of some degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)

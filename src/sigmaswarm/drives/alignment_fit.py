@@ -5,7 +5,7 @@
 
 with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and b the
 contribution of tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b. The fit also returns the
-effect of the gyro's bias on them.
+effect of the gyro's bias on these unknowns.
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +20,8 @@ from sigmaswarm.geodesy import wrap_angle
 Complex = NDArray[np.complex128]
 Way = Complex
 """Motion from each fix to the last one according to the IMU, (3, f), in the body frame at the last fix: the part per
-m/s of speed there (s), the part per m/s2 of tilt and bias (s2), and the part due to the accelerometer (m)."""
+m/s of speed at this fix (s), the part per m/s2 of tilt and bias (s2), and the part due to the accelerometer (m).
+"""
 
 SLIP_STD = np.radians(1.0)
 """Standard deviation of the angle between course and heading at the IMU in ordinary driving, rad."""
@@ -39,9 +40,9 @@ class InitialState:
     mean : ndarray, shape (5,)
         x, y (m), vx, vy (m/s), theta (rad).
     covariance : ndarray, shape (5, 5)
-        Positive definite, of ``mean``.
+        Covariance of ``mean``, positive definite.
     time : float
-        s: time of the last fix used. Filters and scores start here.
+        Time of the last used fix, s, at which filters and scores start.
     gyro : GyroSeen or None
         Evidence about the gyro's bias, for filters that estimate the bias. None: these filters start with 0.
     """
@@ -56,9 +57,9 @@ class InitialState:
 class Fit:
     """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
-    ``taken`` is the gyro bias (rad/s) that was subtracted, ``yaw_bias`` the estimated one, with standard deviation
-    ``yaw_std``, or ``bias_std`` according to the fit alone, rad/s; ``turns`` is the change of the unknowns per rad/s of
-    bias.
+    ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` is the estimated gyro bias with standard deviation
+    ``yaw_std``, rad/s; ``bias_std`` is its standard deviation according to the fit alone. ``turns`` is the change of
+    the unknowns per rad/s of bias.
     """
 
     time: float
@@ -165,7 +166,7 @@ class Fit:
         return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
     def state(self, leaning: Array) -> InitialState:
-        """Return the start; ``leaning`` (2,) has the gyro's mean rates about forward and left, rad/s, or NaN."""
+        """Return the start; ``leaning`` (2,) contains the gyro's mean rates about forward and left, rad/s, or NaN."""
         east, north, theta, v, _ = self.solution
         c, s = np.cos(theta), np.sin(theta)
         # from (east, north, theta, v, slip angle) to (x, y, vx, vy, theta)

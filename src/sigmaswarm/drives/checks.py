@@ -1,6 +1,6 @@
-"""Plausibility of a drive: shortages that make it unusable, and units, axes and gaps that look wrong.
+"""Check whether a drive is plausible: too little data, and units, axes and gaps that look wrong.
 
-The doctor checks most of these in more detail, with messages of this file.
+The doctor checks most of these faults in more detail, with the messages of this file.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ FEWEST_SAMPLES, FEWEST_SHARED_FIXES = 100, 10
 IMU_GAP = (10.0, 0.1)
 """An IMU interval is a gap if it exceeds both this many usual intervals and this many s."""
 GPS_GAP = (5.0, 2.0)
-"""The same limits for fixes and truth."""
+"""An interval of fixes or truth is a gap if it exceeds both this many usual intervals and this many s."""
 UNSHARED = 10.0
 """Time without the other sensor, s, at the start or end of the fixes or of the IMU, above which it is reported."""
 UNSHARED_IMU = 0.1
@@ -43,7 +43,7 @@ turns."""
 
 @dataclass(frozen=True)
 class Remark:
-    """A fault that a drive seems to have; ``code`` is that of the doctor (docs/doctor.md)."""
+    """A probable fault of a drive; ``code`` is the doctor's code for it (docs/doctor.md)."""
 
     code: str
     file: str
@@ -111,7 +111,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
     """List faults of the times that make all other checks meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
-    remedy = "delete the rows with wrong times; if the logger did pause, make a drive of each part"
+    remedy = "delete the rows with wrong times; if the logger paused, make one drive of each part"
     found: list[Remark] = []
     for file, gaps in ("imu.csv", gaps_in(imu.time, IMU_GAP)), ("gps.csv", gaps_in(gps.time, GPS_GAP)):
         if gaps and gaps.length > _JUMP:
@@ -152,7 +152,7 @@ def gravity_on(imu: Imu) -> Remark | None:
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
-    what = f"column {axis} has median {median[axis]:.2f} m/s2, gravity, which belongs on az"
+    what = f"column {axis} has median {median[axis]:.2f} m/s2: this is gravity, which az must contain"
     remedy = "exchange the axes of accelerometer and gyro until x is forward, y left, z up"
     return Remark("gravity-axis", "imu.csv", axis, what, remedy)
 
@@ -168,7 +168,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what, remedy = f"column az has median {az:.2f}, as if in g", f"multiply ax, ay, az by {GRAVITY}"
     elif az < -0.7 * GRAVITY:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
-        remedy = "turn the axes, or change the sign of ax, ay, az where the sensor reports the opposite"
+        remedy = "turn the axes, or change the sign of ax, ay, az if the sensor reports the opposite"
     elif abs(az) < 0.2 * GRAVITY:
         remedy = "check its unit and axis, or leave it out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
@@ -195,8 +195,8 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
         "a filter crosses a gap with the mean of the samples around it, and its covariance grows; if the car "
         "maneuvered there, split the drive"
     )
-    alone = "a filter uses the IMU alone there; nothing to do if this is intended"
-    unscored = "nothing is scored there; nothing to do if this is intended"
+    alone = "during this time a filter uses only the IMU; nothing to do if this is intended"
+    unscored = "during this time errors are not measured; nothing to do if this is intended"
     sensors = [("imu", imu, IMU_GAP, crossed), ("gps", gps, GPS_GAP, alone)]
     sensors += [("truth", truth, GPS_GAP, unscored)] if truth is not None else []
     found: list[tuple[str, str, str]] = []
@@ -239,9 +239,9 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Return the motion over consecutive windows according to the fixes, and the integral of an IMU column.
 
-    The first array is the mean velocity (k,), m/s east + i north. From the middle of each window to that of the next
-    are the integral of ``body_rate`` and the change of course, rad, (k - 1,). Windows without fixes are left out, which
-    limits the number of windows.
+    The first array is the mean velocity (k,), m/s east + i north. The others are the integral of ``body_rate`` and the
+    change of course, rad, from the middle of each window to the middle of the next one, (k - 1,). Windows without fixes
+    are left out, which limits the number of windows.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

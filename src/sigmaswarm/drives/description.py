@@ -32,7 +32,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """Read the keys of drive.toml and check all but ``frame``, which depends on gps.csv."""
+    """Read the keys of drive.toml and check all except ``frame``, which depends on gps.csv."""
     if not path.is_file():
         raise DriveError(
             f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
@@ -77,7 +77,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     elif key == "heading_deg" and abs(numbers[0]) > 360:
         what = "is not an angle; give degrees counter-clockwise from east, -360 to 360"
     elif key not in ("heading_deg", "gps_lever_arm_m") and not min(numbers) > 0:
-        what = "must be positive; leave it out where it is not known"
+        what = "must be positive; leave it out if it is not known"
     if what:
         raise DriveError(f"{path}: {key} = {value_shown(value)} {what}")
 
@@ -95,7 +95,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the frame of the fixes: the stated one, which the columns must confirm, or else that of the columns."""
+    """Return the frame of the fixes: the stated frame, which must agree with the columns, or that of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')

@@ -22,7 +22,7 @@ def listed(given: Iterable[T] | T) -> list[T]:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One journey: the measurements and, where known, the truth.
+    """One drive: the measurements and, if known, the truth.
 
     Attributes
     ----------
@@ -60,20 +60,18 @@ class Drive:
         origin: tuple[float, float, float] | None = None,
         columns: Mapping[str, str] | None = None,
     ) -> "Drive":
-        """Make a drive from data frames: those of pandas or polars, or mappings of column names to arrays.
+        """Make a drive from data frames of pandas or polars, or from mappings of column names to arrays.
 
         Parameters
         ----------
-        imu : frame with columns t, ax, ay, gz and perhaps az, gx, gy
+        imu : frame with columns t, ax, ay, gz and optionally az, gx, gy
             s; m/s2; rad/s, in the body frame: x forward, y left, z up.
-        gps : frame with columns t and x, y (m) or lat, lon (deg), perhaps alt, std_x, std_y (m), speed, course, heading
-        truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional
-        odometer : frame with columns t, speed (m/s), optional
-        name : str
-        origin : (latitude deg, longitude deg, altitude m), optional
-            Where x = y = 0; by default the first fix that has lat and lon.
+        gps : frame with columns t and x, y (m) or lat, lon (deg), optionally alt, std_x, std_y (m), speed, course,
+        heading truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional odometer : frame with
+        columns t, speed (m/s), optional name : str origin : (latitude deg, longitude deg, altitude m), optional
+            Position of x = y = 0; by default the first fix that has lat and lon.
         columns : mapping, optional
-            Your names to the names above: ``{"acc_x": "ax"}``.
+            Names of your columns and the names above: ``{"acc_x": "ax"}``.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""The identity of a drive, independent of its name and folder."""
+"""Identify a drive by its data, independent of its name and folder."""
 
 import hashlib
 from typing import Any
@@ -9,14 +9,14 @@ from pydantic import BaseModel, Field
 from sigmaswarm.drives.drive import Drive
 
 START_RULE = (
-    "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster); of a slower drive, "
-    "10 m or more in up to 90 s; with a stated heading, the first fix that has one, if it is earlier"
+    "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), or, on a slower drive, "
+    "10 m or more in up to 90 s; the first fix with a heading, if it is earlier"
 )
 """Description of the start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
 
 
 class DriveRecord(BaseModel):
-    """The description of a drive in the file of a result."""
+    """Description of a drive in the file of a result."""
 
     name: str
     duration_s: float | None = None

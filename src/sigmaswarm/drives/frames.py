@@ -1,4 +1,4 @@
-"""Tables of a drive from arrays and data frames, checked like those of files."""
+"""Make the tables of a drive from arrays and data frames, with the same checks as for files."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,8 +1,8 @@
-"""Stale fixes: a receiver without satellites repeats its last position bit for bit while the car drives on.
+"""Find stale fixes: a receiver without satellites repeats its last position exactly while the car drives on.
 
-A receiver with static hold also repeats its position at a red light, correctly. Earlier fixes distinguish the two
-cases: they show whether the car had stopped before the first repeat. The decision uses only this fix and earlier ones,
-and no parameter of a filter. The same function serves a drive and a live filter.
+A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes distinguish the
+two cases, since they show whether the car had stopped before the first repeat. The decision uses only this fix and
+earlier ones, and no parameter of a filter. The same function serves a drive and a live filter.
 """
 
 import math
@@ -14,8 +14,9 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Gps
 
 NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
-"""Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move (FROZEN: by less than
-`NO_REST`; FROZEN_MOVING: by more, so that the repeat is not evidence of a standstill)."""
+"""Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move (FROZEN: slower than `NO_REST`;
+FROZEN_MOVING: faster, so that the repeat is not evidence of a standstill).
+"""
 
 BEFORE = 3.0
 """Time before a fix within which an equal fix is searched, s; the previous fix is always compared."""
@@ -55,7 +56,7 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 
 @cached
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
-    """Classify fix k; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has the kinds of earlier rows.
+    """Classify fix k; rows of ``fixes``, by time, begin with t, x, y, and ``kinds`` contains the kinds of earlier rows.
 
     The fix is compared with all fixes of the last seconds, so each of two receivers is compared with itself. A run of
     repeats is classified once, at its first fix.
@@ -79,9 +80,9 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    The result is the smaller of two speeds: that of a straight-line fit, and that of a parabola along this line at the
-    given time, since a car that brakes to a halt was fast a second before. In a log that begins with repeated fixes the
-    result is 0.
+    The estimate is the smaller of two speeds: that of a straight-line fit, and that of a parabola along this line at
+    the given time, since a car that brakes to a halt was fast a second before. In a log that begins with repeated fixes
+    the result is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

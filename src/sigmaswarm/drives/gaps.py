@@ -19,7 +19,7 @@ usual."""
 
 
 def gaps_before(time: Array) -> Array:
-    """Return the length of the gap that ends at each sample, shape (n,) s, else 0. ``time``: (n,) s."""
+    """Return the length of the gap that ends at each sample, (n,) s; 0 without a gap. ``time``: (n,) s."""
     gaps = np.zeros(len(time))
     _find_gaps(np.ascontiguousarray(time, dtype=np.float64), gaps)
     return gaps

@@ -1,9 +1,9 @@
 """Gyro bias from the last seconds before a start, and its use by filters.
 
 A cheap gyro may have a bias of 20 deg/s when it is turned on. Then the path according to the gyro curves differently
-from the fixes, and the integrated roll angle drifts. Both measure the bias to about 1 deg/s. This is less accurate than
-the ``bias_std`` of a good gyro, whose start is therefore unchanged, and far more accurate than the prior of a cheap
-gyro.
+from the fixes, and the integrated roll angle drifts. Both show the bias with an error of about 1 deg/s. This is less
+accurate than the ``bias_std`` of a good gyro, whose start is therefore unchanged, and far more accurate than the prior
+of a cheap gyro.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,9 +38,9 @@ MOST_BIAS = 0.5
 class GyroSeen:
     """Evidence about the gyro bias from one alignment, or from several: see `together`.
 
-    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; the variance is infinite where
-    nothing is known. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is
-    the change of x, y, vx, vy, theta per rad/s of bias.
+    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; the variance is infinite if
+    nothing is known about an axis. The alignment's mean and covariance are valid for the bias ``taken`` about up;
+    ``turns`` (5,) is the change of x, y, vx, vy, theta per rad/s of bias.
     """
 
     bias: Array
@@ -49,7 +49,7 @@ class GyroSeen:
     turns: Array
 
     def beside(self, known: float) -> "GyroSeen":
-        """Return the evidence about the gyro itself, if a known bias about up, rad/s, was subtracted before."""
+        """Return the evidence about the unchanged gyro, if a known bias about up, rad/s, was subtracted before."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)

@@ -1,8 +1,8 @@
-"""Odometer measurements of a filter: readings averaged over at least a tenth of a second.
+"""Compute the odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
 Errors of readings are not white (scale, quantization, tires), so the mean over a tenth of a second contains as much
 information as readings of 83 Hz, with less quantization error. The mean is used at an IMU sample; its latency is the
-mean age of the readings. Slow wheels give few pulses, and the odometer reads zero while the car still creeps.
+mean age of the readings. At low speed there are few pulses, and the odometer reads zero while the car still moves.
 """
 
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE; ``turn`` (k,) marks the steps
-    at whose end the wheels turn, so that the car does not stand.
+    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE. ``turn`` (k,) marks steps
+    that end while the wheels turn, so that the car does not stand.
     """
 
     absorbs: NDArray[np.bool_]

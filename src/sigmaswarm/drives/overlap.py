@@ -1,9 +1,9 @@
 """Find the part of a drive that other drives contain, from the content, even in renamed, cut or repaired copies.
 
-Two kinds of landmarks are equal in all copies of a drive and in no other drive: positions with the receiver's noise,
-and yaw rates with the gyro's noise. Equal landmarks vote for the offset between two clocks (as in Wang, "An
-Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps at least one kind: the yaw rates if fixes are
-left out, shifted or replaced, the fixes if the IMU is turned or interpolated.
+Two kinds of landmarks are equal in all copies of a drive and differ in all other drives: positions with the receiver's
+noise, and yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between two clocks (as in
+Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy contains at least one kind: the yaw rates if
+fixes are left out, shifted or replaced, and the fixes if the IMU is rotated or interpolated.
 """
 
 import math
@@ -165,10 +165,10 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 
 
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
-    """Return the offset, s, between the clocks of landmarks (time in us, values ...) with most equal pairs.
+    """Return the offset, s, between the clocks of landmarks (time in us, values ...) that gives the most equal pairs.
 
-    Some pairs always agree by chance. So in the drive with fewer landmarks (a copy may be decimated) half of those in
-    the common time must agree. Their values must differ, since a standing car repeats one value.
+    Some pairs always agree by chance. So, in the drive with fewer landmarks (a copy may be decimated), half of the
+    landmarks in the common time must agree. Their values must differ, since a standing car repeats one value.
     """
     if min(len(a), len(b)) < FEWEST:
         return None

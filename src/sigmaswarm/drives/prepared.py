@@ -1,4 +1,4 @@
-"""A drive prepared for filters: its start and its time lines, each computed once."""
+"""Prepare a drive for filters: compute its start and its time lines once."""
 
 from functools import cached_property
 

@@ -1,4 +1,4 @@
-"""Reading a drive from a folder or a URL. Each error is one sentence: file, row, column, value, fault, remedy."""
+"""Read a drive from a folder or a URL. Each error is one sentence: file, row, column, value, fault, remedy."""
 
 import warnings
 from collections.abc import Iterable
@@ -51,9 +51,9 @@ def _files_of(folder: Path, table: str) -> list[Path]:
 
 
 def read_drive(path: str | Path) -> Drive:
-    """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml, perhaps odometer.csv, truth.csv.
+    """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml, optionally odometer.csv, truth.csv.
 
-    Each of the tables may be a Parquet file instead, with the same columns: imu.parquet.
+    Each table may also be a Parquet file with the same columns, such as imu.parquet.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ def read_drive(path: str | Path) -> Drive:
     Returns
     -------
     Drive
-        Fixes of a "wgs84" drive are also in m, relative to its ``origin``: that of drive.toml, else the first fix.
-        Without a column ``alt`` they get the altitude of the origin. Keys of drive.toml other than name, frame and
-        origin are ``metadata``.
+        Fixes of a "wgs84" drive are also converted to m, relative to the ``origin`` of drive.toml or, without it, to
+        the first fix. Without a column ``alt`` the altitude of the origin is used. Keys of drive.toml other than name,
+        frame and origin are ``metadata``.
 
     Raises
     ------

@@ -20,12 +20,12 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 def split_drives(
     drives: Sequence[T], train_fraction: float = 0.7, *, rng: np.random.Generator
 ) -> tuple[list[T], list[T]]:
-    """Draw whole drives for training; the rest is for testing. Each part is in the given order.
+    """Draw whole drives for training; the others are for testing. Both parts keep the given order.
 
     Parameters
     ----------
     drives : sequence of Drive, or of objects that represent drives, such as paths
-        At least two, so that each part gets one.
+        At least two drives.
     train_fraction : float
         Share of the drives for training, in (0, 1).
     rng : numpy.random.Generator
@@ -48,7 +48,7 @@ def split_time(
     Parameters
     ----------
     drive : Drive
-        Not changed.
+        The drive, which is not changed.
     train_fraction : float
         Share of the drive's duration, in (0, 1).
     at : float or (float, float), optional
@@ -63,7 +63,7 @@ def split_time(
     Returns
     -------
     (Drive, Drive)
-        ``cut_from`` in their metadata has the drive (name, fingerprint) and the part of it (s on its clock).
+        ``cut_from`` in their metadata contains the original drive (name, fingerprint) and the part (s on its clock).
     """
     _require_fraction(train_fraction)
     if at is None:
@@ -82,7 +82,9 @@ def split_time(
     sha256 = fingerprint(drive)
     for part in parts:
         if isinstance(found := find_start(part), NoStart):
-            message = f"{part.name} can't be used alone: {found.what}; split elsewhere, or {found.remedy}"
+            message = (
+                f"{part.name} can't be used as a drive: {found.what}; split elsewhere, or {found.remedy}"
+            )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     first, last = (
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256}

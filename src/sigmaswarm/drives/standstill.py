@@ -1,15 +1,15 @@
-"""Causal detection of standstills from a calm IMU and constant fixes.
+"""Detect standstills causally, from a calm IMU and constant fixes.
 
-At constant speed on a smooth road the IMU is as calm as at a standstill, so the fixes must agree. Fixes show a
-departure late, so the IMU must agree. A gentle departure is calm, too, but changes the acceleration, which must
-therefore agree with that at the beginning of the stop. The same functions serve a drive and a live filter.
+At constant speed on a smooth road the IMU is as calm as at a standstill, so the fixes must also be constant. Fixes show
+a departure late, so the IMU must also be calm. During a gentle departure the IMU is calm, but the acceleration changes,
+so it must agree with the acceleration at the beginning of the stop. The same functions serve a drive and a live filter.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
-last second is the current, incomplete block and the 20 before it; the last quarter is that block and the 5 before.
-Blocks are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing
-sample variances, 1979). No block is subtracted, so that rounding does not accumulate: the blocks form two stacks of 20.
-Each block of the older stack is merged with the later blocks of this stack; the blocks of the newer stack are stored
-singly, and their merged total is in FRESH.
+last second is the current, incomplete block and the 20 before it; the last quarter of a second is the current block and
+the 5 before it. Blocks are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise
+algorithm for computing sample variances, 1979). To keep rounding errors from accumulating, blocks are never subtracted;
+they form two stacks of 20. Each block of the older stack is merged with the later blocks of this stack; the blocks of
+the newer stack are stored singly, and their merged total is in FRESH.
 """
 
 import math
@@ -82,7 +82,7 @@ def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
 
 
 def new_memory() -> Array:
-    """Make the memory of a detector without samples."""
+    """Make the memory of a detector that has no samples yet."""
     memory = np.zeros((N_MEMORY, 8))
     memory[LEVEL, :3] = -1.0
     memory[LEVEL, NUMBER] = memory[LEVEL, LAST] = -np.inf
@@ -248,7 +248,7 @@ def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) ->
 
     Of the first ``n`` rows, those up to ``now`` are read. The result is valid until ``until[0]`` if no fix is added.
     ``kinds`` has the kind of each fix, see `frozen`; stale fixes of a driving car are not used. After an outage the
-    window must be full first: the slope over half a window is three times as noisy, and a car that departs with
+    window must first be full: the slope over half a window is three times as noisy, and a car that departs with
     constant acceleration would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -90,7 +90,7 @@ class Gps(Table):
     speed, course : m/s; rad, counter-clockwise from east
     heading : rad, counter-clockwise from east, of two antennas or a compass; a filter can start with this heading
     without travel
-    std_heading : rad, its stated standard deviation; `NO_HEADING` or more if the fix has no heading
+    std_heading : rad, stated standard deviation of the heading; `NO_HEADING` or more if the fix has no heading
     """
 
     x: Array
@@ -137,8 +137,8 @@ class Truth(Table):
     x, y : m east and north of the drive's origin
     vx, vy : m/s east and north
     theta : rad, heading counter-clockwise from east; may be unwrapped
-    std_x, std_y : m, standard deviation of the truth, if known: both or none
-    std_theta : rad, standard deviation of its heading
+    std_x, std_y : m, standard deviation of the truth, if known
+    std_theta : rad, standard deviation of the true heading
     """
 
     x: Array
@@ -155,7 +155,7 @@ class Truth(Table):
         none = self.std_x is None
         if none != (self.std_y is None) or (none and self.std_theta is not None):
             raise DriveError(
-                "Truth states std_x and std_y both, and with them std_theta, or none; add the missing ones"
+                "Truth needs std_x and std_y together, and std_theta only with both; add the missing ones"
             )
 
 

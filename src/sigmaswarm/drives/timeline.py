@@ -5,8 +5,8 @@ the same sample, and updates the filter at its own time. Two fixes with equal ti
 filter one after the other; the step of the second fix has length 0. Each step uses its true dt. Process noise is the
 variance added per nominal interval (the median) and scales with dt / nominal.
 
-A gap in the IMU's samples is driven by the mean of the two samples around it, and marked (`drives.gaps`). Stale fixes
-are left out (`drives.frozen`). With ``as_recorded`` neither rule is applied.
+In a gap of the IMU the input is the mean of the samples before and after it, and the gap is marked (`drives.gaps`).
+Stale fixes are left out (`drives.frozen`). With ``as_recorded`` both rules are off.
 """
 
 from collections.abc import Sequence

@@ -19,7 +19,7 @@ A_DRIVE = "a drive is a folder with imu.csv, gps.csv and drive.toml"
 
 
 def is_url(location: str | Path) -> bool:
-    """Return whether fsspec reads this location."""
+    """Return True if fsspec reads this location."""
     return "://" in str(location)
 
 
@@ -29,7 +29,7 @@ def without_secrets(url: str) -> str:
 
 
 def drive_urls(url: str) -> list[str]:
-    """Return the URL itself if it is that of a drive, or else the URLs of all drives in that folder, sorted by name."""
+    """Return the URL if it names a drive, else the URLs of all drives in this folder, sorted by name."""
     url = url.rstrip("/")
     with _errors_in_one_line(url):
         system, path = _opened(url)

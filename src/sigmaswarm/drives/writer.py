@@ -1,4 +1,4 @@
-"""Writing a drive's folder atomically."""
+"""Write the folder of a drive atomically."""
 
 from io import BytesIO
 from pathlib import Path
@@ -20,22 +20,22 @@ FILES = frozenset({"drive.toml", *TABLES})
 
 
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:
-    """Write a drive as a folder that ``read_drive`` reads back to the same bits.
+    """Write a drive as a folder from which ``read_drive`` reads identical data.
 
-    The same drive gives the same bytes. The folder is written under another name, read back and then renamed, so that a
-    partial or unreadable drive never appears.
+    The same drive gives identical files. The folder is written under another name, read back and then renamed, so that
+    a partial or unreadable drive never appears.
 
     Parameters
     ----------
     drive : Drive
-        Of a "wgs84" drive lat, lon and alt are written, from which reading computes x and y. Its name is written if the
-        folder has another one.
+        For a "wgs84" drive lat, lon and alt are written, from which the reader computes x and y. The name of the drive
+        is written if it differs from the folder's name.
     path : str or Path
-        The folder to make, with its parents.
+        The folder to make; missing parents are also made.
     overwrite : bool
         Replace an existing drive.
     form : {"csv", "parquet"}
-        Format of the tables: Parquet is smaller and far quicker to read, and has the same bits.
+        Format of the tables: Parquet is smaller and much faster to read; the data are identical.
 
     Returns
     -------

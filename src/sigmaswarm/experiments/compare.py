@@ -58,7 +58,7 @@ REFUSED = {
     **{name: f"varies in a comparison; use {name}s instead" for name in ("seed", "optimizer", "scale")},
     **dict.fromkeys(
         ("prior", "inflation", "margin"),
-        "is not used in a comparison, which compares costs without it; leave it out",
+        "can't be set in a comparison, which compares costs without it; leave it out",
     ),
 }
 """Options of `tune` that a comparison rejects, and the reasons."""
@@ -83,7 +83,7 @@ def compare(
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[GridOptions],
 ) -> Comparison:
-    """Compare optimizers at the same budget of evaluations on the same drives.
+    """Compare optimizers with the same budget of evaluations on the same drives.
 
     Parameters
     ----------

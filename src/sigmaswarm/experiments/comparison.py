@@ -132,7 +132,7 @@ class Comparison:
         return len(self.runs[self.contenders[0].label])
 
     def values(self, label: str, measure: str) -> Array:
-        """Return the values of a measure in every run, shape (seeds,); ``inf`` where it is None."""
+        """Return the values of a measure in every run, shape (seeds,); ``inf`` if it is None."""
         found = [getattr(run, measure) for run in self.runs[label]]
         return np.array([np.inf if v is None else v for v in found], dtype=np.float64)
 
@@ -146,8 +146,8 @@ class Comparison:
     def frame(self) -> pl.DataFrame:
         """Table with one row for each contender: medians with 95% intervals, worst runs, and tests against the first.
 
-        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds. It has Holm's correction over all contenders
-        of a measure.
+        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds. For each measure p has Holm's correction over
+        all contenders.
         """
         rows = [self._row(contender) for contender in self.contenders]
         for measure in self.measures:

@@ -1,10 +1,10 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
 Each task saves its results in a folder. When the grid runs again, finished tasks are read from there, interrupted tasks
-continue and the others start. An interrupted experiment therefore has the same bytes in the end.
+continue and the others start. An interrupted experiment therefore gives the same results.
 
-Forked processes take 75% of the time of threads: a tuning spends 25% of its time in the Python interpreter, which only
-one thread can use at a time. A forked process inherits drives and prepared time lines without a copy.
+Forked processes need 75% of the time of threads, since a tuning spends 25% of its time in the Python interpreter, which
+only one thread can use at a time. A forked process inherits drives and prepared time lines without a copy.
 """
 
 import ctypes
@@ -125,7 +125,10 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 
 
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
-    """Prepare a forked process; it is killed when its parent or the grid ends, since files are written atomically."""
+    """Prepare a forked process, which is killed when its parent or the grid ends.
+
+    Killing the process is safe, since files are written atomically.
+    """
     global _run
     _run = run
     # A resumed run removes unfinished files, so no old process may still write them.

@@ -1,11 +1,11 @@
 """Statistics of repeated tunings: intervals of means and medians, paired tests, and correction for multiple tests.
 
-Scores of a study are arrays of shape (trials, drives); they are NaN where a trial did not test on a drive.
+Scores of a study are arrays of shape (trials, drives); they are NaN if a trial did not test on a drive.
 
 Sources: C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; J. N. K. Rao and
-C. F. J. Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988. After the
-latter, the bootstrap draws n - 1 of n values: with n draws the variance of a mean is too small by the factor
-(n - 1) / n, which matters in small strata.
+C. F. J. Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988. As in the
+second source, the bootstrap draws n - 1 of n values. With n draws the variance of a mean would be too small by the
+factor (n - 1) / n, which matters in small strata.
 """
 
 import math
@@ -48,7 +48,7 @@ def spread(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n), as in the paper; it covers the mean of new drives in half of all cases."""
+    """Return mean +- 1.96 SD / sqrt(n), as in the paper; it contains the mean over new drives in half of the cases."""
     if not len(values):
         return math.nan, math.nan
     half = 1.96 * spread(values) / math.sqrt(len(values))
@@ -89,11 +89,11 @@ def crossed_bootstrap(
 ) -> Interval:
     """Return the percentile interval of the mean, with drives and trials resampled independently.
 
-    The interval covers the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole bootstrap,
-    Annals of Applied Statistics 1, 2007). Levels of drives and of trials from `levels` are resampled instead of scores,
-    since trials also differ by their drives. With few trials or drives, quantiles give too narrow an interval. Their
-    tails are therefore widened by Student's t (T. C. Hesterberg, What teachers should know about the bootstrap, The
-    American Statistician 69, 2015).
+    The interval accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole
+    bootstrap, Annals of Applied Statistics 1, 2007). Levels of drives and of trials from `levels` are resampled instead
+    of scores, since trials also differ by their drives. With few trials or drives, quantiles give too narrow an
+    interval. Their tails are therefore widened by Student's t (T. C. Hesterberg, What teachers should know about the
+    bootstrap, The American Statistician 69, 2015).
     """
     known_values = ~np.isnan(values)
     kept, trials = known_values.any(axis=0), known_values.any(axis=1)
@@ -180,9 +180,9 @@ def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
 def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
     """Return a distribution-free interval of the median.
 
-    It is the narrowest symmetric pair of order statistics that covers the median with at least this confidence (W. J.
-    Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2). With too few values (fewer than six at
-    95%) it is the lowest and the highest value.
+    The interval is the narrowest symmetric pair of order statistics that contains the median with at least this
+    confidence (W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2). With too few values
+    (fewer than six at 95%) the interval is from the lowest to the highest value.
     """
     ordered = np.sort(values)
     n = len(ordered)

@@ -1,4 +1,4 @@
-"""Attitude of estimates, and velocity along the body's axes; planar models are level."""
+"""Compute the attitude of estimates and the velocity along the body's axes; planar models are level."""
 
 import numpy as np
 

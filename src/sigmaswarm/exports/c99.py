@@ -90,7 +90,7 @@ def c99(
 def replay_rows(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> str:
-    """Rows of replay.c's input: the events of `replay_events` as text."""
+    """Return the rows of replay.c's input: the events of `replay_events` as text."""
     events = replay_events(drive, model, as_recorded=as_recorded, heading=heading)
     return "".join(",".join([name, *(repr(float(z)) for z in numbers)]) + "\n" for name, numbers in events)
 
@@ -98,11 +98,11 @@ def replay_rows(
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Inputs of a filter from a drive, sorted by time.
+    """Return the inputs of a filter from a drive, sorted by time.
 
     The first event is ``start``; ``imu``, ``fix`` and ``odometer`` events follow. Each event has the numbers of a row
-    of replay.c's input. ``model`` sets the axes of the IMU and of the lever arm. ``heading``: fixes have headings.
-    Fixes and readings after the last IMU sample are left out, as in `build_timeline`.
+    of replay.c's input. ``model`` determines the axes of the IMU and of the lever arm. ``heading``: fixes have
+    headings. Fixes and readings after the last IMU sample are left out, as in `build_timeline`.
 
     Raises
     ------
@@ -134,10 +134,10 @@ def replay_events(
 
 
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
-    """Times, s; positions, m; where logged, velocities, m/s, and standard deviations, m, east and north.
+    """Return times, s, positions, m, and, if logged, velocities, m/s, and standard deviations, m, east and north.
 
     With ``heading``, the array has all columns (NaN without a velocity, 0 without a standard deviation). The last two
-    are the heading and its standard deviation, rad.
+    columns are the heading and its standard deviation, rad.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]
@@ -156,7 +156,7 @@ def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
 
 
 def _sigma_points(p: FilterParameters) -> tuple[float, float]:
-    """alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, for the sigma points and their weights."""
+    """Return alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, for the sigma points and their weights."""
     of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
     square = p.alpha**2 if p.alpha < 1e150 else math.inf
     n = len(FILTERS[p.kernel].states)
@@ -179,7 +179,7 @@ def fits_float(p: FilterParameters) -> bool:
 
 
 def _texts_of_heading(used: bool) -> dict[str, str]:
-    """Additions to the templates for a filter that uses headings."""
+    """Return the additions to the templates for a filter that uses headings."""
     texts = {
         "ALSO_HEADING": ", const ins_gps_real *heading",
         "NO_HEADING": ", 0",
@@ -192,7 +192,7 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
 
 
 def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
-    """Parameters and arguments of the C functions, and their statements for each axis of the IMU."""
+    """Return parameters and arguments of the C functions, and their statements for each axis of the IMU."""
     tilted = MODELS[p.model].tilts is not None
     axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
     turning = [axis for axis in axes if axis not in ("ay", "az")]
@@ -217,7 +217,7 @@ _STATE_NAMES = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
 
 
 def _texts_of_states(p: FilterParameters) -> dict[str, str]:
-    """The states' enumerators, and their short names in the filter's source."""
+    """Return the enumerators of the states, and their short names in the filter's source."""
     states = MODELS[p.model].states
     names = [f"INS_GPS_{_STATE_NAMES.get(state.name, state.name.upper())}" for state in states]
     listed = [f"    {name}, /* {state.unit} */" for name, state in zip(names, states, strict=True)]
@@ -243,7 +243,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         gamma_squared, spread = _sigma_points(p)
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
-    gyro_note = ", and the gyro shows its bias alone" if model.gyro_bias is not None else ""
+    gyro_note = ", and the gyro shows only its bias" if model.gyro_bias is not None else ""
     own = (
         _texts_of_axes(p, weighs or lasting)
         | _texts_of_states(p)

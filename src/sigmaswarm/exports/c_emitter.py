@@ -69,7 +69,7 @@ _MISSING = "no row in C: "
 
 
 class Emitter:
-    """Functions of one filter, printed one after another.
+    """The C functions of one filter, which are printed one after another.
 
     Parameters
     ----------
@@ -91,13 +91,13 @@ class Emitter:
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def call(self, function: str) -> str:
-        """A call of a printed function; arguments are named like the parameters."""
+        """Return a call of a printed function; the arguments have the names of the parameters."""
         name, signature = self.signatures[function]
         parameters = dict.fromkeys(p.split()[-1].lstrip("*") for each in signature for p in each)
         return f"{name}({', '.join(parameters)})"
 
     def text(self) -> str:
-        """All text: constants, the struct of values that kernels exchange, the functions."""
+        """Return the whole text: constants, the struct of values that kernels exchange, and the functions."""
         code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
         used = [
             name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants

@@ -15,7 +15,7 @@ from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 EVENTS = ("FIX", *map(str.upper, MEASURED))
-"""Bits of `schedule` that C supports. A filter uses the bits of its features."""
+"""Bits of `schedule` that C supports. Each filter has the bits of its features."""
 
 
 def kernels_of(

@@ -77,13 +77,13 @@ NUMBERS = {
     "LARGEST_RATIO": "limit of NIS / 2 in these rules",
     "SLOWER": "ratio of the two time constants of the trend",
     "GATE": "largest normalized innovation squared (NIS) of a fix that is used",
-    "MOST_REJECTED": "after so many rejected fixes the next one is used: a diverged filter recovers",
-    "ACCURACY_SCALE": "the stated variance of a fix times this is added to its R",
+    "MOST_REJECTED": "after this many rejected fixes the next one is used, so that a diverged filter can recover",
+    "ACCURACY_SCALE": "this times the stated variance of a fix is added to its R",
     "FIX_ERROR": "g: variance of the correlated fix error over the stated one",
-    "FIX_ERROR_RATE": "nominal interval over its time constant",
+    "FIX_ERROR_RATE": "nominal interval over the time constant of the correlated fix error",
     "FIX_VAR": "m2, of a fix that states no deviation",
     "ROBUST_DOF": "degrees of freedom of Student's t, the distribution of the errors of fixes",
-    "ITERATIONS": "of its weight",
+    "ITERATIONS": "iterations to find the weight of a fix",
     "OUTLYING": "a fix of a smaller weight is an outlier",
     "OUTLIERS": "number of consecutive outliers that show that the filter is wrong, if they span enough time",
     "PATIENCE": "nominal steps that these outliers span",
@@ -98,7 +98,8 @@ NUMBERS = {
     "PER_ODOMETER_SCALE": "true speed over a reading",
     "ODOMETER_LATENCY": "s: age of a reading at its time stamp",
     "EVIDENCE_LASTS": "s in which evidence fades to 1/e",
-    "EVIDENCE_COUNTS": "fix errors are correlated: each counts as this share of an independent one",
+    "EVIDENCE_COUNTS": "each fix counts as this share of a fix with independent errors, since fix errors are "
+    "correlated",
     "LARGEST_NIS": "limit of a fix's NIS in the evidence",
 }
 """Numbers that a template may use, each with the comment of its definition."""

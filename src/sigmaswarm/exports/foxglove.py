@@ -1,4 +1,4 @@
-"""A layout for Foxglove that shows an exported bag: the track on a map, and plots of the filter's consistency.
+"""Make a layout for Foxglove that shows an exported bag: the track on a map, and plots of the filter's consistency.
 
 Source of the fields: layouts that Foxglove exports (docs.foxglove.dev, "Layouts").
 """
@@ -12,7 +12,7 @@ PLOTS: Mapping[str, tuple[str, ...]] = {
         *("innovation.vector.x", "innovation.vector.y"),
         *("innovation_sigma.vector.x", "innovation_sigma.vector.y"),
     ),
-    "NIS, 2 on average where the filter is consistent": ("nis.data",),
+    "NIS, 2 on average if the filter is consistent": ("nis.data",),
     "Standard deviations: x, y (m), heading (rad)": ("sigma.vector.x", "sigma.vector.y", "sigma.vector.z"),
     "Forward speed, m/s": ("odometry.twist.twist.linear.x",),
 }
@@ -52,7 +52,7 @@ def _plot(title: str, paths: Collection[str]) -> dict[str, Any]:
 
 
 def _arranged(panels: list[str], direction: str = "row") -> Any:
-    """Panels as a tree of halves, alternately side by side and stacked."""
+    """Return the panels as a binary tree, alternately side by side and stacked."""
     if len(panels) == 1:
         return panels[0]
     half, other = (len(panels) + 1) // 2, "column" if direction == "row" else "row"

@@ -1,4 +1,4 @@
-"""Files with the noise of an IMU, in the units of other packages, and as keys of drive.toml.
+"""Write the noise of an IMU to files in the units of other packages, and as keys of drive.toml.
 
 The model of the biases is that of the package: a Gauss-Markov process (KF-GINS) or a random walk (Kalibr, drive.toml).
 """
@@ -26,7 +26,7 @@ NoiseTarget = Literal["sigmaswarm", "kf-gins", "kalibr", "robot_localization", "
 
 
 def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
-    """Return the noise of an IMU in the form of a package: texts by file name.
+    """Return the noise of an IMU in the format of a package: texts by file name.
 
     Parameters
     ----------

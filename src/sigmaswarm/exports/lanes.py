@@ -1,4 +1,4 @@
-"""Table of the parameters that differ between the lanes of an exported filter bank."""
+"""Make the table of the parameters that differ between the lanes of an exported filter bank."""
 
 from dataclasses import dataclass
 

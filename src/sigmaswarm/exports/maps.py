@@ -1,4 +1,4 @@
-"""Tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
+"""Write tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
 Times that count from 1970 are recognized by their size, and written in UTC; other times are not written as dates.
 """
@@ -60,7 +60,7 @@ def gpx(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a line, or several where it crosses the antimeridian; with dates a gx:Track, which has times."""
+    """Write a line, or several lines if it crosses the antimeridian; with dates write a gx:Track, which has times."""
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return

@@ -1,4 +1,4 @@
-"""Configuration of ROS's robot_localization, from its tuned model or from the shared settings of another filter.
+"""Write a configuration of ROS's robot_localization, from its tuned model or from another filter.
 
 robot_localization adds ``process_noise_covariance`` times the time step, so Q per nominal interval is divided by that
 interval. The gate is a Mahalanobis distance, the square root of a NIS. The state has 15 elements. Source:
@@ -122,7 +122,7 @@ def accuracy_section(evaluation: Evaluation) -> str:
 
 
 def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:
-    """Sentence that compares the error of ekf.yaml with another filter's."""
+    """Return a sentence that compares the error of ekf.yaml with that of another filter."""
     tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
     if not tuned or not theirs:
         return f"The errors of ekf.yaml and of {name} can't be compared: one of these filters failed."

@@ -1,4 +1,6 @@
-"""An estimate as a ROS 2 bag with a layout for Foxglove, optionally with the topics of a recorded bag; needs rosbags.
+"""Write an estimate as a ROS 2 bag with a layout for Foxglove.
+
+The topics of a recorded bag can be included. The module needs rosbags.
 
 The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. By REP-105 and the message's definition, the pose is in ``map``
 (east-north-up) and the twist in ``base_link`` (x forward, y left).
@@ -248,7 +250,7 @@ def _of_innovations(found: Innovations | None, made: Made) -> Iterator[Message]:
 
 
 def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin) -> Any:
-    """Make a NavSatFix; its height is the origin's, since no model estimates the height."""
+    """Make a NavSatFix with the height of the origin, since no model estimates the height."""
     lat, lon, alt = map(float, enu_to_geodetic(np.array([[mean[0], mean[1], 0.0]]), origin)[0])
     covariance = NOT_ESTIMATED * np.eye(3)
     covariance[:2, :2] = pose[:2, :2]
@@ -260,8 +262,8 @@ def _fix(made: Made, nanoseconds: int, mean: Array, pose: Array, origin: Origin)
 def _pose_of(n: int) -> dict[int, int]:
     """Return the states of the pose, and their rows in a message's covariance.
 
-    These rows are x, y, z and rotations about the fixed axes x, y and z. Roll, pitch and theta are such rotations:
-    R = Rz(theta) Ry(pitch) Rx(roll).
+    The rows of a message's covariance are x, y, z and rotations about the fixed axes x, y and z. Roll, pitch and theta
+    are such rotations: R = Rz(theta) Ry(pitch) Rx(roll).
     """
     return {0: 0, 1: 1} | dict(zip(tilts_of(n), (3, 4), strict=False)) | {THETA: 5}
 

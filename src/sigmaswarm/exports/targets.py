@@ -1,4 +1,4 @@
-"""Targets of an export. Each target is a function that returns the texts of a filter's files."""
+"""The targets of an export: functions that return the texts of a filter's files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -108,7 +108,7 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
 
 
 def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
-    """Write the files of an export into a folder, made if missing; files of the same names are replaced."""
+    """Write the files of an export into a folder, which is made if missing; files of the same names are replaced."""
     folder = Path(folder)
     with staged_files(folder) as new:
         for name, text in texts.items():

@@ -35,7 +35,7 @@ def write_pieces(
     merge: str | Path | None = None,
     name: str | None = None,
 ) -> None:
-    """Write an estimate in the format of the file's ending; the division into pieces does not affect the file.
+    """Write an estimate in the format that the file's ending states; the division into pieces does not affect the file.
 
     ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also planar8's biases, and tilted12's
     roll and pitch, with std.
@@ -124,7 +124,7 @@ def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
 
 
 def time_origin_of(drive: Drive) -> float:
-    """Return the time on the log's clock, s, at which a drive's times are 0: stated by its import, else 0."""
+    """Return the time on the log's clock, s, at which a drive's times are 0: the value stored by the import, else 0."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0

@@ -2,7 +2,7 @@
 
 An alignment (`drives.alignment`) is a fit in the plane: it determines position, velocity, heading and the gyro's bias
 about up, but no tilts and no accelerometer biases. A filter that runs over these and earlier fixes estimates the tilts
-and biases. It has no more information on the other states, and its covariance of them would be too small.
+and biases. On the other states it has no additional information, and its covariance of these states would be too small.
 """
 
 from dataclasses import replace
@@ -47,8 +47,8 @@ def dated_back(
     Returns
     -------
     InitialState
-        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. It is the alignment's
-        start if the filter fails or has no such states, or if no earlier fix is usable.
+        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. If the filter fails or has
+        no such states, or if no earlier fix is usable, this is the start of the alignment.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
 
 
 def _ended(ready: PreparedDrive, parameters: FilterParameters, until: float) -> tuple[Array, Array] | None:
-    """Run to a time; return mean (n,) and covariance (n, n) of all states, None if the filter fails."""
+    """Run to a time; return mean (n,) and covariance (n, n) of all states, or None if the filter fails."""
     replay, array = replay_of(ready), KernelArray([parameters])
     rows = start_replays([replay], array)[0]
     stop = int(np.searchsorted(replay.timeline.end, until, side="right"))

@@ -4,10 +4,10 @@ The fixes of the last seconds determine position, speed and heading without a fi
 diverged if it contradicts this alignment for a long time, by far more than its covariance allows. It is then reset to
 the alignment. Runs and live filters use the same rule.
 
-The thresholds come from nine recordings, each run with filters that were tuned on it and on others. The heading of a
-sound filter differs by 20 deg from the alignments for at most 8 s (fixes drift sideways in a city). Its position
-differs by 20 m and 5 sigma from the fixes for at most 6 s. For a diverged filter, both differences persist for at least
-18 s.
+The thresholds were chosen on nine recordings, with filters that were tuned on the recording or on another one. For
+filters that had not diverged, the heading differed by 20 deg from the alignments for at most 8 s (fixes drift sideways
+in a city). The position differed by 20 m and 5 sigma from the fixes for at most 6 s. For diverged filters, both
+differences persisted for at least 18 s.
 """
 
 import math
@@ -127,7 +127,7 @@ class Check:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """Return True if the heading is far from the alignment's; None without an alignment."""
+        """Return True if the heading is far from that of the alignment; None without an alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -180,7 +180,7 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: Check) -> InitialState | None:
-        """Return the state for a reset after a check; None where the filter continues, or is ``lost``."""
+        """Return the state for a reset after a check; None if the filter continues or is ``lost``."""
         if not np.isfinite(check.mean).all():  # a failure, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]
@@ -218,7 +218,7 @@ def said_of_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """Duration for which checks have contradicted a filter without a break."""
+    """Duration of a contradiction between checks and a filter, without a break."""
 
     def __init__(self) -> None:
         self._since, self._now, self._checks = 0.0, 0.0, 0

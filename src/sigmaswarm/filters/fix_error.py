@@ -1,11 +1,12 @@
 """Correlated fix errors as two Gauss-Markov states b: an option of every model with the IMU as input.
 
 Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
-the model's states. They do not enter its process. A fix measures p + b + v; between two fixes dt apart
+the model's states. The process of the model does not depend on them. A fix measures p + b + v; between two fixes dt
+apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
-with s the stated standard deviation of the later fix, or the receiver's if the fix states none. A filter starts at a
+where s is the stated standard deviation of the later fix or, without one, that of the receiver. A filter starts at a
 fix, so its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2.
 
 Returned estimates contain only the model's own states.

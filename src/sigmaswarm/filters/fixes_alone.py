@@ -1,8 +1,8 @@
 """A Kalman filter that uses only the fixes: constant velocity with white acceleration, no IMU.
 
-This filter is a reference that a filter with an IMU should beat. The two noises are the median over the training drives
-of maximum-likelihood estimates from the fixes. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications
-to Tracking and Navigation, 2001, section 6.2.2.
+A filter with an IMU should be more accurate than this filter. The two noise parameters are medians over the training
+drives of maximum-likelihood estimates from the fixes. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 2001, section 6.2.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,7 +34,7 @@ class MotionNoise:
     Attributes
     ----------
     acceleration : m2/s3, spectral density on each axis
-    fix : factor on the variance that the receiver states of a fix, or on 2.1^2 m2 where it states none
+    fix : factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
     """
 
     acceleration: float
@@ -42,7 +42,7 @@ class MotionNoise:
 
     @classmethod
     def typical(cls, each: Iterable["MotionNoise"]) -> "MotionNoise":
-        """Return the median of the noises of several drives, on a logarithmic scale."""
+        """Return the median of the noise parameters of several drives, on a logarithmic scale."""
         density, fix = np.exp(np.median([(np.log(n.acceleration), np.log(n.fix)) for n in each], axis=0))
         return cls(float(density), float(fix))
 
@@ -79,7 +79,7 @@ def _variances(line: Timeline) -> Array:
 
 
 def fit_noise(replay: Replay) -> MotionNoise:
-    """Estimate the noises by maximum likelihood of the fixes of a drive."""
+    """Estimate the noise parameters by maximum likelihood of the fixes of a drive."""
     line = replay.timeline
     fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
     if len(fixes) < 3:
@@ -97,12 +97,12 @@ def fit_noise(replay: Replay) -> MotionNoise:
 
 
 def noise_of(ready: PreparedDrive) -> MotionNoise:
-    """Estimate the noises on a prepared drive."""
+    """Estimate the noise parameters on a prepared drive."""
     return fit_noise(replay_of(ready))
 
 
 class FixesAlone:
-    """The filter over a replay, from the common start: an iterator with one piece of estimates at the IMU's times."""
+    """A run of the filter over a replay, from the common start: one piece of estimates at the IMU's times."""
 
     failure: str | None = None
     restarts: Sequence[float] = ()

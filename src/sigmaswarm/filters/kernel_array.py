@@ -1,7 +1,7 @@
 """Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
-Python code for each drive and block would be slow compared with a kernel call of 0.2 ms, and it would block other
-threads. So this module processes all sets and all drives together.
+Python code that runs for each drive and block would be slow compared with a kernel call of 0.2 ms, and would block
+other threads. So this module processes all sets and all drives together.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ MOST_CACHED = 1_000
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums over replays for each parameter set; every array has shape (n_replays, n_sets), NaN where a set failed.
+    """Sums over replays for each parameter set; every array has shape (n_replays, n_sets), NaN if a set failed.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class KernelArray:
     def plausible(self) -> NDArray[np.bool_]:
         """Sets with Q >= 0 and R > 0, shape (size,): only rounding can make their P indefinite.
 
-        For other sets, P may be indefinite for a long time without detection.
+        For other sets, P may be indefinite for a long time before this is detected.
         """
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]

@@ -16,9 +16,9 @@ NEARLY = 1e-6
 
 
 class FixedLag:
-    """Fixed-lag smoother on the memory of a live filter: it processes the last samples again, logs them, and smooths.
+    """Fixed-lag smoother for a live filter: it processes the last samples again, logs the steps, and smooths.
 
-    The memory has a fixed size and includes late fixes.
+    The filter's memory has a fixed size and includes late fixes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""LiveFilter: a real-time filter, one sample at a time, with the results of `run_filter` for the same data."""
+"""`LiveFilter`: a filter that processes one sample at a time, with the results of `run_filter` for the same data."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ MOST_HISTORY = 100_000
 MOST_WAITING = 1000
 """Approximate number of fixes that can wait for an IMU sample while the IMU is silent."""
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Errors that invalid input raises: texts, None, too few numbers, integers of 400 digits."""
+"""Errors that invalid input raises, such as texts, None, too few numbers, or integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class LiveState:
     time : time of the last IMU sample, s
     mean : ndarray, shape (n,); heading wrapped to (-pi, pi]
     covariance : ndarray, shape (n, n)
-    failed : bool: the covariance lost its definiteness, or something became NaN
+    failed : bool: the covariance is no longer positive semidefinite, or a number became NaN
     lost : bool: the filter has diverged and cannot be reset yet; the position is that of the last fix
     """
 
@@ -67,20 +67,20 @@ class LiveState:
 class LiveFilter:
     """A Kalman filter that processes one sample at a time.
 
-    A fix waits for the next IMU sample, which propagates the filter to the fix's time and then to its own. For a fix
-    that is at most ``history`` seconds late, the filter returns to the fix's time and processes the later samples
-    again. So the state equals the result of `run_filter` for the same data in order. Fixes of the same time, as from
-    two receivers, are used one after the other; an identical fix is a repeated message and is ignored. A stale fix is
-    stored but not used: see `drives.frozen`.
+    A fix waits for the next IMU sample, which propagates the filter to the time of the fix and then to the time of the
+    sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and processes the
+    later samples again. So the state equals the result of `run_filter` for the same data in order. Fixes of the same
+    time, for example from two receivers, are used one after the other. An identical fix is a repeated message and is
+    ignored. A stale fix is stored but not used: see `drives.frozen`.
 
     While the IMU is silent, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`).
     A sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
-    after a silence. Without a second sample, it is dropped and counted. The same rule applies to fixes; IMU samples
-    near their stamps confirm them, too.
+    after a silence. Without a second sample, the first one is dropped and counted. The same rule applies to fixes,
+    which IMU samples near their stamps also confirm.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
-    (`divergence`). The reset is later than in a run by the delay of the fixes. Fixes from before the reset are then too
-    late.
+    (`divergence`). The reset is later than in a run by the delay of the fixes. Fixes from before the reset then count
+    as too late.
 
     The memory has a fixed size, and samples and fixes are processed by compiled code (`compiled.live`), which the first
     filter of a process loads or compiles.
@@ -93,12 +93,12 @@ class LiveFilter:
     nominal_interval : float
         Interval between IMU samples, s.
     lever_arm : sequence of float
-        Forward and left from the IMU to the antenna, m: a drive's ``lever_arm``. tilted12 reads a third number, up:
-        ``[*drive.lever_arm, drive.antenna_height]``; without it the antenna is as high as the IMU.
+        Vector from the IMU to the antenna, m forward and left: a drive's ``lever_arm``. For tilted12 a third number, m
+        up, can be given: ``[*drive.lever_arm, drive.antenna_height]``; the default is 0.
     history : float
         Largest delay of a fix, s.
     recover : bool
-        Reset the filter where it diverges.
+        Reset the filter if it diverges.
     as_recorded : bool
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     lag : float, optional
@@ -178,19 +178,19 @@ class LiveFilter:
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample; ignore it if it is not after the last one; defer it if it is more than 10 s ahead.
 
-        Samples before the start only set the noise at rest for the standstill.
+        Samples before the start only determine the noise at rest, for the detection of standstills.
 
         Parameters
         ----------
         t : float
             s
         imu : sequence of float
-            The axes that the model reads, in its order (m/s2, rad/s): ax, ay, gz for the planar ones.
+            The axes that the model reads, in its order (m/s2, rad/s); for planar models ax, ay, gz.
 
         Raises
         ------
         InputError
-            If the number of axes is not the model's.
+            If the number of axes differs from that of the model.
         """
         if len(imu) != len(self._axes):
             raise InputError(
@@ -216,8 +216,8 @@ class LiveFilter:
         """Process a fix: x, y (m), and optionally its velocity, m/s east and north.
 
         ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
-        needs it, a filter with ``fix_error`` uses it. ``heading``: heading and its stated standard deviation, rad; 0 if
-        none is stated; a filter with ``heading_noise`` uses it.
+        needs ``std``, a filter with ``fix_error`` uses it if given. ``heading``: heading and its stated standard
+        deviation, rad; 0 if none is stated; a filter with ``heading_noise`` uses it.
 
         Returns
         -------
@@ -280,7 +280,7 @@ class LiveFilter:
         due: bool,
         gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """The reset state for a state estimate, None without a reset; ``gyro_bias``: known bias of the gyro, rad/s."""
+        """Return the state for a reset, or None if no reset is needed; ``gyro_bias``: known bias of the gyro, rad/s."""
         start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
         if monitor.lost:
             theta = float(estimate()[0][THETA])
@@ -355,22 +355,22 @@ class LiveFilter:
 
     @property
     def restarts(self) -> list[float]:
-        """See the class."""
+        """See `LiveFilter`."""
         return [] if self._monitor is None else self._monitor.restarts[-MOST_RESTARTS:]
 
     @property
     def too_late(self) -> int:
-        """See the class."""
+        """See `LiveFilter`."""
         return int(self._memory.arrays.counts[live.TOO_LATE])
 
     @property
     def time_jumps(self) -> int:
-        """See the class."""
+        """See `LiveFilter`."""
         return int(self._memory.arrays.counts[live.TIME_JUMPS])
 
     @property
     def frozen(self) -> int:
-        """See the class."""
+        """See `LiveFilter`."""
         return int(self._memory.arrays.counts[live.N_FROZEN])
 
     @property
@@ -384,7 +384,7 @@ class LiveFilter:
         """The fixed-lag smoothed state at the last IMU sample that is at least ``lag`` s old.
 
         The state equals the result of `smooth` at that time with the data so far. Its ``time`` is never before the
-        start or the last reset. Each access computes it.
+        start or the last reset. The state is computed at each access.
 
         Raises
         ------

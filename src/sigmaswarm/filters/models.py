@@ -1,7 +1,7 @@
-"""Vehicle models: description, process f(state, dt, imu) and measurements h(state) in textbook form.
+"""Vehicle models: their description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
 A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
-models before it, so that measurements find them at the same indices.
+previous models, so that measurements find these states at the same indices.
 
 `UnscentedKalmanFilter` and `ExtendedKalmanFilter` accept any such functions; the compiled filter has closed forms of
 these models. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with a full attitude
@@ -46,7 +46,7 @@ GYRO_BIAS = 7
 
 
 def planar5(state: Array, dt: float, imu: Array) -> Array:
-    """Newton's equations in the plane, driven by the IMU (the paper's process model); state x, y, vx, vy, theta."""
+    """Propagate x, y, vx, vy, theta by Newton's equations in the plane, with the IMU as input (the paper's model)."""
     x, y, vx, vy, theta = state
     ax, ay, yaw_rate = imu
     c, s = np.cos(theta), np.sin(theta)
@@ -63,12 +63,12 @@ def planar5(state: Array, dt: float, imu: Array) -> Array:
 
 
 def planar8(state: Array, dt: float, imu: Array) -> Array:
-    """planar5 with the biases of accelerometer (x, y) and gyro (z) subtracted from the IMU; the biases are constant."""
+    """Propagate like planar5, minus the constant biases of accelerometer (x, y) and gyro (z)."""
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
 def robot_localization(state: Array, dt: float, imu: Array) -> Array:
-    """Move as robot_localization does in ``two_d_mode``: see `filters.robot_localization`; the IMU is a measurement."""
+    """Propagate like robot_localization in ``two_d_mode``, without the IMU: see `filters.robot_localization`."""
     x, y, vx, vy, theta, ax, ay, yaw_rate = state
     a, b = vx * dt + ax * dt**2 / 2, vy * dt + ay * dt**2 / 2
     c, s = np.cos(theta), np.sin(theta)
@@ -77,7 +77,7 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
 
 
 def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
-    """Predict a fix: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
+    """Predict a fix: the position, ``latency`` s ago, of the antenna ``lever`` m forward and left."""
 
     def h(state: Array) -> Array:
         c, s = np.cos(state[THETA]), np.sin(state[THETA])
@@ -115,7 +115,7 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
     """Velocity forward (m/s) ``delay`` s ago, as the wheels measure it; ``ax``: acceleration since, m/s2.
 
-    It is the same at the IMU and at the rear axle behind it.
+    The forward velocity is the same at the IMU and at the rear axle behind it.
     """
 
     def h(state: Array) -> Array:
@@ -165,8 +165,8 @@ SMALL_VARIANCE = (1e-12, 10.0)
 """Bounds of Q for position and velocity."""
 HEADING_VARIANCE = (1e-10, 1e-1)
 """Bounds of Q per second for the heading: no gyro drifts by a third of a radian in one second. With a larger noise, a
-filter takes its heading from the fixes alone, which a likelihood without truth may prefer if a receiver smooths them,
-as in half of dresden's tunings.
+filter determines its heading from the fixes alone. A likelihood without truth may prefer this if the receiver smooths
+its fixes, as in half of the tunings on dresden.
 """
 CITY_VARIANCE = (1e-5, 1e3)
 """Bounds of R: between high buildings, fixes have errors of tens of meters."""
@@ -196,13 +196,13 @@ class State:
     variance : (lowest, highest)
         Bounds of the process noise, unit squared per nominal IMU step.
     per_second : bool
-        True: these bounds are per second.
+        True if these bounds are per second.
     shared : str
-        Name of the common search parameter where east and north have the same noise.
+        Name of the common search parameter if east and north have the same noise.
     bias_of : str or None
         The sensor in `SENSORS` with this bias, which starts at 0; None: the state is not a bias.
     start_std : float
-        Initial standard deviation of a state that is not a bias and that alignments do not determine.
+        Initial standard deviation of a state that is not a bias and that an alignment does not determine.
     """
 
     name: str

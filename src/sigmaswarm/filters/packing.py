@@ -47,7 +47,7 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
-    """Like `unpack_states`, but a tilted model has the covariance of its angles, not of the rotation error.
+    """Like `unpack_states`, but for a tilted model return the covariance of the angles, not of the rotation error.
 
     For a model that measures the IMU, the result has planar5's five states, with the velocity east and north, m/s. The
     correlated fix error is omitted.
@@ -83,7 +83,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
-    """Lanes of final rows (m, N_KEPT, lanes) without failure and with a definite covariance: True, (m, lanes)."""
+    """Mark the lanes of final rows (m, N_KEPT, lanes) that did not fail and are definite, (m, lanes)."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_sound(rows, P0, len(FILTERS[model].states), R.OK, found)
     return found

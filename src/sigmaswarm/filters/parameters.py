@@ -1,4 +1,4 @@
-"""FilterParameters: all parameters of a filter, as one frozen record."""
+"""`FilterParameters`: all parameters of a filter as one frozen record."""
 
 import math
 import re
@@ -47,9 +47,9 @@ class FilterParameters:
     ----------
     alpha, beta, kappa : float
         Merwe's scaling of the sigma points: alpha > 0, kappa > -n (van der Merwe 2004, thesis, section 3.2.2).
-        Ignored by an extended Kalman filter, which has no sigma points.
+        An extended Kalman filter has no sigma points and ignores them.
     process_noise : tuple of float, length n
-        Diagonal of Q: the variance added per nominal IMU step, in the units of the state squared.
+        Diagonal of Q: the variance added per nominal IMU step, in squared units of the states.
     measurement_noise : tuple of float, length 2
         Diagonal of R, m2 east and north.
     model : {"planar5", "planar8", "tilted12", "robot-localization"}
@@ -58,13 +58,14 @@ class FilterParameters:
         (rad), and the other two biases of the gyro; for an IMU with six axes.
         robot-localization: the EKF of this ROS package in ``two_d_mode``, see `filters.robot_localization`.
     nominal_interval : float or None
-        IMU interval of ``process_noise``, s. None: the median interval of each drive. A tuning stores it, so that the
-        filter adds the same variance per second with an IMU of another rate.
+        IMU interval of ``process_noise``, s. None: the median interval of each drive. A tuning stores this interval, so
+        that the filter adds the same variance per second with an IMU of another rate.
     kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"}
-        Unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969); unscented with
-        a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules (`filters.fuzzy`).
+        In this order: unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969);
+        unscented with a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules
+        (`filters.fuzzy`).
     forgetting : float
-        In (0, 1): forgetting factor per fix of an adaptive, strong tracking or fuzzy filter.
+        Forgetting factor per fix of an adaptive, strong tracking or fuzzy filter, in (0, 1).
     fuzzy_widths : tuple of float, length 2
         Magnitudes of ratio and trend, both in (-1, 1), at which "large" and "rises" have membership 1.
     fuzzy_gains : tuple of float, length 2
@@ -76,7 +77,7 @@ class FilterParameters:
     imu_gate : tuple of float, length 2
         robot-localization: largest accepted NIS of gz and of ax; infinite without a limit.
     velocity_noise : float or None
-        Variance of the receiver's velocity per axis, m2/s2, where the log has speed and course. None: not used.
+        Variance of the receiver's velocity per axis, m2/s2, if the log has speed and course. None: not used.
     lateral_noise : float or None
         Variance of the lateral velocity at the rear axle, m2/s2; this velocity is 0 without tire slip. None: not used.
     rear_axle : float
@@ -86,13 +87,13 @@ class FilterParameters:
     standstill_noise : float or None
         Variance of the velocity at detected standstills, m2/s2. None: not used.
     odometer_noise : float or None
-        Variance of the wheels' speed, m2/s2, where the log has an odometer. None: not used.
+        Variance of the wheels' speed, m2/s2, if the log has an odometer. None: not used.
     odometer_scale : float
         Ratio of the odometer's reading to the true speed.
     odometer_latency : float
         Age of an odometer reading at its time stamp, s.
     heading_noise : float or None
-        Variance added to the stated variance of a fix's heading, rad2, where the log has headings (two antennas, a
+        Variance added to the stated variance of a fix's heading, rad2, if the log has headings (two antennas, a
         compass). None: not used.
     gate : float or None
         Largest accepted normalized innovation squared (NIS) of a fix; 9.2 rejects 1% of good fixes
@@ -100,22 +101,22 @@ class FilterParameters:
     latency : float
         Age of a fix at its time stamp, s.
     accuracy_scale : float or None
-        Factor s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std from the
-        receiver. None: ``measurement_noise`` alone.
+        Factor s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, where std is the standard deviation that the
+        receiver states. None: R is ``measurement_noise``.
     fix_error : float or None
         Ratio g: variance of the correlated fix error, divided by the stated variance of a fix or by ``fix_std``
         squared: see `filters.fix_error`. None: errors of fixes are independent.
     fix_error_time : float
         Time constant of the correlated fix error, s.
     fix_std : float
-        Standard deviation of fixes per axis, m, for ``fix_error``, if the receiver states none.
+        Standard deviation of fixes per axis, m, which ``fix_error`` uses if the receiver states none.
     robust_dof : float or None
         Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
         Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; smaller for more outliers. None: Gaussian errors.
 
     Notes
     -----
-    A negative variance is accepted here: a filter with it fails, reports the failure, and its cost is ``inf``.
+    A negative variance is accepted; the filter then fails and reports the failure, and its cost is ``inf``.
     """
 
     alpha: Positive
@@ -187,9 +188,9 @@ class FilterParameters:
     def scaled(self, factor: float) -> "FilterParameters":
         """Multiply all variances by a factor; this scales the covariance and hardly changes the estimates.
 
-        The biases' initial standard deviations are multiplied by the factor's root. The rest of the initial covariance,
-        and the covariance of IMU gaps, do not change. With a gate or ``robust_dof``, which depend on the covariance,
-        the estimates change.
+        The initial standard deviations of the biases are multiplied by the root of the factor. The remaining initial
+        covariance and the covariance of IMU gaps do not change. With a gate or ``robust_dof``, which depend on the
+        covariance, the estimates change.
 
         Raises
         ------
@@ -233,7 +234,7 @@ class FilterParameters:
         Warns
         -----
         SigmaswarmWarning
-            If the version that wrote the tuning had other filters.
+            If filters worked differently in the version that wrote the tuning.
         """
         path = Path(path)
         if path.suffix in YAML:
@@ -292,11 +293,11 @@ RULES_SINCE = (0, 3)
 def clash(kind: str, use: Collection[str]) -> str | None:
     """Return the reason for a conflict between a filter type and options, or between two options; else None."""
     if "robust" in use and "gate" in use:
-        return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
+        return "robust and gate can't be combined, since robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
-            f"robust can't be combined with {kind}, which adapts to what robust rejects; use ukf or ekf, or "
-            "leave it out"
+            f"robust can't be combined with {kind}, which adapts its noise to outliers; use ukf or ekf, or "
+            "leave robust out"
         )
     if "accuracy" in use and kind == "adaptive-ukf":
         return "accuracy can't be combined with adaptive-ukf, which estimates R; use another kind, or leave it out"
@@ -315,8 +316,8 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
         "measurement_noise": ["m2", "m2"],
         "nominal_interval": "s",
-        "fuzzy_widths": "of ratio and trend, both within -1 and 1",
-        "fuzzy_gains": "of R and Q, dimensionless",
+        "fuzzy_widths": "in units of ratio and trend, which lie between -1 and 1",
+        "fuzzy_gains": "largest factors of R and Q",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
         "imu_noise": ["rad2/s2", "m2/s4", "m2/s4"][: len(parameters.imu_noise)],
         **{noise: MEASURED[name] for name, noise in NOISE_OF.items()},
@@ -350,7 +351,7 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
 
 
 def _warn_of_age(table: dict[str, Any], path: Path) -> None:
-    """Warn that a tuning was made for other filters."""
+    """Warn that filters worked differently in the version that wrote a tuning."""
     made = table.get("versions")
     version = str(made.get("sigmaswarm", "")) if isinstance(made, dict) else ""
     numbers = re.match(r"(\d+)\.(\d+)", version)

@@ -1,17 +1,17 @@
-"""Filters without tuning. The paper mentions "default parameters" but does not state them.
+"""Filters without tuning. The paper mentions "default parameters" but does not state their values.
 
 Three presets, planar5 UKFs, represent manual settings:
 
 ``defaults``
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
 ``datasheet``
-    From data sheets: R from the receiver's stated accuracy, Q from the IMU's noise density. If the drive does not state
-    them: R = 2.1^2 m2 (u-blox M8, 2.5 m CEP) and an MPU-6050's densities.
+    Values from data sheets: R from the receiver's stated accuracy, Q from the IMU's noise density. If the drive does
+    not state these, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP), and Q is that of an MPU-6050.
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 
-A tuning is compared with a filter of the same model and options with typical noise parameters: ``baseline(drive,
-like=tuned)``.
+A tuning is compared with the baseline, a filter of the same model and options with typical noise parameters:
+``baseline(drive, like=tuned)``.
 """
 
 from collections.abc import Collection, Mapping
@@ -62,9 +62,9 @@ HALF_A_WHEELBASE = 1.3
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
-It is added to the densities of the sensors.
-IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With the densities of data sheets
-alone a filter drifted 1.3 to 60 times as far over 5 s as the tuned one, on six drives.
+`MODEL_NOISE` is added to the densities of the sensors.
+IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With only the densities of data
+sheets, the drift of a filter over 5 s was 1.3 to 60 times that of the tuned filter, on six drives.
 """
 ACCURACY_FLOOR = 0.1**2
 """Variance added to the stated variance of each fix, m2."""
@@ -73,18 +73,18 @@ ACCURACY_FLOOR = 0.1**2
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is that of `drives.sensors.receiver_std`: as stated, else as the fixes show it. The IMU's
-    densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml,
-    and `MODEL_NOISE` is added; the random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and
-    ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values without a data sheet are in
-    `BY_HAND`.
+    The receiver's accuracy is the result of `drives.sensors.receiver_std`: the stated accuracy, else the accuracy that
+    the fixes show. The IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density``
+    (rad/s/sqrt(Hz)) of drive.toml, and `MODEL_NOISE` is added; the random walks of the biases are ``accel_bias_walk``
+    (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values without a data
+    sheet are in `BY_HAND`.
 
     Parameters
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter with the model, type and options of the result. None: the preset ``datasheet``, the paper's planar5 UKF
-        with data-sheet values alone.
+        Filter whose model, type and options the result has. None: the preset ``datasheet``, the paper's planar5 UKF
+        with only values from data sheets.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
@@ -113,13 +113,13 @@ def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterP
 
 
 def _bias_walk(drive: Drive, sensor: str) -> float:
-    """Growth of the variance of a sensor's bias per second: as drive.toml states it, or a typical value."""
+    """Return the growth of the variance of a sensor's bias per second: the value in drive.toml, or a typical value."""
     stated = drive.metadata.get(f"{sensor}_bias_walk")
     return BIAS_WALKS[sensor] if stated is None else float(stated) ** 2
 
 
 def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:
-    """Baseline of robot_localization: its default process noise and the stated covariances of the IMU and fixes."""
+    """Return the baseline of robot_localization: its default process noise and the stated covariances."""
     states = accuracy = None
     if like.accuracy_scale is not None:
         accuracy, states = 1.0, (ACCURACY_FLOOR,) * 2
@@ -173,7 +173,10 @@ def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
 def _planar(
     drive: Drive, std: tuple[float, float], more: Mapping[str, float] = MappingProxyType({})
 ) -> FilterParameters:
-    """planar5 UKF for fixes with a standard deviation (east, north; m); ``more``: densities added to the IMU's."""
+    """Return a planar5 UKF for fixes with a standard deviation (east, north; m).
+
+    ``more``: densities that are added to those of the IMU.
+    """
     stated, dt = drive.metadata, drive.nominal_interval
     accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY)) ** 2
     gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY)) ** 2
@@ -189,7 +192,7 @@ def _planar(
 
 
 def preset(name: PresetName, drive: Drive) -> FilterParameters:
-    """Parameters of a preset for a drive."""
+    """Return the parameters of a preset for a drive."""
     if name == "datasheet":
         return baseline(drive)
     fixed = {"defaults": DEFAULTS, "paper": PAPER}

@@ -1,4 +1,4 @@
-"""One filter over one replay, in pieces, so that memory does not grow with the drive."""
+"""Run one filter over one replay in pieces, so that memory does not grow with the drive."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
@@ -35,11 +35,11 @@ class Piece:
     time : ndarray, shape (r,)
         s
     mean, covariance : ndarray, shapes (r, n), (r, n, n)
-        As in `Estimate`: heading wrapped to (-pi, pi]; NaN from a failure on.
+        As in `Estimate`: heading wrapped to (-pi, pi]; NaN after a failure.
     sound : ndarray of bool, shape (r,)
-        False from a failure on.
+        False after a failure.
     lost : ndarray of bool, shape (r,)
-        True where the filter has diverged and is not yet reset: the estimate is the last fix, see `divergence`.
+        True while the filter has diverged and is not yet reset; the estimate is then the last fix, see `divergence`.
     """
 
     time: Array
@@ -88,17 +88,17 @@ class Innovations:
 class Recording:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    The length of the pieces does not change a bit of the joined pieces and the sums.
+    The length of the pieces does not affect the joined pieces and the sums.
 
     Parameters
     ----------
     replay : Replay
     parameters : FilterParameters
     samples : int
-        IMU samples in a piece; the last one may be shorter.
+        Number of IMU samples in a piece; the last piece may be shorter.
     recover : bool
-        Reset the filter where it diverges: see `divergence`. A reset takes place after a sample. The sums at this
-        sample, and while the estimate is the last fix, are the diverged filter's.
+        Reset the filter if it diverges: see `divergence`. A reset follows a sample. The sums at this sample, and while
+        the estimate is the last fix, are those of the diverged filter.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class Recording:
         self._complete = True
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
-        """Run to the last of the stops, (r,), which follow IMU samples; return True where the filter is lost, (r,).
+        """Run to the last of the stops, (r,), which follow IMU samples; return where the filter is lost, (r,).
 
         Stopping for each check would take longer than the steps. So the filter first runs to the end and is then
         checked from its record. At a divergence, it is reset and runs again from that step.

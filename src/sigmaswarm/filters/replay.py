@@ -1,4 +1,4 @@
-"""Replays of drives, and the sums of any number of filters over them."""
+"""Replay drives, and compute the sums of any number of filters over them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -39,10 +39,10 @@ class Targets:
     x, y, theta : ndarray, shape (m,)
         m and rad
     counts : ndarray of bool, shape (m,)
-        True where the heading is compared.
+        True if the heading is compared.
     end : ndarray of int32, shape (k,)
         Number of targets before the end of each step of the time line.
-    noise : ndarray, shape (m, 4), or (0, 4) where the reference is exact
+    noise : ndarray, shape (m, 4), or (0, 4) if the reference is exact
         Weights of the squared errors of position and heading, and the variances of x and y, m2, added to P in the NEES.
     """
 
@@ -123,7 +123,7 @@ DriveArrays = tuple[
 
 
 def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:
-    """Run one filter per parameter set over each replay; a set's sums do not depend on the other sets."""
+    """Run one filter per parameter set over each replay. The sums of a set do not depend on the other sets."""
     sums = Sums.empty(len(replays), len(parameter_sets))
     for places, table in tables_of(parameter_sets):
         sums.put(slice(None), places, run_array(replays, KernelArray(table)))
@@ -159,7 +159,7 @@ def run_steps(
 
 
 def require_readable(replay: Replay, array: KernelArray) -> None:
-    """Raise `InputError` where a drive lacks data that the filters read."""
+    """Raise `InputError` if a drive lacks data that the filters need."""
     if array.reads in replay.readable:
         return
     model, accuracy, measured = array.reads

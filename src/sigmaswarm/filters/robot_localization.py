@@ -1,15 +1,16 @@
 """Extended Kalman filter of ROS's robot_localization in ``two_d_mode``, with the eight planar states.
 
-State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). Over d seconds, all from the old
-state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
+State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). A step of d seconds, computed
+from the previous state, is, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
 
     x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
     vx += d ax                          vy += d ay                          P = J P J' + d Q
 
-The velocity does not rotate with the body, so a fused ay becomes lateral speed in a turn. Measurements are states: gz,
-ax, ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, yaw of two antennas, whose innovation is
-wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out. z, roll, pitch and their rates stay at 0 in
-``two_d_mode`` and decouple. Read from https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
+The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. All measurements are single
+states: gz, ax and ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, and yaw of two antennas, whose
+innovation is wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out. In ``two_d_mode``, z, roll, pitch
+and their rates stay at 0 and do not affect the other states. Source: https://github.com/cra-ros-pkg/robot_localization,
+branch rolling-devel.
 """
 
 import numpy as np
@@ -33,7 +34,7 @@ class TextbookRobotLocalization:
     parameters : FilterParameters
         ``process_noise`` per ``nominal_interval``, 1 s by default.
     mean, covariance : ndarray, shapes (8,), (8, 8)
-        In the order of the module's docstring.
+        Mean and covariance at the start, in the order of the module's docstring.
     """
 
     def __init__(self, parameters: FilterParameters, mean: Array, covariance: Array) -> None:
@@ -68,7 +69,7 @@ class TextbookRobotLocalization:
     def imu(self, gz: float, ax: float, ay: float | None = None) -> None:
         """Update with an IMU sample.
 
-        ``ay``: only if fused, as in many configurations; never in the tuned model.
+        ``ay`` is given only if it is fused, as in many configurations; the tuned model does not use it.
         """
         (r_gyro, r_accel, *_), (gyro_gate, accel_gate) = self.parameters.imu_noise, self.parameters.imu_gate
         self.correct([VYAW], np.array([gz]), np.array([r_gyro]), gyro_gate)
@@ -85,11 +86,11 @@ class TextbookRobotLocalization:
         self.correct([VX], np.array([speed]), np.array([self.parameters.odometer_noise]))
 
     def heading(self, yaw: float, stated: float) -> None:
-        """Update with a yaw, rad, and the variance that its message states, rad2."""
+        """Update with a yaw, rad, and its stated variance, rad2."""
         self.correct([YAW], np.array([yaw]), np.array([stated + (self.parameters.heading_noise or 0.0)]))
 
     def fix(self, position: Array, stated: Array) -> None:
-        """Update with a fix, (2,) m, and the variances that it states, (2,) m2."""
+        """Update with a fix, (2,) m, and its stated variances, (2,) m2."""
         p = self.parameters
         variances = np.array(p.measurement_noise) + (p.accuracy_scale or 0.0) * stated
         self.correct([X, Y], position, variances, p.gate or np.inf)

@@ -1,4 +1,4 @@
-"""A configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
+"""Read a configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
 
 The file contains process noise, thresholds and the fused entries. The messages contain the variances of measurements,
 so `presets.filter_for` reads them from a drive.
@@ -93,7 +93,7 @@ def _loaded(path: Path) -> Any:
 
 
 def _chosen(content: Any, path: Path) -> Block:
-    """The parameters of the node that fuses fixes, else of the first filter node."""
+    """Return the parameters of the node that fuses fixes, else of the first filter node."""
     blocks = [*_blocks(content, set())]
     if not blocks:
         raise InputError(
@@ -104,7 +104,7 @@ def _chosen(content: Any, path: Path) -> Block:
 
 
 def _blocks(content: Any, seen: set[int]) -> Iterator[Block]:
-    """Mappings with settings of a filter, at any depth; aliases may repeat a mapping without end."""
+    """Yield the mappings with settings of a filter, at any depth; aliases may repeat a mapping endlessly."""
     if isinstance(content, dict) and id(content) not in seen:
         seen.add(id(content))
         block = {str(key): value for key, value in cast("dict[Any, Any]", content).items()}
@@ -121,7 +121,7 @@ def _entries(value: Any, path: Path, key: str) -> list[bool]:
 
 
 def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
-    """Variances per second of the eight states; the defaults where the file states none."""
+    """Return the variances per second of the eight states; defaults if the file does not state them."""
     key = "process_noise_covariance"
     if key not in block:
         return PROCESS_NOISE
@@ -140,7 +140,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """The squared Mahalanobis distance of the first stated threshold; None if there is no limit."""
+    """Return the square of the first stated threshold, a Mahalanobis distance; None if there is no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
@@ -154,9 +154,9 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
-    """Clauses about settings that the model lacks."""
+    """Return clauses about settings that the model lacks."""
     if block.get("two_d_mode") is not True:
-        yield "evaluated in two_d_mode, which it does not set"
+        yield "evaluated in two_d_mode, which the file does not set"
     if block.get("dynamic_process_noise_covariance") is True:
         yield "dynamic_process_noise_covariance left out"
     if "alpha" in block:
@@ -165,6 +165,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: differential and relative left out"
         if entries[_YAW]:
-            yield f"{name}: yaw is that of the fixes, left out where a drive has no heading"
+            yield f"{name}: yaw is the heading of the fixes, and is left out if a drive has none"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: yaw rate left out"

@@ -1,4 +1,4 @@
-"""Run one filter over one drive: compiled (`run_filter`), as textbook (`run_textbook`), or as dead reckoning."""
+"""Run one filter over one drive: compiled (`run_filter`), in textbook form (`run_textbook`), or as dead reckoning."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Estimate:
         Times of the IMU samples after ``initial.time``, s.
     mean : ndarray, shape (n, n_states)
         x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]), planar8's biases, and tilted12's roll and pitch (rad)
-        and biases of the other gyros, in the order of the model's states. NaN from a failure on.
+        and biases of the other gyro axes, in the order of the model's states. NaN after a failure.
     covariance : ndarray, shape (n, n_states, n_states) or (0,)
         Covariance of ``mean``; empty for dead reckoning.
     initial : InitialState
@@ -44,8 +44,8 @@ class Estimate:
     restarts : tuple of float
         Times of the resets after divergence, s: see `divergence`.
     lost : ndarray of bool, shape (n,) or None
-        True where the filter had diverged and was not yet reset: the estimate is the last fix. None where divergence is
-        not monitored.
+        True while the filter had diverged and was not yet reset; the estimate is then the last fix. None if divergence
+        is not monitored.
     failure : str or None
         The failure and its time; None without a failure.
     """
@@ -61,7 +61,7 @@ class Estimate:
     def columns(self, *, std: bool = False) -> dict[str, Array]:
         """Time and states by name, in the units of ``mean``, each of shape (n,).
 
-        ``std``: standard deviations too, where there is a covariance, as ``std_`` and the state's name.
+        ``std``: also return standard deviations, if there is a covariance, under ``std_`` and the state's name.
         """
         states = next(m.names for m in MODELS.values() if len(m.states) == self.mean.shape[1])
         named = {"t": self.time} | {name: self.mean[:, i] for i, name in enumerate(states)}
@@ -119,20 +119,20 @@ def run_filter(
     Parameters
     ----------
     drive : Drive or PreparedDrive
-        Its truth, if any, is not used.
+        The drive; its truth, if any, is not used.
     parameters : FilterParameters
     initial : InitialState, optional
         State at which the filter starts; by default `initial_state(drive)`.
     recover : bool
-        Reset the filter where it diverges: see `divergence`. Tuning does not reset it.
+        Reset the filter if it diverges: see `divergence`. During a tuning filters are not reset.
     as_recorded : bool
-        Run without preprocessing: use stale fixes, and take gaps in the IMU as ordinary steps. A `PreparedDrive` has
-        its own setting.
+        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. For a `PreparedDrive`
+        its own setting is used.
 
     Returns
     -------
     Estimate
-        ``failure`` is set where the covariance was not positive definite or a state became NaN.
+        The estimates. ``failure`` is set if the covariance was not positive definite or a state became NaN.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def estimates_of(run: Run) -> Iterator[Estimate]:
     Raises
     ------
     SigmaswarmError
-        Where the filter fails.
+        If the filter fails.
     """
     reported = 0
     for piece in run:
@@ -240,17 +240,17 @@ def run_textbook(
     Parameters
     ----------
     drive, parameters, initial
-        As in `run_filter`.
+        See `run_filter`.
     heading_first : bool
-        Take the square root of P with theta first, like the compiled filter. False: Cholesky factor in the order of the
-        states, like FilterPy.
+        Compute the square root of P with theta first, like the compiled filter. False: use the Cholesky factor in the
+        order of the states, like FilterPy.
     redraw_sigma_points : bool
         See `UnscentedKalmanFilter`.
 
     Returns
     -------
     Estimate
-        ``failure`` is set where the filter failed.
+        The estimates. ``failure`` is set if the filter failed.
     """
     replay = replay_of(drive, initial)
     line = replay.timeline

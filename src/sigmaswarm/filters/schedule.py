@@ -36,13 +36,14 @@ STANDSTILL_INTERVAL = 0.1
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
 """Variance of the gyro around its bias at standstill, rad2/s2."""
 SLIP_GATE = 9.0
-"""Largest accepted NIS of a wheel speed: three sigmas. Readings of wheels that slip or lock are wrong for seconds, and
-equal, so that small weights of the readings would add up. Unlike fixes, readings are rejected without a limit of their
-number: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
+"""Largest accepted NIS of a wheel speed: three sigmas. Readings of wheels that slip or lock are wrong for seconds and
+equal, so readings with small weights would add up. Unlike for fixes, the number of rejected readings is not limited: P
+grows until it includes the true speed, and meanwhile the fixes determine the speed.
+"""
 HEADING_GATE = 9.0
 """Largest NIS of a heading: the variance of a heading with a larger NIS is increased until the NIS has this value (G.
 Chang, Robust Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014).
-So wrong headings change the estimate little, and a filter with a wrong heading recovers."""
+So wrong measured headings change the estimate only slightly, and a filter with a wrong heading recovers."""
 MOST_REJECTED = 5
 """Largest number of consecutive fixes that the gate rejects; the next fix is used, so that a diverged filter can
 recover."""
@@ -50,12 +51,15 @@ recover."""
 GAP_TURN_STD = 0.1
 """Standard deviation of the turn rate in an IMU gap, around the mean of the adjacent samples, rad/s.
 
-Values of 0.05 to 0.3 are as good on real drives.
+Values of 0.05 to 0.3 give equal results on real drives.
 """
 GAP_ACCELERATION_STD = 1.0
-"""Standard deviation of the acceleration per axis in a gap, m/s2. Values of 0.5 to 2 are as good on real drives."""
+"""Standard deviation of the acceleration per axis in a gap, m/s2. Values of 0.5 to 2 give equal results on real drives.
+"""
 GAP_TILT_STD = 0.01
-"""Standard deviation of the tilt rate about east and north in a gap, rad/s. 0.02 is as good on a real drive."""
+"""Standard deviation of the tilt rate about east and north in a gap, rad/s. A value of 0.02 gives equal results on a
+real drive.
+"""
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:
@@ -95,7 +99,7 @@ def require_accuracy(line: Timeline) -> None:
 
 
 def require_axes(drive: Drive, model: ModelName) -> None:
-    """Refuse a drive whose IMU lacks an axis that a model reads.
+    """Raise an error if a drive's IMU lacks an axis that a model reads.
 
     Raises
     ------
@@ -108,21 +112,21 @@ def require_axes(drive: Drive, model: ModelName) -> None:
 
 
 def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> None:
-    """As `require_axes`, for the name and axes of a drive."""
+    """Check like `require_axes`, from the name and the axes of a drive."""
     lacking = [axis for axis in MODELS[model].imu if axis not in axes]
     if lacking:
         raise InputError(
-            f"{name}: its imu.csv has no {', '.join(lacking)}, which {model} needs; "
-            "use planar8, which needs ax, ay and gz only"
+            f"{name}: imu.csv has no {', '.join(lacking)}, which {model} needs; "
+            "use planar8, which needs only ax, ay and gz"
         )
 
 
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
     """Covariance (n, n) that a step of ``dt`` s through a gap of ``gap`` s adds to P + Q; zero without a gap.
 
-    The unobserved motion is one turn rate and one acceleration for the whole gap. So its steps together add
-    (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position takes half of
-    each step's velocity. The (GAP_TILT_STD gap)^2 of roll and pitch is not included: `TextbookCar` and the kernels
+    The unobserved motion is one turn rate and one acceleration for the whole gap. So the steps of the gap together add
+    (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position changes by half
+    of each step's velocity. The (GAP_TILT_STD gap)^2 of roll and pitch is not included: `TextbookCar` and the kernels
     add it themselves.
     """
     added = np.zeros((n, n))
@@ -138,8 +142,8 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
     """Events at the end of each step, as bits FIX ... HEADING, shape (k,), of a filter that uses some of `MEASURED`.
 
-    With an odometer, the car does not stand while the wheels turn. With "ay" robot-localization fuses the lateral
-    acceleration. That model has no standstills, and their bit marks these samples.
+    With an odometer, the car does not stand while the wheels turn. With "ay", robot-localization fuses the lateral
+    acceleration. Since that model has no standstill constraint, the bit of standstills marks these samples.
     """
     wheels = line.wheels if "odometer" in used else None
     flags = np.zeros(len(line.absorbs), dtype=np.uint16)
@@ -188,9 +192,9 @@ def start_std(p: FilterParameters) -> Array:
 def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
     """Means (m, r, n) and covariances (m, r, n, n) at m starts of one length for std of shape (r, 3).
 
-    States that a start lacks begin at 0: a bias with its ``std``, roll and pitch with the ``start_std`` of their
-    state, the correlated fix error as `fix_error.add_start`. Gyro biases observed at the start are included: see
-    `GyroSeen.tell`.
+    States that a start lacks begin at 0. The standard deviation of a bias is its ``std``, that of roll and pitch the
+    ``start_std`` of the state; for the correlated fix error see `fix_error.add_start`. Gyro biases observed at the
+    start are included: see `GyroSeen.tell`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))

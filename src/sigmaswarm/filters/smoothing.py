@@ -1,7 +1,7 @@
-"""The Rauch-Tung-Striebel smoother for compiled filters.
+"""Smooth the estimates of compiled filters (Rauch, Tung and Striebel).
 
 The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. The backward pass
-needs no measurements; each update, weight or rejection is that of the forward pass.
+needs no measurements, since updates, weights and rejections are those of the forward pass.
 
 Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece. The backward pass runs the
 filter again from each checkpoint, the last one first, and keeps the smoothed state only at the checkpoints. A third
@@ -46,18 +46,18 @@ def smooth(
     """Run the compiled filter over a drive, and smooth: each estimate uses all fixes, including later fixes.
 
     H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8),
-    1965; of an unscented filter S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
+    1965; for unscented filters S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
 
     Parameters
     ----------
     drive, parameters, initial, recover, as_recorded
-        As in `run_filter`.
+        See `run_filter`.
 
     Returns
     -------
     Estimate
-        At the times of `run_filter`. ``initial`` is smoothed, too. Estimates before a reset of the filter do not use
-        the fixes after it. From a failure on the estimates are NaN.
+        Estimates at the times of `run_filter`. ``initial`` is also smoothed. Estimates before a reset of the filter do
+        not use the fixes after it. After a failure the estimates are NaN.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class _Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of some steps of the forward pass for `smooth_back`, with marks where the filter is lost."""
+    """Log of some steps of the forward pass for `smooth_back`, with a mask of the steps at which the filter is lost."""
 
     steps: Array
     start: Array
@@ -92,7 +92,8 @@ class _ForwardLog:
 class _Forward(Recording):
     """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
-    All passes use the same kernel. Another kernel rounds differently, so the estimates would depend on the checkpoints.
+    All passes use the same kernel, since another kernel would round differently, and the estimates would depend on the
+    checkpoints.
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
@@ -152,8 +153,8 @@ class _Forward(Recording):
 class Smoothing:
     """A smoother over a replay, as an iterator of pieces; the constructor runs the forward and backward passes.
 
-    The parameters and attributes are those of `Recording`; ``initial`` is smoothed. The joined pieces have the same
-    bits for every length of a piece, which is also the distance between two checkpoints of the forward pass.
+    The parameters and attributes are those of `Recording`; ``initial`` is smoothed. The joined pieces are identical for
+    every length of a piece, which is also the distance between two checkpoints of the forward pass.
     """
 
     def __init__(
@@ -239,7 +240,7 @@ def smooth_textbook(
     initial: InitialState | None = None,
     heading_first: bool = True,
 ) -> Estimate:
-    """Smooth the textbook filter; parameters as in `run_textbook`. The estimate ends where the filter fails."""
+    """Smooth the textbook filter; parameters as in `run_textbook`. The estimate ends if the filter fails."""
     replay = replay_of(drive, initial)
     line = replay.timeline
     car = TextbookCar(line, parameters, replay.initial, heading_first=heading_first)

@@ -9,9 +9,10 @@ ITERATIONS = 3
 OUTLYING = 0.25
 """Weight below which a fix is an outlier."""
 OUTLIERS = 3
-"""Smallest number of consecutive outliers after which the filter, not the fixes, is wrong; see also `OUTLIERS_SPAN`."""
+"""Smallest number of consecutive outliers that show that the filter, not the fixes, is wrong; see also `OUTLIERS_SPAN`.
+"""
 OUTLIERS_SPAN = 5.0
-"""Smallest duration of a run of outliers after which the filter, not the fixes, is wrong, s."""
+"""Smallest duration of a run of outliers that shows that the filter, not the fixes, is wrong, s."""
 
 # c of an objective is 2 x with x e^x E1(x) = v / (v + 2), E1 being the exponential integral. Then the mean of
 # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as it is for

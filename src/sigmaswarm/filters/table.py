@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers; an object for each set would take as long as a drive."""
+"""Store many parameter sets as columns of numbers; an object for each set would take as long as a drive."""
 
 import math
 from collections.abc import Sequence

@@ -4,10 +4,9 @@ The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) R
 roll left side up. A filter represents the mean by these angles. The covariance is the covariance of a small rotation
 ``e`` about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
 error-state Kalman filter, 2017, section 7: the global error). In the state vector e has the indices of roll, pitch and
-theta. When it is injected into R, the covariance is not changed: a reset would change it by second order in e.
-
-There is no vertical channel: the car stays on the road. So the Jacobians assume that the specific force along the third
-axis of the local frame is gravity; otherwise bumps of the road would make them noisy.
+theta. When e is injected into R, the covariance is not changed, since the change is of second order in e. There is no
+vertical channel, since the car stays on the road. So the Jacobians assume that the specific force along the third axis
+of the local frame is gravity; otherwise bumps of the road would make the Jacobians noisy.
 """
 
 from dataclasses import dataclass
@@ -26,8 +25,9 @@ ATTITUDE = (8, 9, 4)
 ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
 """Indices of the biases: forward, left; and about forward, left, up."""
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
-"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Any
-square root is valid. With these states fixed, process and measurements are linear in all others."""
+"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Every
+square root is valid. If these states are fixed, process and measurements are linear in all others.
+"""
 N = 12
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
@@ -82,12 +82,12 @@ def angles_of(quaternion: Array) -> Array:
 
 
 def _sinc(x: float) -> float:
-    """As `np.sinc`, which is slow for one number."""
+    """Return the same as `np.sinc`, which is slow for one number."""
     return float(np.sin(np.pi * x) / (np.pi * x)) if x else 1.0
 
 
 def turn(vector: Array) -> Array:
-    """exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
+    """Return exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
     angle = float(np.sqrt(vector @ vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -96,7 +96,7 @@ def turn(vector: Array) -> Array:
 
 
 def turn_of(r: Array) -> Array:
-    """The v, (3,), of exp([v]x), shorter than half a turn."""
+    """Return the vector v (3,) of exp([v]x), shorter than half a turn."""
     doubled = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])  # 2 sin a, along the axis
     sine, cosine = np.sqrt(doubled @ doubled) / 2, (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2
     angle = float(np.arctan2(sine, cosine))
@@ -109,7 +109,7 @@ def plus(state: Array, error: Array) -> Array:
 
 
 def minus(state: Array, other: Array) -> Array:
-    """The error (12,) that takes ``other`` to the state."""
+    """Return the error (12,) that changes ``other`` into the state."""
     error = state - other
     error[[*ATTITUDE]] = turn_of(rotation(state) @ rotation(other).T)
     return error
@@ -128,7 +128,7 @@ def nearest(error: Array, near: Array) -> Array:
 
 
 def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:
-    """R at the middle of a step, the half turn from there to its end, and the acceleration, all (3, ...)."""
+    """Return R at the middle of a step, the rotation from there to the end, and the acceleration, all (3, ...)."""
     force = imu[:3] - [*state[[*ACCEL_BIAS]], 0.0]
     half = turn((imu[3:] - state[[*GYRO_BIAS]]) * dt / 2)
     r = rotation(state) @ half
@@ -160,12 +160,12 @@ def transition(state: Array, dt: float, imu: Array) -> Array:
 
 @dataclass(frozen=True)
 class Antenna:
-    """Predict a fix: where the antenna was ``latency`` s ago.
+    """Predict a fix: the position of the antenna ``latency`` s ago.
 
     Attributes
     ----------
     lever : (float, float, float)
-        m forward, left and up from the IMU.
+        Vector from the IMU to the antenna, m forward, left and up.
     latency : float
     """
 
@@ -193,7 +193,7 @@ class RearAxle:
     yaw_rate : float
         rad/s
     distance : float
-        m from the rear axle forward to the IMU.
+        Distance from the rear axle forward to the IMU, m.
     """
 
     yaw_rate: float
@@ -220,7 +220,7 @@ class Wheels:
     Attributes
     ----------
     ax : float
-        m/s2: the specific force forward, of which gravity on a slope is a part.
+        Forward specific force, m/s2, which on a slope contains gravity.
     delay : float
         s
     """
@@ -292,7 +292,8 @@ class States:
 def as_angles(state: Array, covariance: Array) -> Array:
     """The covariance (..., 12, 12) of states (..., 12) as angles: of roll, pitch and theta in place of the error.
 
-    e = A (roll, pitch, theta), small changes; the columns of A are the axes that they turn about. This is its inverse.
+    For small changes e = A (roll, pitch, theta); the columns of A are the axes of these rotations. The function uses
+    the inverse of A.
     """
     theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
     ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)

@@ -1,6 +1,6 @@
-"""Learned rivals of a tuned filter: networks that support the filter, trained on the user's drives.
+"""Networks that support a tuned filter, trained on the user's drives.
 
-Two types, built from the principles of these papers (details may differ):
+There are two types, which follow the principles of these papers (details may differ):
 
 outage-lstm
     a network that replaces the receiver during outages: the filter is updated with its forecasts of displacements;
@@ -8,5 +8,5 @@ outage-lstm
 noise-gru
     a network that scales Q and R by the latest innovations; after Q. Chen et al., IEEE TIM 71, 2022
 
-Training needs JAX (the extra ``learned``) and no truth. A trained network runs with NumPy alone.
+Training needs JAX (the extra ``learned``) and no truth. A trained network needs only NumPy.
 """

@@ -1,4 +1,4 @@
-"""Cells of recurrent networks; ``xp`` is NumPy to run them, or jax.numpy to train them.
+"""Cells of recurrent networks; ``xp`` is NumPy to run a network, or jax.numpy to train it.
 
 A network's weights are a flat mapping of names to arrays, as in their file.
 """
@@ -52,7 +52,7 @@ def head(weights: Weights, h: Any) -> Any:
 def new_weights(
     rng: np.random.Generator, gates: int, features: int, units: int, outputs: int
 ) -> dict[str, Array]:
-    """Draw initial weights; the head's are zero, so that a new network has no effect.
+    """Draw initial weights; those of the output layer are zero, so that a new network has no effect.
 
     X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM (``gates`` 4) is open at first (R. Jozefowicz, W.
     Zaremba and I. Sutskever, ICML 2015).

@@ -1,6 +1,6 @@
-"""Fit weights by Adam with early stopping, with the same bits each time; a killed fit continues after its last epoch.
+"""Fit weights by Adam with early stopping, reproducibly; a killed fit continues after its last epoch.
 
-It needs JAX and Optax, the extra ``learned``.
+This module needs JAX and Optax, the extra ``learned``.
 """
 
 from collections.abc import Callable, Mapping
@@ -187,7 +187,7 @@ def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any)
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The state of a training; ``moments`` are the optimizer's."""
+    """The state of a training; ``moments`` belong to the optimizer."""
 
     weights: dict[str, Any]
     moments: Any

@@ -47,7 +47,7 @@ class Progress:
 
 
 class Learner(Protocol):
-    """The training of one type of network."""
+    """Interface of the training of one type of network."""
 
     epochs: int
     batch: int
@@ -58,7 +58,7 @@ class Learner(Protocol):
     """Bounds of the search, as logarithms to the base of 2."""
 
     def lesson(self, settings: Settings, seed: int) -> Lesson:
-        """Prepare what `fit` needs."""
+        """Prepare the input of `fit`."""
         ...
 
     def finish(
@@ -91,7 +91,7 @@ class LearnConfig:
     search : int
         Number of further settings (units, window, learning rate) to try; the best on the validation data is used.
     seed : int
-        The same seed gives the same bits on the same machine.
+        The same seed gives identical results on the same machine.
     """
 
     kind: NetworkName

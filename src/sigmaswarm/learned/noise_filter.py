@@ -45,14 +45,16 @@ def require_supported(p: FilterParameters) -> None:
     if p.model not in ("planar5", "planar8"):
         raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
     if p.kind not in ("ukf", "ekf"):
-        raise InputError(f"{p.kind} adapts its own noises; tune a ukf or an ekf for noise-gru")
+        raise InputError(
+            f"{p.kind} adapts its noise itself, so noise-gru does not support it; tune a ukf or an ekf"
+        )
     for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:
             raise InputError(f"noise-gru does not support {name}; tune a filter without it")
 
 
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
-    """Return the steps of a replay for `run`, (k, N_COLUMNS), and the ends of the steps, (k,) s."""
+    """Return the steps of a replay for `run`, (k, N_COLUMNS), and the end times of the steps, (k,) s."""
     line = replay.timeline
     flags = flags_of(line, measured_by(parameters))
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
@@ -124,7 +126,7 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
 
 
 def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
-    """Student's t: see `measurements._weigh`."""
+    """Weight a fix by Student's t: see `measurements._weigh`."""
     import jax.numpy as jnp
 
     weight = 1.0

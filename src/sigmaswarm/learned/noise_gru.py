@@ -66,12 +66,12 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 class NoiseRun(PausingRecording):
     """Run of a filter over a replay with a network that scales Q and R.
 
-    With an untrained network its pieces have the bits of `Recording`.
+    With an untrained network the pieces of the run equal those of `Recording`.
 
     Parameters
     ----------
     replay, parameters, samples, recover
-        As of `Recording`.
+        See `Recording`.
     weights : mapping of str to ndarray
         Weights of the network: see `cells`.
 

@@ -1,15 +1,16 @@
 """outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
 
 The network reads windows of the IMU and estimates the displacement in the last second, forward and left, with its
-standard deviations. A faster car vibrates more, and it turns less for the same lateral acceleration. `relative` updates
-the filter. The filter's speed is not an input: the network would return this speed, and the update would use it twice.
+standard deviations. The IMU shows the speed, since a faster car vibrates more and turns less for the same lateral
+acceleration. `relative` updates the filter. The filter's speed is not an input, since the network would return this
+speed, and the update would use it twice.
 
 Errors of the forecasts persist on one road and in one car; they are modeled as Gauss-Markov processes. While there are
-fixes, the error of a forecast is its difference from the filter's velocity. In an outage the last known error is
-subtracted, with decay. The remaining error is still correlated in time. The velocity covariance of a filter that was
-tuned with fixes is often too small in an outage. So two factors are fitted, one for the forecasts' variance and one for
-the velocity's Q in an outage: they maximize the likelihood of hidden fixes on validation drives. If the gain over the
-filter alone is not significant, the network is not used.
+fixes, the error of a forecast is its difference from the filter's velocity. In an outage the last known error,
+multiplied by a decay, is subtracted. The remaining error is still correlated in time. The velocity covariance of a
+filter that was tuned with fixes is often too small in an outage. So two factors are fitted, one for the forecasts'
+variance and one for the velocity's Q in an outage. They maximize the likelihood of hidden fixes on validation drives.
+If the gain over the filter alone is not significant, the network is not used.
 """
 
 from collections.abc import Mapping
@@ -140,12 +141,12 @@ def untrained(
 class OutageRun(PausingRecording):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    Without outages its pieces have the bits of `Recording`.
+    Without outages the pieces of the run equal those of `Recording`.
 
     Parameters
     ----------
     replay, parameters, samples, recover
-        As of `Recording`.
+        See `Recording`.
     network : OutageLstm
     windows : Windows, optional
         Result of `outage_windows`, to avoid computing it again.

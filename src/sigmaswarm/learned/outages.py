@@ -105,8 +105,8 @@ def _pairs(
 def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float) -> Array:
     """Return the inputs from the last ``window`` s before some samples, (k, STEPS, 2 axes).
 
-    For each step and axis, these are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which grows
-    with the speed of a car.
+    For each step and axis, the inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which
+    grows with the speed of a car.
     """
     imu = line.drive.imu
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, STEPS + 1)

@@ -1,4 +1,4 @@
-"""Update a filter with a displacement between two moments.
+"""Update a filter with a displacement between two times.
 
 A displacement measures motion, not position. A fix at the last position plus the displacement would add the error of
 the last position again at each update. So the measurement also depends on the state at the start of the displacement,
@@ -6,9 +6,9 @@ as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
-The update needs Cov(e_1, e_0) of the errors at both moments. The earlier state is not part of the filter. Between the
-moments the error is propagated linearly, e_1 = A e_0 + an independent part, so Cov(e_1, e_0) = A P_0. The columns of A
-are finite differences of the filter over these steps, run in the columns of the compiled kernel.
+The update needs the covariance Cov(e_1, e_0) of the errors at both times. The earlier state is not part of the filter.
+Between the two times the error is propagated linearly, e_1 = A e_0 + an independent part, so Cov(e_1, e_0) = A P_0. The
+columns of A are finite differences of the filter over these steps, which run in the columns of the compiled kernel.
 """
 
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ class Begin(NamedTuple):
 
 
 class Displacements:
-    """Updater of a filter with displacements.
+    """Updates of a filter with displacements.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The noise of an IMU: measured on a static log or on a drive's standstills, or read from a tuned filter.
+"""Measure the noise of an IMU on a static log or on the standstills of a drive, or read it from a tuned filter.
 
 `imu_noise` finds the static stretches (`static`), fits the noise model to the spectrum of each axis (`spectrum`) and
 computes the Allan deviation (`allan`). `exports.imu_noise` writes the result for other packages.

@@ -1,4 +1,4 @@
-"""Overlapping Allan deviation of inertial samples, and that of the noise model (IEEE Std 952-1997, annex C)."""
+"""Compute the overlapping Allan deviation of samples and of the noise model (IEEE Std 952-1997, annex C)."""
 
 import math
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ def allan_deviation(parts: Sequence[Array], interval: float) -> tuple[Array, Arr
     parts : sequence of array (n,)
         Stretches without gaps; their squared differences are pooled.
     interval : float
-        s between samples.
+        Interval between samples, s.
 
     Returns
     -------

@@ -36,7 +36,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     log : Drive, Imu, or path
         A path is a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads; it needs no fixes.
     **settings
-        Of the import: ``recipe``, ``maps``, ``time``, ``choice``, as of `import_log`.
+        Settings of the import: ``recipe``, ``maps``, ``time``, ``choice``; see `import_log`.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The noise of an IMU as a record: numbers per axis, and their table in the units of data sheets."""
+"""Records of the noise of an IMU: numbers per axis, and a table in the units of data sheets."""
 
 import math
 from collections.abc import Callable
@@ -40,7 +40,7 @@ class AxisNoise:
     walk : Interval
         Rate random walk: growth of the bias, unit/sqrt(s).
     correlation_time : float
-        s, of a Gauss-Markov bias; inf if the log does not show that the bias returns to its mean.
+        Correlation time of a Gauss-Markov bias, s; inf if the log does not show that the bias returns to its mean.
     drift : float
         Trend, unit/s, if these processes do not explain it; else 0.
     tau, deviation : array (n,)
@@ -80,7 +80,7 @@ class Noise:
     rate : float
         Hz
     axes : tuple of AxisNoise
-        Those that could be measured.
+        The axes that could be measured.
     stretches : tuple of (float, float)
         Static stretches that were used: start in the time of the log and length, s.
     remarks : tuple of str
@@ -99,7 +99,7 @@ class Noise:
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
-        """Return a value for the three axes of a sensor; an unknown axis gets the RMS of the other axes."""
+        """Return a value for the three axes of a sensor; for an unknown axis use the RMS of the other axes."""
         known = {a.axis: value(a) for a in self.axes}
         axes = SENSORS[sensor][0].split()
         there = [known[a] for a in axes if a in known]

@@ -1,4 +1,4 @@
-"""Remarks on a log: noise terms that its stretches determine, and signs of a fault of an axis."""
+"""Make remarks on a log: which noise terms it determines, and signs of faults of an axis."""
 
 import math
 from collections.abc import Sequence
@@ -44,8 +44,9 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
         )
     if stretches.share < STATIC:
         remarks.append(
-            f"the log moves or is disturbed in {100 * (1 - stretches.share):.0f}% of its time; used: "
-            f"{counted(len(lengths), 'standstill')}, {total:.0f} s in all; an engine's vibration counts as noise"
+            f"the sensor moves or is disturbed in {100 * (1 - stretches.share):.0f}% of the log; only "
+            f"{counted(len(lengths), 'standstill')}, {total:.0f} s in all, are used; an engine's vibration counts as "
+            f"noise"
         )
     if longest < LONG:
         remarks.append(
@@ -56,7 +57,7 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
 
 
 def on_gravity(imu: Imu, part: slice) -> list[str]:
-    """Return a remark where the accelerometer does not measure gravity."""
+    """Return a remark if the accelerometer does not measure gravity."""
     if imu.az is None:
         return []
     force = math.hypot(*(float(np.mean(column[part])) for column in (imu.ax, imu.ay, imu.az)))
@@ -96,8 +97,8 @@ def on_trend(axis: str, trend: float) -> list[str]:
     if not trend:
         return []
     return [
-        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its random processes explain, as "
-        "when a sensor warms up: start the log after half an hour of running"
+        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its noise explains, as when a "
+        "sensor warms up: start the log after half an hour of running"
     ]
 
 

@@ -1,4 +1,4 @@
-"""Noise model of an axis, fitted to the spectrum of its static samples.
+"""Fit the noise model of an axis to the spectrum of its static samples.
 
 The two-sided spectral density is
 
@@ -6,8 +6,9 @@ The two-sided spectral density is
 
 with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias with rate random walk
 K. If its correlation time T is finite, the bias is a first-order Gauss-Markov process with variance K^2 T / 2.
-Whittle's likelihood (1953) of the periodogram gives the best values and, by its profile, intervals. Unlike lines fitted
-to an Allan deviation, it separates overlapping processes, and shows which ones a log does not determine.
+The best values maximize Whittle's likelihood (1953) of the periodogram, whose profile gives the intervals. Unlike lines
+that are fitted to an Allan deviation, the likelihood separates overlapping processes and shows which of them the log
+does not determine.
 """
 
 import math
@@ -126,7 +127,7 @@ def _walk(angle: Array, interval: float, rate: float) -> Array:
 def _smallest(s: Spectrum, known: Array, shapes: Array) -> tuple[Array, Array]:
     """Minimize Whittle's deviance of models known (..., n) + sum_k v_k shapes (..., k, n) over variances v >= 0.
 
-    Fisher's scoring: each step is a least-squares fit with the weights of the last model.
+    Each step of Fisher's scoring is a least-squares fit with the weights of the previous model.
     """
     sets = [list(c) for m in range(1, shapes.shape[-2] + 1) for c in combinations(range(shapes.shape[-2]), m)]
     size = np.sqrt(np.mean(shapes**2, axis=-1, keepdims=True))
@@ -160,7 +161,7 @@ def _least_squares(matrix: Array, right: Array, sets: list[list[int]]) -> Array:
 
 
 def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float) -> Interval:
-    """Return the root of a variance and the ends of its interval, where the profile crosses a limit."""
+    """Return the root of a variance and the ends of its interval, at which the profile crosses a limit."""
     others = shapes[:, [i for i in range(3) if i != k]]
     own = shapes[:, k]
 
@@ -177,7 +178,7 @@ def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float)
 
 
 def _crossing(profile: Callable[[Array], Array], grid: Array, limit: float) -> float:
-    """Return where a profile first exceeds a limit along a grid, which begins below it."""
+    """Return the first place on a grid at which a profile exceeds a limit; it begins below the limit."""
     first, last, share = grid[0], grid[0], 0.0
     for _ in range(PASSES):
         excess = profile(grid) - limit

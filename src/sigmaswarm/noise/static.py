@@ -1,4 +1,4 @@
-"""Static stretches of a log, and faults that make an axis unusable."""
+"""Find the static stretches of a log, and faults that make an axis unusable."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Stretches:
 
 
 def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
-    """Find the times at which the IMU stands: by its samples, and by the fixes, if there are any.
+    """Find the times at which the IMU is static, from its samples and, if there are any, the fixes.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     steps = np.diff(imu.time)
     if len(imu) < FEWEST or not np.all(steps > 0):
         raise InputError(
-            f"{len(imu)} samples with increasing times are not a log; give {SHORTEST:g} s at least"
+            f"{len(imu)} samples with increasing times are not a log; give at least {SHORTEST:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
@@ -85,7 +85,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"is {duration:.3g} s long" if duration < 2 * SHORTEST else "moves"
         raise InputError(
-            f"the log {what}: no {SHORTEST:g} s of standstill; log the IMU at rest; an hour shows all noise terms"
+            f"the log {what}: it has no standstill of {SHORTEST:g} s; log the IMU at rest, an hour for all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
@@ -94,7 +94,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 def _calm_blocks(
     imu: Imu, starts: NDArray[np.int_], size: int, fresh: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return a mask of the blocks that are nearly as quiet as the quietest, with means like their neighbors'."""
+    """Return a mask of blocks that are nearly as quiet as the quietest and have the means of their neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

@@ -1,1 +1,1 @@
-"""Truth for drives that have none: the track of a good receiver in the same vehicle."""
+"""Compute truth for drives from a good receiver in the same vehicle."""

@@ -1,9 +1,9 @@
-"""`reference`: the fixes of a good receiver, smoothed with the drive's IMU, as truth with standard deviations.
+"""Compute truth with standard deviations: the fixes of a good receiver, smoothed with the drive's IMU.
 
 The filter is tuned on these fixes alone, and smoothed (`filters.smoothing`). The smoother's standard deviations are
 checked: fixes are hidden from the smoother for some seconds, several times, and the standard deviations are multiplied
-until they cover these fixes. The standard deviation of the receiver's fixes is added: their errors are correlated, so
-the mean of many fixes is not more accurate than one fix.
+until they agree with these fixes. The standard deviation of the receiver's fixes is added, since their errors are
+correlated, so the mean of many fixes is not more accurate than one fix.
 """
 
 import math
@@ -37,7 +37,8 @@ from sigmaswarm.tuning.tune import tune
 ACCURACY = 0.1
 """Largest standard deviation of a position that is kept, m per axis."""
 HIDDEN = (2.0, 20.0)
-"""Times, s, for which fixes are hidden from the smoother: IMUs of cars bridge the shorter one to a decimeter."""
+"""Durations for which fixes are hidden from the smoother, s; over the shorter one, IMUs of cars drift by a decimeter.
+"""
 HIDDEN_FIRST = 10.0
 """Time from the start to the first window of hidden fixes, and between two windows, s."""
 PLACEMENTS = 3
@@ -93,27 +94,27 @@ def reference(
     Parameters
     ----------
     drive : Drive
-        Its fixes are not used, and its truth is replaced.
+        The drive; its fixes are not used, and its truth is replaced.
     fixes : path, Drive or Gps
-        Of the good receiver: a log in any format that is imported (RTKLIB, NMEA, UBX, CSV ...), a drive's folder, or a
-        `Gps` in the drive's own plane. Of RTKLIB, NMEA and UBX only fixed solutions are taken.
+        Fixes of the good receiver: a log in any format that can be imported (RTKLIB, NMEA, UBX, CSV ...), a drive's
+        folder, or a `Gps` in the drive's local frame. From RTKLIB, NMEA and UBX only fixed solutions are used.
     executor, progress
     lever_arm : (float, float, float), optional
-        m forward, left and up from the IMU to the good receiver's antenna; none by default.
+        Vector from the IMU to the good receiver's antenna, m forward, left and up; by default 0.
     offset : float
-        s to add to the fixes' times, so that both have one clock; 0 by default.
+        Time to add to the fixes' times, s, so that both have one clock; 0 by default.
     accuracy : float
-        m: truth that is not known to this standard deviation on each axis is left out; 0.1 by default.
+        Largest standard deviation of the truth per axis, m; other rows are left out. 0.1 by default.
     fix_std : float, optional
-        m per axis: lower limit of a fix's standard deviation, which fixes without a stated one get.
+        Lower limit of a fix's standard deviation, m per axis; also used for fixes without a stated one.
     seed : int
         Seed of the tuning, and of the windows of hidden fixes; 0 by default.
 
     Returns
     -------
     Drive
-        With truth at the IMU's times, its standard deviations, and gaps where it is not known; ``metadata`` has its
-        making under ``reference``.
+        The drive with truth at the IMU's times, the standard deviations of the truth, and gaps if it is not known.
+        ``metadata`` describes the computation under ``reference``.
 
     Raises
     ------
@@ -145,7 +146,7 @@ def _smoothed(
     executor: Executor | None,
     progress: Callable[[Progress], None] | None,
 ) -> tuple[Truth, dict[str, Any]]:
-    """Tune and smooth a filter on the fixes of the good receiver; return truth, and how it was made."""
+    """Tune and smooth a filter on the fixes of the good receiver; return the truth and how it was computed."""
     arm, accuracy = options.lever_arm, options.accuracy
     receiver = replace(receiver, metadata={"gps_lever_arm_m": list(arm)} if arm else {})
     parameters = _tuned(receiver, options.seed, executor, progress)
@@ -157,7 +158,8 @@ def _smoothed(
     truth = _truth(estimate, receiver.gps, stretched, accuracy)
     if truth is None:
         raise InputError(
-            f"{name}: the position is never known to {accuracy:g} m; raise --accuracy, or check the log with "
+            f"{name}: the standard deviation is above {accuracy:g} m everywhere; raise --accuracy, or check the log "
+            f"with "
             "sigmaswarm doctor"
         )
     share = share_known(truth, float(receiver.imu.time[0]), float(receiver.imu.time[-1]))
@@ -176,8 +178,9 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the filter that suits the drive on the good receiver's fixes.
 
-    The filter does not use ``standstill``: tuned on fixes accurate to a centimeter, the noise of this constraint is so
-    small that one wrongly detected standstill, in an outage, moves the track by meters and leaves the covariance small.
+    The filter does not use ``standstill``. Tuned on fixes with errors of a centimeter, the noise of this constraint
+    would be so small that one wrongly detected standstill in an outage moves the track by meters, while the covariance
+    stays small.
     """
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
@@ -221,15 +224,16 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     known = sure & np.all([std <= accuracy for std in _stated(gps)], axis=0)
     if np.count_nonzero(known) < FEWEST_SHARED_FIXES:
         raise InputError(
-            f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions and "
-            f"{np.count_nonzero(known)} of those stated to {accuracy:g} m per axis or better, too few; raise "
+            f"{name}: of {np.count_nonzero(within)} fixes {np.count_nonzero(sure)} are fixed solutions, and "
+            f"{np.count_nonzero(known)} of these have a stated deviation of at most {accuracy:g} m per axis, too few; "
+            f"raise "
             "--accuracy, or use another receiver"
         )
     return replace(gps, lat=None, lon=None, alt=None).select(known)
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor with which the smoother's standard deviations cover the hidden fixes; at least 1."""
+    """Return the factor by which the smoother's standard deviations agree with the hidden fixes; at least 1."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):

@@ -24,7 +24,7 @@ def tune_command(
 ) -> tuple[str, str]:
     """Return the command of a tuning and its limits; no command for a custom model."""
     if isinstance(config.get("model"), dict):
-        return "", "The model is the user's own: repeat the tuning in Python, with sigmaswarm.tune."
+        return "", "The model is a model of your own: repeat the tuning in Python, with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}
     options = {name: config[name] for name in STATED if name in config}
     usual = _usual(config)
@@ -38,7 +38,9 @@ def tune_command(
     for name, value in options.items():
         words += _option(f"--{name.replace('_', '-')}", value)
     words += ["--validation", *validation] if validation else []
-    return shlex.join(words), "Drives are given by name: replace the names by the paths of your folders."
+    return shlex.join(
+        words
+    ), "The command names the drives: replace their names by the paths of your folders."
 
 
 def evaluate_command(

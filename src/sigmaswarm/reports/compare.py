@@ -1,4 +1,4 @@
-"""The table and the figure of a comparison of optimizers, and their files."""
+"""Make the table and the figure of a comparison of optimizers, and write their files."""
 
 from pathlib import Path
 
@@ -55,9 +55,10 @@ def comparison_table(comparison: Comparison) -> Table:
     )
     few = "" if tested else f"\n\nToo few seeds for a test: {FEWEST_SEEDS} or more."
     note = (
-        f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Median [95% interval of the median], worst "
-        f"run, and p: paired Wilcoxon test against {comparison.contenders[0].label}, corrected after Holm over the "
-        "rows. Steps: filter steps spent, as a share of the budget on all drives. Touched bounds: in how many runs a "
+        f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
+        f"and worst "
+        f"run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over the "
+        "rows. Steps: filter steps, as a share of the budget on all drives. Touched bounds: number of runs in which a "
         f"parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
         f"held out: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
@@ -65,7 +66,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw cost against evaluations, with quartiles, and the last cost of every run."""
+    """Draw the cost as a function of the evaluations, with quartiles, and the last cost of every run."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
     looks = many_looks(len(contenders), 1.6)

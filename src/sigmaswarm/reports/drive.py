@@ -1,4 +1,4 @@
-"""A drive on one page: path, speed, IMU, fixes, outages, and target and achieved values."""
+"""Draw a drive on one page: path, speed, IMU, fixes, outages, and target and achieved values."""
 
 from typing import Any
 
@@ -94,7 +94,7 @@ def _legend_above(axes: Axes) -> None:
 
 
 def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
-    """Draw the errors of the fixes where the truth is known, else the time from fix to fix."""
+    """Draw the errors of the fixes if the truth is known, else the time from fix to fix."""
     gps, truth = drive.gps, drive.truth
     if truth is None:
         axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=VERMILION, ms=3)
@@ -113,7 +113,7 @@ def _draw_fixes(axes: Axes, drive: Drive, gaps: Gaps, origin: float) -> None:
 
 
 def _draw_figures(axes: Axes, drive: Drive) -> None:
-    """Draw the table of target and achieved figures of a simulated drive."""
+    """Draw the table of target and achieved values of a simulated drive."""
     axes.axis("off")
     tables: list[Any] = [drive.metadata.get(key) for key in ("target", "achieved")]
     target, achieved = (

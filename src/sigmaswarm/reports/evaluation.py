@@ -1,4 +1,4 @@
-"""The folder of an evaluation, and its charts: bars of the methods, consistency, tracks and errors over time."""
+"""Write the folder of an evaluation; draw bars of the methods, consistency, tracks and errors over time."""
 
 from collections.abc import Mapping
 from itertools import accumulate
@@ -50,7 +50,7 @@ from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
 from sigmaswarm.wording import names_shown
 
 DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
-"""The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
+"""The series of a track, the last one on top: the line of the tuned filter is wider than that of the truth."""
 HEADING_SHOWN = (1.0, 30.0)
 """Smallest and largest limit of the axis of heading errors, deg; a diverged filter has larger errors."""
 
@@ -80,7 +80,7 @@ def save_evaluation(
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
-    """Copy a tuning.toml or that of a folder, its history and its fingerprints; return the paths of the copies."""
+    """Copy a tuning.toml (or that of a folder), its history and its fingerprints; return the paths of the copies."""
     file = tuning_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, SEEN_FILE):
@@ -117,7 +117,7 @@ def comparison(evaluation: Evaluation) -> Figure:
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
     """Draw bars of the means over the drives, a chart for each measure that any method has.
 
-    IMU only and fixes alone do not determine the scale: their bars end at the longest other bar, with an arrow at the
+    The scale does not depend on IMU only and fixes alone: their bars end at the longest other bar, with an arrow at the
     text. ``titled``: the measure is the title, not the label of the axis.
     """
 
@@ -145,7 +145,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
 def consistency(name: str, evaluated: Evaluated) -> Figure | None:
     """Draw the NIS of the tuned filter over time and as a histogram, and the autocorrelation of its innovations.
 
-    None where the filter failed or had too few fixes.
+    Return None if the filter failed or had too few fixes.
     """
     found, innovations = evaluated.consistency, evaluated.innovations
     if found is None or innovations is None:
@@ -217,7 +217,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
 def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
     """Draw position and heading error over time with the 3-sigma bounds of the tuned and the smoothed filter.
 
-    None without truth.
+    Return None without truth.
     """
     series = picture.whole.series
     if "position_error" not in series["tuned"]:

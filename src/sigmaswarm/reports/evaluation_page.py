@@ -39,9 +39,9 @@ VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unkn
 BANK = (
     "Sixteen filters of one tuning, with different parameters, predict each fix; their weights in the estimate depend "
     "on how well they predicted the last minute. Every 10 s while the vehicle moves, the filters with the lowest "
-    "weights are replaced by the results of a search over the last minute. Where the parameters move far from the "
-    "tuning, the vehicle, its sensors or its surroundings differ from those that the filter was tuned for: one decade "
-    "is a factor of ten in a variance."
+    "weights are replaced by the results of a search over the last minute. If the parameters move far from the "
+    "tuning, the vehicle, its sensors or its surroundings differ from those of the tuning. One decade is a factor of "
+    "ten in a variance."
 )
 
 

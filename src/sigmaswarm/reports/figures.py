@@ -1,6 +1,6 @@
 """Charts, drawn with matplotlib as PNG, as SVG files and as SVG for pages.
 
-The same chart gives the same bytes. The global state of pyplot is not touched.
+The same chart gives an identical file. The global state of pyplot is not changed.
 """
 
 import re
@@ -104,7 +104,8 @@ def figure_of(
 ) -> Figure:
     """Draw charts next to each other, or in a number of columns, on a figure of a size in inches.
 
-    A legend below serves all charts and has the names of the first one. ``sharex`` and ``sharey`` are matplotlib's.
+    One legend below all charts contains the names of the first chart. ``sharex`` and ``sharey`` are matplotlib's
+    options.
     """
     columns = columns or len(charts)
     figure = Figure(figsize=size, layout="constrained")
@@ -134,7 +135,7 @@ def _legend_below(figure: Figure, columns: int) -> None:
 def _plain(artist: Artist) -> None:
     """Draw titles and legends literally, since names of drives are not formulas.
 
-    Numbers of axes are left out: they may have powers, and their ticks are expensive to create.
+    Numbers at axes are excepted, since they may contain powers, and creating their ticks is slow.
     """
     if isinstance(artist, Text):
         artist.set_parse_math(False)
@@ -144,7 +145,7 @@ def _plain(artist: Artist) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG whose bytes are the same in each run."""
+    """Write a PNG file that is identical in each run."""
     _plain(figure)
     with whole_file(path) as file, warnings.catch_warnings():
         warnings.filterwarnings(
@@ -165,7 +166,7 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
 def svg(chart: Chart) -> str:
     """Return a chart without its title as an SVG element that is as wide as its container.
 
-    Sizes are in inches; the page scales it, to 1.2 times on a phone and to 1.8 times on a screen.
+    Sizes are in inches; the page enlarges the chart by 1.2 on a phone and by 1.8 on a screen.
     """
     with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure = figure_of(replace(chart, title=""), size=(3.4, 2.4), legend="none")

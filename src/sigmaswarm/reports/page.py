@@ -1,7 +1,7 @@
 """A report as one HTML file, which needs no network and no other file.
 
-Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are interactive by plotly.js, whose basic bundle is
-in the page (MIT license, see assets/); the bundle and the tracks are compressed.
+Charts are SVG drawings by matplotlib, like the PNG files. Tracks are interactive drawings by plotly.js, whose basic
+bundle is part of the page (MIT license, see assets/). The bundle and the tracks are compressed.
 """
 
 import base64
@@ -33,12 +33,13 @@ TERMS = {
     "NIS": "normalized innovation squared: a fix's deviation from its prediction, relative to the predicted covariance",
     "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
-    "whiteness p": "probability that white innovations are at least as correlated as these (Ljung-Box test over ten "
-    "fixes)",
-    "correlation": "correlation of consecutive innovations; 0 where the filter is consistent",
+    "whiteness p": "probability that uncorrelated innovations look at least as correlated as these (Ljung-Box test "
+    "over "
+    "ten fixes)",
+    "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "range of mean NIS of a consistent filter (95%)",
-    "95% gate": "share of the fixes whose NIS is below 5.99; 95% where the filter is consistent",
-    "outage drift": "position error at the end of a time without fixes, RMS over all outages",
+    "95% gate": "share of the fixes whose NIS is below 5.99; 95% if the filter is consistent",
+    "outage drift": "position error at the end of an outage of the fixes, RMS over all outages",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
     "baseline": "the tuned filter's model with typical noise parameters, not tuned",
@@ -64,8 +65,9 @@ fewer points."""
 class TrackView:
     """Tracks to explore.
 
-    ``labels`` and ``looks`` have an entry per series, the top one first; those in ``shown`` are visible when the page
-    opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
+    ``labels`` and ``looks`` contain an entry for each series, the top one first. The series in ``shown`` are visible
+    when the page opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the
+    scale.
     """
 
     drives: Sequence[Tracks]

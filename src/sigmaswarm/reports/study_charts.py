@@ -63,7 +63,7 @@ def means_chart(
 ) -> Chart | None:
     """Draw the means of every method with two intervals, on a logarithmic scale.
 
-    A mean beyond the scale is an arrow with its number, without intervals.
+    A mean beyond the scale is drawn as an arrow with the number, without intervals.
     """
     rows = [(row, row.mean) for row in results.means(measure) if row.mean]
     if not rows:
@@ -188,7 +188,7 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
     said = f"within 1% from generation {settles} on (the paper: {theirs})" if alone else ""
-    hover = hover_id(f"within 1% of its end from generation {settles} on")
+    hover = hover_id(f"within 1% of its last value from generation {settles} on")
     ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=said)
 
 
@@ -261,7 +261,7 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
 
 
 def nis_charts(picture: Picture) -> tuple[Chart, ...]:
-    """Draw the NIS of each filter over time; 95% of a consistent filter's lie below the gate."""
+    """Draw the NIS of each filter over time; for a consistent filter 95% of the values lie below the gate."""
 
     def chart(name: str, look: Look, columns: Columns) -> Chart:
         def draw(ax: Axes) -> None:
@@ -309,8 +309,8 @@ def study_figures(study: Study) -> dict[str, Figure]:
     Returns
     -------
     dict of str to matplotlib.figure.Figure
-        ``convergence`` (the paper's Fig. 2), ``trajectory`` (its Fig. 3), ``boxes`` (errors over drives), ``errors``
-        (over time) and ``nis``; with rivals ``learning-curve``. No global state of pyplot is touched.
+        ``convergence`` (the paper's Fig. 2), ``trajectory`` (the paper's Fig. 3), ``boxes`` (errors over drives),
+        ``errors`` (over time) and ``nis``; with rivals ``learning-curve``. The global state of pyplot is not changed.
     """
     results, spreads, picture = study.results, study.record.spreads, study.picture
     courses = [convergence_chart(results, protocol, [MAIN], log=False) for protocol in results.protocols]

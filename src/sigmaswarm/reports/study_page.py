@@ -17,9 +17,9 @@ RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT = 2.0
 """Mean NIS of a position with a consistent filter."""
 BEYOND_CHANCE = (1.0, 4.0)
-"""Bounds outside of which a mean NIS means wrong covariances, for any number of fixes."""
+"""Bounds outside of which a mean NIS shows wrong covariances, for any number of fixes."""
 UNLUCKY = 1.2
-"""Ratio of a trial's cost to the lowest cost above which the trial's search counts as unlucky."""
+"""Ratio of a trial's cost to the lowest cost above which the trial counts as a failed search."""
 IN_CONDITIONS = (
     ("untuned", "raw-gps"),
     ("untuned", "ukf-defaults"),
@@ -90,7 +90,7 @@ def _result(results: Results, protocol: str) -> str:
 
 
 def _figures(results: Results) -> tuple[tuple[str, str, str], ...]:
-    """Return the main figures, with the paper's in their notes."""
+    """Return the main numbers, with those of the paper in their notes."""
     shown = [(p, POSITION, "position RMSE", "m", "table_2", "rmse_m") for p in reversed(results.protocols)]
     shown += [("honest", HEADING, "heading error", "deg", "table_3", "heading_deg")]
     shown += [("honest", DRIFT, "drift over 5 s", "m", "table_3", "outage_drift_m")]
@@ -123,7 +123,7 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
         wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
         yield (
             f"{protocol}: {main} is {wrong}: its mean NIS is {nis.mean:.3g}, "
-            "2 where a filter is consistent; do not rely on its covariances"
+            "but 2 if a filter is consistent; do not rely on its covariances"
         )
     unsure = [
         results.label(c.against)
@@ -147,9 +147,10 @@ def _tables(results: Results) -> Section:
         if (c := comparison(results, protocol, POSITION, rival)) and c.improvement is not None
     ]
     text = (
-        "The paper's figures next to ours: means over trials, each on its held-out drives. The paper's RMSE is against "
-        "the GPS fixes after the update; a filter that copies them has 0.",
-        f"Improvement over the UKF by hand (equation 5): {'; '.join(improvements)}.",
+        "The paper's values next to ours: means over trials, each on its held-out drives. The paper's RMSE is "
+        "relative to "
+        "the GPS fixes after the update, so a filter that copies the fixes has an RMSE of 0.",
+        f"Improvement over the manual UKF (equation 5): {'; '.join(improvements)}.",
     )
     found = (tables.table_1(results), tables.table_2(results), tables.table_3(results))
     return Section("The paper's tables", text, found)
@@ -163,8 +164,8 @@ def _intervals(results: Results) -> Section:
     charts = [means_chart(results, measure) for measure in ERRORS]
     text = (
         "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the spread due to swarm and split. "
-        "It covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
-        "95% of the time in a study of full size, 85 to 95% in small ones.",
+        "It contains the mean over new drives in only about half of the cases. The bootstrap interval over drives and "
+        "trials contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small one.",
         "An arrow means that the mean is beyond the scale.",
     )
     charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT)))
@@ -215,7 +216,7 @@ def _comparisons(results: Results) -> Section:
 
 
 def _rivals(record: StudyRecord) -> tuple[Section, ...]:
-    """Show data, times and drift of rivals, their scores elsewhere, and learning curves."""
+    """Show data, times and drift of rivals, their scores on other sensors and cars, and learning curves."""
     found = tuple(tables.rivals_tables(record.results, record.rival_times).values())
     text = "Networks are trained in each trial, for the filter tuned in it, on its training drives."
     notes = dict.fromkeys(table.note for table in found)
@@ -231,7 +232,8 @@ def _conditions(results: Results) -> tuple[Section, ...]:
 def _convergence(results: Results) -> Section:
     theirs = results.paper["figure_2"]["stable_generation"]
     text = (
-        "The median over trials, and where 80% of them lie. The diamond marks the generation after which the median "
+        "The median over trials, and the range of the middle 80% of them. The diamond marks the generation after "
+        "which the median "
         f"stays within 1% of its last value. In the paper's figure 2 the cost settles at generation {theirs}."
     )
     charts = _known(convergence_chart(results, protocol) for protocol in results.protocols)

@@ -1,4 +1,4 @@
-"""The tables of a study: the paper's next to ours, comparisons, conditions, search results and rivals."""
+"""Make the tables of a study: the paper's results next to ours, comparisons, conditions, search results and rivals."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -45,30 +45,31 @@ PAIRED = (
     "95% intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
-    "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it covers the mean of "
-    "new drives only about half of the time. The other two are intervals for new drives. In a study of full size the "
-    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%). The interval from the corrected t covers it "
-    "as often or more, and is too wide where the optimizer's results vary much."
+    "The interval over trials (as in the paper) is the uncertainty from optimizer and split; it contains the mean "
+    "over new drives in only about half of the cases. The other two are intervals for new drives. The bootstrap "
+    "interval contains this mean in 95% of the cases in a full study, and in 85 to 95% in a small one. The interval "
+    "from the corrected t contains the mean as often or more, and is too wide if the optimizer's results vary much."
 )
 EFFORT = (
-    "Labelled: driving with truth that the tuning used. Learned: driving that a network learned from, without truth. "
-    "Numbers: free parameters of tuning and training. Drifts with the 95% interval for new drives (bootstrap over "
+    "Labelled: driving with truth that the tuning used. Learned: driving without truth from which a network learned. "
+    "Numbers: number of free parameters of tuning and training. Drifts with the 95% interval for new drives "
+    "(bootstrap over "
     "drives and trials), of outages placed once in each drive; -: no drive is long enough."
 )
 TIMES = (
-    "Training: processor time of a trial, a network's without its filter's. A sample: processor time of an IMU sample "
-    "when the filter runs over a whole drive, called from Python."
+    "Training: processor time of a trial; for a network without the tuning of its filter. A sample: processor time of "
+    "an IMU sample when the filter, called from Python, runs over a whole drive."
 )
 Row = tuple[Cell, ...]
 
 
 def _decimals(digits: int, value: float) -> str:
-    """Format a figure as in the paper: decimals only below 100."""
+    """Format a number as in the paper: decimals only below 100."""
     return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
 
 
 def _figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """Make a column of figures, printed as in the paper."""
+    """Make a column of numbers in the format of the paper."""
     return Column(title, printed=partial(_decimals, digits), **more)
 
 
@@ -77,7 +78,7 @@ def _digits(title: str, digits: int) -> Column:
 
 
 def _with_intervals(titles: Iterable[str], interval: str = "95%") -> list[Column]:
-    """Return a column of figures and a column of intervals for each title."""
+    """Return a column of numbers and a column of intervals for each title."""
     return [column for title in titles for column in (_figures(title), _figures(interval, joined=True))]
 
 
@@ -96,7 +97,7 @@ def _table(
 
 
 def study_tables(results: Results) -> dict[str, Table]:
-    """Return all tables of a study but those of run times, which differ between runs.
+    """Return all tables of a study except those of run times, which differ between runs.
 
     Parameters
     ----------
@@ -217,16 +218,17 @@ def comparison(results: Results, protocol: str, measure: str, against: str) -> P
 
 
 def objectives_compared(results: Results) -> str:
-    """Explain by the study's figures why the paper's objective misleads."""
+    """Explain, with results of the study, why the paper's objective is misleading."""
     wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (UNTUNED, POSITION), ("honest", POSITION))
     found = [results.summary(p, "raw-gps" if p == UNTUNED else MAIN, measure) for p, measure in wanted]
     if None in (means := [each and each.mean for each in found]):
         return ""
     return (
-        "There are two objectives, since the paper's objective compares the estimate with the GPS fix that the "
-        "filter has just used: a filter that copies the fixes has the lowest cost. Its PSO-UKF is {:.2f} m from "
-        "the fixes but {:.2f} m from the truth; the fixes themselves are {:.2f} m from the truth. Tuned against truth "
-        "by the same swarm, the PSO-UKF is {:.2f} m from the truth."
+        "The study has two objectives, since the paper's objective compares the estimate with the GPS fix that the "
+        "filter has just used: a filter that copies the fixes has the lowest cost. Tuned for the paper's objective, "
+        "the "
+        "PSO-UKF has an RMSE of {:.2f} m relative to the fixes, but of {:.2f} m relative to the truth; the fixes have "
+        "{:.2f} m. Tuned against truth by the same swarm, the PSO-UKF has {:.2f} m relative to the truth."
     ).format(*means)
 
 
@@ -295,7 +297,7 @@ def _trials(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
 
 
 def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results) -> Table:
-    """Omit the second column, the group of drives, where there is only one group."""
+    """Omit the second column, the group of drives, if there is only one group."""
     if all(row[1] in (ALL, "") for row in rows):
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
     return _table(caption, columns, rows, results)
@@ -314,7 +316,7 @@ def trials_table(results: Results) -> Table:
     """Tabulate the costs of the trials and the bounds that they touch."""
     costs = ("lowest cost", "median cost", "highest cost")
     columns = [*map(Column, ("method", "drives", "trials")), *(Column(title, "m") for title in costs)]
-    columns += map(Column, ("evaluations", "failures", "bounds touched, in how many trials"))
+    columns += map(Column, ("evaluations", "failures", "touched bounds, number of trials"))
     rows: list[Row] = []
     for (protocol, method, group), own in _trials(results).items():
         each = [t.cost for t in own]
@@ -327,7 +329,7 @@ def trials_table(results: Results) -> Table:
 
 
 def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
-    """Tabulate the parameters of the best trial of each tuning, or of some methods, and the paper's."""
+    """Tabulate the parameters of the best trial of each tuning, or of some methods, and those of the paper."""
     sigma = ("alpha", "beta", "kappa")
     o: dict[str, Any] = results.paper["table_1"]["optimum"]
     rows: list[Row] = [("paper", "", *(o[key] for key in sigma), f"{o['q']:g}", f"{o['r']:g}", None)]
@@ -384,7 +386,9 @@ def _gains_table(results: Results, rivals: RivalResults) -> Table:
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
     )
     caption = f"Networks against {results.label(HELPED, 'honest')} without them"
-    kept = "Measures that a network does not change, such as the position while fixes arrive, are omitted."
+    kept = (
+        "Measures that a network does not change are omitted, such as the position error while fixes arrive."
+    )
     return Table(caption, columns, rows, note=f"{PAIRED.format('network')} {kept}")
 
 
@@ -422,7 +426,8 @@ def _curve_table(results: Results, rivals: RivalResults) -> Table:
             row += [point.mean, point.interval] if point else [None, None]
         rows.append(tuple(row))
     note = (
-        "Of the first trial, on its held-out drives; 0 minutes: the filter alone. 95% intervals by bootstrap over "
-        "drives; they do not include the variation between trainings."
+        "Results of the first trial on its held-out drives; 0 minutes: the filter alone. The 95% intervals are a "
+        "bootstrap "
+        "over drives and do not include the variation between trainings."
     )
     return _table("Learning curves", columns, rows, results, note)

@@ -56,11 +56,11 @@ STUDY_LOOKS: dict[str, Look] = {
     "imu_only": Look("#51585F", 1.2, ":"),
     "raw_gps": LOOKS["raw_gps"],
 }
-"""Looks of the series in a study's tracks, the first one on top."""
+"""Styles of the series in a study's tracks, the first one on top."""
 LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
 
 
 def many_looks(n: int, width: float) -> list[Look]:
-    """Return looks of many lines; line styles distinguish lines of equal color."""
+    """Return styles of many lines; line styles distinguish lines of equal color."""
     colors, styles = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK), ("-", "--", ":", "-.")
     return [Look(colors[i % 7], width, styles[i // 7 % 4]) for i in range(n)]

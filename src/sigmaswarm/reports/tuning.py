@@ -30,8 +30,9 @@ from sigmaswarm.wording import counted
 
 MEANINGS = {
     "latency": (
-        "age of the fixes' positions with the best predictions of this filter; the doctor's clock offset is another "
-        "estimate of it, from turns and accelerations alone"
+        "age of the fixes' positions at which this filter predicts best; the doctor estimates this age separately, as "
+        "a "
+        "clock offset, from turns and accelerations alone"
     ),
     "rear_axle": "distance from the rear axle forward to the IMU; negative: the IMU is behind it",
 }
@@ -43,7 +44,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
     """Write convergence.csv and the figures of a tuning into its folder; return the pictures' paths.
 
-    ``track`` is of a training drive: `scoring.tracks.picture_of`.
+    ``track`` is the track on a training drive: see `scoring.tracks.picture_of`.
     """
     save_history(tuning, folder)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
@@ -67,7 +68,7 @@ def convergence(tuning: Tuning) -> Figure:
 def _convergence_chart(history: History, best_trial: int, objective: str) -> Chart:
     """Draw the best cost so far and the median cost of each generation; the best trial is bold.
 
-    The scale is logarithmic if all costs are positive; that of a likelihood may be negative.
+    The scale is logarithmic if all costs are positive; the cost of a likelihood may be negative.
     """
 
     def draw(ax: Axes) -> None:
@@ -101,7 +102,7 @@ def tuning_report(folder: Path) -> Report:
             f"{folder / FILE}: has no [result] table; give a folder that `sigmaswarm tune` wrote"
         )
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
-    held_out = "Its scores on other drives are not known yet: run sigmaswarm evaluate."
+    held_out = "The scores on other drives are not known yet: run sigmaswarm evaluate."
     if (cost := result.validation_cost) is not None and (gap := result.validation_gap) is not None:
         how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
         figures.append(("cost on held-out drives", f"{cost:.4g}", how))
@@ -168,8 +169,8 @@ def parameters_section(file: TuningRecord) -> Section:
         rows.append((NOISE_SCALE, 1.0, "", *ends, "", "together, one factor"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
-        "From and to: the values at which the cost is 1% higher, all other parameters unchanged. At the bound: "
-        "the cost at the bound of the search is less than 1% higher."
+        "From and to: the values at which the cost is 1% higher if all other parameters stay unchanged. At the bound: "
+        "at the bound of the search the cost is less than 1% higher."
     )
     table = Table("", tuple(map(Column, titles)), tuple(rows))
     return Section("Parameters", (text,) if ranges else (), (table,))
@@ -230,7 +231,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 
     def held_out(drive: DriveRecord) -> Cell:
         if drive.seen_s:
-            return f"no: tuned on {drive.seen_s:.0f} s of it"
+            return f"no: the tuning used {drive.seen_s:.0f} s of the drive"
         return None if drive.seen_s is None else "yes"
 
     columns: dict[Column, list[Cell]] = {
@@ -245,7 +246,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
         columns[Column("scored from", "s")] = [d.scored_from_s for d in data]
     if any(d.seen_s is not None for d in data):
         columns[Column("held out")] = [held_out(d) for d in data]
-    text = f"Filters start, and scores with them, at {START_RULE}."
+    text = f"Filters start, and scores begin, at {START_RULE}."
     table = Table("", tuple(columns), tuple(zip(*columns.values(), strict=True)))
     return Section(title, (text,) if started else (), (table,))
 
@@ -253,7 +254,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
     """Return the configuration that the search used, without the coefficients of other optimizers.
 
-    A model of the user's own is shown by its name and fingerprint.
+    A user's model is shown by its name and fingerprint.
     """
     if config.get("optimizer", "pso") != "pso":  # old files do not state the optimizer, which was pso
         config = {key: value for key, value in config.items() if key not in SWARM}

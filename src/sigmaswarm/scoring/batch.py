@@ -31,7 +31,7 @@ LOG_2PI = math.log(2 * math.pi)
 class Scores:
     """Scores of every parameter set on every drive; each array has shape (n_sets, n_drives).
 
-    Names and units are as in `Score`. A value is NaN where the score is undefined or the filter failed.
+    Names and units are as in `Score`. A value is NaN if the score is undefined or the filter failed.
     """
 
     position_rmse: Array
@@ -168,7 +168,7 @@ class Replayer:
         return {}
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Score the parameter sets; the bits of the result do not depend on the executor or its number of workers."""
+        """Score the parameter sets; the result does not depend on the executor or its number of workers."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
@@ -180,7 +180,7 @@ class Replayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the parameter sets and apply a function to the scores; it returns shape (n_sets, n_drives)."""
+        """Score the parameter sets, and apply a function to the scores that returns shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
@@ -219,8 +219,8 @@ def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) 
 def _divisors_of(replays: Sequence[Replay]) -> Array:
     """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN in place of 0.
 
-    They are the number of positions, the total weights of positions and of headings, and the numbers of all fixes and
-    of hidden fixes.
+    The divisors are the number of positions, the total weights of positions and of headings, and the numbers of all
+    fixes and of hidden fixes.
     """
     counts = np.array(
         [

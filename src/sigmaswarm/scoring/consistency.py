@@ -49,7 +49,7 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        2 for a consistent filter, more for an overconfident one.
+        Mean NIS: 2 for a consistent filter, more for an overconfident one.
     nis_band : (float, float)
         95% band of the mean NIS of a consistent filter with ``n_fixes`` independent innovations.
     inside_gate : float

@@ -1,4 +1,4 @@
-"""Drift of each method during outages, over several random placements of the outages."""
+"""Measure the drift of each method during outages, over several random placements of the outages."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -75,11 +75,11 @@ class Outages:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Ends of the outages, s; the tuned filter's position variances per axis, m2, and errors, m, there."""
+        """Ends of the outages, s, and the tuned filter's position variances, m2 per axis, and errors, m, there."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
-        """Add an existing estimate that uses no fixes, and so does not change if fixes are hidden."""
+        """Add an existing estimate that uses no fixes, so that hiding fixes does not change it."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
     def run(

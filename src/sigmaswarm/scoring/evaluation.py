@@ -1,4 +1,4 @@
-"""Evaluation of a tuned filter on drives, compared with the baseline, raw GPS, fixes alone and IMU only."""
+"""Evaluate a tuned filter on drives, compared with the baseline, raw GPS, fixes alone and IMU only."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -86,7 +86,8 @@ class Options:
     as_recorded : bool
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth : bool
-        Also evaluate the smoothed estimates: see `sigmaswarm.smooth`. During an outage they use later fixes.
+        Also evaluate the smoothed estimates: see `sigmaswarm.smooth`. During an outage smoothed estimates use later
+        fixes.
     swarm : bool
         Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
@@ -343,8 +344,8 @@ def evaluate(
         With them the evaluation reports the part of each drive that was used for training, even if the drive was
         renamed, cut or repaired. Without seen.npz only complete drives are recognized.
     cluster : distributed.Client, optional
-        Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters. The result's bits
-        do not depend on it.
+        Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters. The result does
+        not depend on the cluster.
     **options
         Attributes of `Options`: against, outage_length, outage_seed, as_recorded, smooth, swarm, more, fixes_alone.
     """
@@ -443,7 +444,7 @@ def _radius(
 
 @dataclass(frozen=True, eq=False)
 class _Passed:
-    """Results of the pass over all fixes, and ``further``: the methods other than single filters."""
+    """Results of the pass over all fixes; ``further`` are the methods other than single filters."""
 
     scores: Mapping[str, Score]
     restarts: Mapping[str, tuple[float, ...]]

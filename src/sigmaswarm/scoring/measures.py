@@ -59,7 +59,7 @@ def how_untuned(tuned: str) -> str:
         )
     return (
         "The baseline is the tuned filter's model without tuning: R from the accuracy of the fixes, stated or shown "
-        "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's) and typical errors of the model"
+        "(else 2.1 m), Q from the IMU's noise density (else that of an MPU-6050) and typical errors of the model"
     )
 
 

@@ -1,7 +1,7 @@
-"""Radius within which a position error lies with a stated probability, and its coverage.
+"""Compute the radius within which a position error lies with a stated probability, and its coverage.
 
-A filter averages the fixes. Correlated errors do not average out, and a log does not show them. The position error
-contains the variance of the correlated errors, which the filter's covariance may not contain. The total variance per
+A filter averages the fixes, but correlated errors do not average out, and a log does not show them. The variance of the
+position error contains that of the correlated errors, which the filter's covariance may lack. The total variance per
 axis is estimated as
 
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
@@ -41,7 +41,7 @@ LOW = 0.85
 
 
 class RadiusRecord(BaseModel):
-    """Radii of a filter's position on a drive, and how many errors they contain.
+    """Radii of a filter's position on a drive, and the share of errors inside them.
 
     ``n`` is the number of errors, or of estimates without truth. ``radius_95_m`` and ``radius_999_m`` are medians.
     ``inside_95`` and ``inside_999`` are the shares of the errors inside the radii. ``sigma_ratio`` is the RMS of the

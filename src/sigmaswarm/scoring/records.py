@@ -24,7 +24,7 @@ FEW = 4
 class DriftRecord(BaseModel):
     """Drifts over outages of one length on a drive, for each random placement of the outages.
 
-    ``each`` has the RMS drift of each placement, m, by method; None where the filter failed.
+    ``each`` contains the RMS drift of each placement, m, by method; None if the filter failed.
     """
 
     outages: int

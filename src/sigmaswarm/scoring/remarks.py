@@ -134,7 +134,7 @@ def said_of_position(found: Consistency) -> str:
             fixes = (expected**2 - own**2) ** 0.5
             guess = f", perhaps {fixes:.2g} m, the error that the filter assumes for the fixes"
         return (
-            f"not known{guess}. The filter estimates {own:.2g} m (RMS) for itself, but the fixes deviate "
+            f"not known{guess}. The filter's own estimate is {own:.2g} m (RMS), but the fixes deviate "
             f"from its predictions by less than expected ({nis}): the receiver smooths its fixes, or their errors "
             "are correlated"
         )

@@ -1,8 +1,8 @@
-"""Errors of one estimate against truth: the reference definitions in NumPy.
+"""Compute the errors of one estimate against truth: the reference definitions in NumPy.
 
 error = estimate - truth, at truth times from the common start of all methods (`InitialState.time`) to the last IMU
-sample. The estimate is linearly interpolated to the truth times. If truth has standard deviations, errors are weighted:
-see `truth.py`. The compiled batch uses the same definitions through `targets.py`; tests compare the two.
+sample. The estimate is linearly interpolated to the truth times. If the truth has standard deviations, errors are
+weighted (see `truth.py`). The compiled batch uses the same definitions through `targets.py`; tests compare the two.
 """
 
 import math
@@ -18,7 +18,7 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.truth import heading_weights, is_known, root_mean, weights_at
 
 HEADING_COUNTS_ABOVE = 2.0
-"""True speed, m/s, below which the heading error is not scored."""
+"""True speed below which the heading error is not scored, m/s."""
 PIECE = 100_000
 """Number of estimates that are scored at once, to limit the memory."""
 
@@ -64,9 +64,9 @@ class Score:
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
     """Return the negative log-likelihood, nats, of innovations under a distribution that tolerates outliers.
 
-    It is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c). With c = v this is the negative logarithm of Student's t
-    in two dimensions with v degrees of freedom, up to a constant. The value of c is chosen so that the minimum for
-    Gaussian innovations is at a mean NIS of 2: see `sigmaswarm.filters.student`.
+    The value is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c). With c = v this is the negative logarithm of
+    Student's t in two dimensions with v degrees of freedom, up to a constant. The value of c is chosen so that the
+    minimum for Gaussian innovations is at a mean NIS of 2: see `sigmaswarm.filters.student`.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class PieceErrors:
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
-    """Return the true x and y, m, linearly interpolated; NaN where truth is unknown."""
+    """Return the true x and y, m, linearly interpolated; NaN at times without truth."""
     known = is_known(truth, time)
     x = np.where(known, np.interp(time, truth.time, truth.x), np.nan)
     y = np.where(known, np.interp(time, truth.time, truth.y), np.nan)
@@ -140,7 +140,7 @@ def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
 
 
 def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
-    """Return the distances of positions from the truth, m; NaN where truth is unknown."""
+    """Return the distances of positions from the truth, m; NaN at times without truth."""
     true_x, true_y = truth_at(truth, time)
     return np.hypot(x - true_x, y - true_y)
 

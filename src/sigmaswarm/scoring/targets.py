@@ -1,4 +1,4 @@
-"""Targets of the compiled batch: truth along the drive, or at the ends of outages."""
+"""Make the targets of the compiled batch: truth along the drive, or at the ends of outages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 """Lengths, s, of outages over which the drift of a tuned filter is compared with that of the fixes alone."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""Number of outages per drive for which placements are made; so many outages determine the drift to about 10%."""
+"""Number of outages per drive for which placements are made. With this number the drift is known to about 10%."""
 MOST_PLACEMENTS = 8
 """Largest number of placements of outages on a drive; more placements would hide the same fixes again."""
 OUTAGE_FIRST_AFTER = 10.0
@@ -32,7 +32,7 @@ OUTAGE_APART = 5.0
 
 
 def tracking_replay(ready: PreparedDrive) -> Replay:
-    """Create a replay with all fixes, compared with truth wherever truth is known."""
+    """Create a replay with all fixes, compared with truth at all times at which it is known."""
     timeline = ready.timeline()
     return Replay(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
@@ -77,8 +77,8 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
     """Return seeds for several random placements of outages of ``length`` s, since the drift depends on the placement.
 
-    There are at least two and at most `MOST_PLACEMENTS`, if possible enough for `OUTAGES_WANTED` outages. The list is
-    empty if no outage fits. The first seed is ``seed`` itself.
+    The list contains at least two and at most `MOST_PLACEMENTS` seeds, if possible enough for `OUTAGES_WANTED` outages.
+    The list is empty if no outage fits. The first seed is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
     wanted = min(max(-(-OUTAGES_WANTED // fitting), 2), MOST_PLACEMENTS) if fitting else 0

@@ -1,4 +1,4 @@
-"""Thinning of series that arrive in pieces, to a size that does not depend on the length of the drive."""
+"""Thin series that arrive in pieces to a size that does not depend on the length of the drive."""
 
 from collections.abc import Mapping
 from itertools import pairwise

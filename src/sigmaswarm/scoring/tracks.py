@@ -1,7 +1,7 @@
-"""Tracks and errors over time of every method on a drive, thinned while the methods run, and the file tracks.npz.
+"""Record tracks and errors of every method on a drive, thinned while the methods run; write tracks.npz.
 
 tracks.npz has one array ``i/series/column`` for each column of each series of the drive with index ``i`` in ``names``.
-The same result gives the same bytes; the file has no date.
+The same result gives an identical file, which contains no date.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -87,10 +87,10 @@ def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameter
 class Tracker:
     """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
-    ``scores`` has the position and heading scores of each method, ``own_sigma`` the RMS of each filter's position
-    standard deviation, m. ``stated`` has the tuned filter's times, s, position variances per axis, m2, and position
-    errors, m: with truth at the truth times, else at all estimates and without errors. A series has at most
-    ``most_points`` points. With ``picture`` the data of a static plot are also recorded.
+    ``scores`` contains the position and heading scores of each method, ``own_sigma`` the RMS of each filter's position
+    standard deviation, m. ``stated`` contains times, s, position variances per axis, m2, and position errors, m, of the
+    tuned filter. With truth these are at the times of the truth, else at all estimates and without errors. A series has
+    at most ``most_points`` points. With ``picture`` the data of a static plot are also recorded.
     """
 
     def __init__(
@@ -227,8 +227,8 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
 class FirstLook:
     """Result of a tuned filter on a training drive.
 
-    ``position_rmse``, m, has the tuned filter, the baseline and the raw fixes; NaN without truth. ``consistency`` is
-    None if the tuned filter failed or had too few fixes.
+    ``position_rmse``, m, contains the RMSE of the tuned filter, the baseline and the raw fixes; NaN without truth.
+    ``consistency`` is None if the tuned filter failed or had too few fixes.
     """
 
     picture: Picture

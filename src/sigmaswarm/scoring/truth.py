@@ -1,4 +1,4 @@
-"""The truth of a drive: weights of its rows, times at which it is known, and a constant offset from the fixes.
+"""Weights of the rows of truth, times at which it is known, and its constant offset from the fixes.
 
 Causes of an offset are the lever arm of the antenna, and another origin or datum of the truth.
 """
@@ -15,8 +15,9 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-This is the accuracy of the best filters with cheap receivers. Without this limit, stretches under
-open sky, where the reference is most accurate and every filter is good, would have nearly all the weight.
+The value is the accuracy of the best filters with cheap receivers. Without this limit, stretches under open sky would
+have nearly all the weight, since the reference is most accurate there, although every filter is accurate under open
+sky.
 """
 HEADING_FLOOR = math.radians(0.3)
 """Standard deviation of the true heading, rad, below which the weight hardly increases."""
@@ -78,7 +79,7 @@ def _gaps(truth: Truth) -> NDArray[np.bool_]:
 
 
 def truth_offset(drive: Drive) -> str:
-    """Return a sentence on a constant offset of the fixes from truth, with its remedy; empty where there is none.
+    """Return a sentence on a constant offset of the fixes from truth, with its remedy; empty if there is none.
 
     The fixes' errors are averaged in the map frame (east, north) and in the vehicle frame (forward, left). The offset
     belongs to the frame in which the averages over `BLOCKS` parts of the drive agree better.

@@ -1,4 +1,4 @@
-"""Verified repairs of a log: repairs that make forecasts worse are not applied."""
+"""Repair a log, but do not apply repairs that make forecasts worse."""
 
 import warnings
 from collections.abc import Collection
@@ -29,7 +29,7 @@ LEAST_STD = 0.5
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
-    """Return the filter whose forecasts verify repairs: planar8 with the lateral constraint and fixed noises."""
+    """Return the filter whose forecasts verify repairs: planar8 with the lateral constraint and fixed noise."""
     dt = drive.nominal_interval
     std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
     return FilterParameters(
@@ -55,7 +55,7 @@ def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all repairable faults repaired, except repairs that make forecasts worse.
 
-    A filter with fixed noises runs over the log before and after the repairs; for repairs of clocks the baseline of the
+    A filter with fixed noise runs over the log before and after the repairs; for repairs of clocks the baseline of the
     default filter also runs. These filters forecast the next fix, and fixes hidden for 3 to 5 s. If any forecast error
     increases by more than 5%, the responsible repair of axes or clocks is withheld.
 
@@ -64,7 +64,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     drive : Drive
         The drive that was diagnosed.
     diagnosis : Diagnosis
-        Its findings.
+        The diagnosis of this drive.
     only : collection of str, optional
         Codes of the findings to repair; by default all.
 
@@ -106,7 +106,7 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
         return mended
     withheld = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code in withheld))
     what = f"{drive.name}: the repair of {', '.join(withheld)} is withheld, since after this repair a filter predicts"
-    warnings.warn(SigmaswarmWarning(f"{what} the fixes worse; check the log by hand"), stacklevel=2)
+    warnings.warn(SigmaswarmWarning(f"{what} the fixes worse; check the log yourself"), stacklevel=2)
     return replace(mended, metadata={**mended.metadata, "withheld": withheld})
 
 

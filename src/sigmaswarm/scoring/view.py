@@ -307,8 +307,8 @@ def explained_consistency(nees: bool) -> str:
     """Return a text that explains the table of consistency."""
     what = "NIS (of predictions of the fixes) and NEES (of errors) average" if nees else "NIS averages"
     return (
-        f"Do the tuned filter's {'predictions and errors' if nees else 'predictions'} agree with its covariances? "
-        f"{what} 2 where they do; above 2 the filter is overconfident, below 2 too cautious."
+        f"This table shows whether the tuned filter's {'predictions and errors' if nees else 'predictions'} agree "
+        f"with its covariances. If they do, {what} 2; above 2 the filter is overconfident, below 2 too cautious."
         f"{'' if nees else f' Note: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
         "the next fix. p is the probability that white innovations look as correlated as these (Ljung and Box's test "
         "over ten fixes). Below 0.01, consecutive fixes share a part of their errors, as with most real receivers, "

@@ -3,7 +3,7 @@
     maneuvers -> planning -> dynamics -> journey -> terrain -> motion -> imu, gps, odometer -> scenarios -> Drive
 
 `simulate` makes one drive, `simulate_many` all conditions; `with_outliers` adds outliers to the fixes of any drive.
-docs/simulator.md lists what is modelled.
+docs/simulator.md lists the modelled effects.
 """
 
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS, simulate_many

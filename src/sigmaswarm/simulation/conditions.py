@@ -1,4 +1,4 @@
-"""Simulate all conditions and runs, in threads: the compiled car runs without the interpreter's lock."""
+"""Simulate all conditions and runs in threads, since the compiled car runs without the interpreter's lock."""
 
 import os
 from collections import deque
@@ -63,17 +63,18 @@ def simulate_many(
     leave_out : container of str
         Names of drives to skip, such as those of an interrupted call.
     **options
-        As for `simulate`; a duration applies to "urban" alone.
+        See `simulate`; ``duration`` applies only to "urban".
 
     Yields
     ------
     Drive, or the result of `use`
-        In the order maneuver, environment, run, whatever the number of workers, as soon as each is ready.
+        The drives are in the order maneuver, environment, run, for any number of workers; each is yielded when it is
+        ready.
 
     Raises
     ------
     InputError
-        As from `simulate`, before the first drive.
+        As in `simulate`; raised before the first drive.
     """
     duration = options.pop("duration", None)
     # Checks the names that only later drives use; the first drive checks everything else.
@@ -109,12 +110,12 @@ def simulate_many(
 def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive]:
     """Run `simulate_many` on the workers of a Dask cluster; drives arrive in order.
 
-    If a worker dies, Dask simulates its drives on others.
+    If a worker stops, Dask simulates its drives on other workers.
 
     Raises
     ------
     ClusterError
-        If a worker has other versions, or the scheduler is gone.
+        If a worker has other versions, or the scheduler no longer answers.
     """
     cluster = Cluster(client)
     cluster.require_same_versions()

@@ -1,11 +1,11 @@
-"""The car and its driver, compiled: a two-track model under a closed-loop driver.
+"""Simulate a car and its driver with compiled code: a two-track model with a closed-loop driver.
 
-Every kernel lives in this file, because Numba's cache does not notice a change in a kernel that was imported
-from another file. The model, from the road up:
+All kernels are in this file, because Numba's cache does not detect changes in a kernel that is imported from another
+file. The model consists of these parts:
 
-- each tire relaxes towards its slip and yields a force inside the friction circle (combined slip);
-- each wheel spins between motor, brake, rolling resistance and tire; anti-lock and traction control cut the
-  torque of a wheel that slips beyond the peak of its tire;
+- each tire relaxes towards its slip and gives a force inside the friction circle (combined slip);
+- each wheel is driven by motor, brake, rolling resistance and tire; anti-lock and traction control reduce the torque of
+  a wheel whose slip exceeds that of the tire's peak;
 - the body moves in the plane under the four forces and the drag of the air; roll and pitch follow the
   accelerations as second-order responses, and the forces of their springs and dampers transfer the load.
 
@@ -51,7 +51,7 @@ _BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes a brake's dry friction continuous 
 
 
 class Vehicle(NamedTuple):
-    """A car's parameters, SI units. Values with their sources: `sigmaswarm.simulation.vehicle`."""
+    """A car's parameters, SI units. For values and sources see `sigmaswarm.simulation.vehicle`."""
 
     mass: float  # kg
     yaw_inertia: float  # kg m2
@@ -146,8 +146,8 @@ def _tire(
 ) -> tuple[float, float, float, float]:
     """Return the force of a tire, N, with its longitudinal and its combined slip, both relative to linear grip.
 
-    By the similarity method, slips normalized by stiffness over friction add up as a vector. The magic formula
-    of its length gives the force [P]. So the force never leaves the circle friction x load.
+    By the similarity method, slips normalized by stiffness over friction are added as vectors. The magic formula of the
+    length of the sum gives the force [P]. So the force never exceeds friction x load.
     """
     stiffness = 1.0 - car.load_sensitivity * (load / static_load - 1.0)
     slip_x = car.slip_stiffness * stiffness * kappa / friction
@@ -185,8 +185,8 @@ def _spin_up(
 ) -> float:
     """Return the angular acceleration of a wheel, rad/s2, under torques (N m) and its tire's force (N).
 
-    Idealized anti-lock and traction control reduce the torques from the slip of the tire's peak (1) on, to 0 at twice
-    that slip.
+    Idealized anti-lock and traction control reduce the torques, beginning at the slip of the tire's peak (1), to 0 at
+    twice that slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake
@@ -254,8 +254,8 @@ def _derivative(
 ) -> tuple[float, float, float]:
     """Fill `rate` with the state's rate of change, under desired steering (rad) and pedal.
 
-    Returns the acceleration of the center of gravity along the body's axes, m/s2, and the force of all tires together
-    over friction times weight.
+    Return the acceleration of the center of gravity along the body's axes, m/s2, and the total force of the tires
+    divided by friction times weight.
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
     # The springs and dampers transmit the load transfer.
@@ -312,7 +312,7 @@ def _advance(
 ) -> None:
     """Do one Runge-Kutta step of the state, in place; `row` records the state before it.
 
-    k: (5, states), the four stages' rates, and the state at which the next one is taken.
+    k: (5, states), the rates of the four stages, and the state at which the next rate is computed.
     """
     trial = k[4]
     ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
@@ -355,8 +355,8 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
     """Return the desired steering angle, rad, the nearest point's index, and the distance along the path, m.
 
-    Feedforward of the previewed curvature, and feedback by which an offset decays like a second-order system
-    whose frequency grows with speed up to 1.5 rad/s.
+    The angle is the sum of a feedforward of the previewed curvature and a feedback, with which an offset decays like a
+    second-order system whose frequency grows with speed up to 1.5 rad/s.
     """
     while nearest < len(path) - 2:
         dx, dy = s[X] - path[nearest + 1, 0], s[Y] - path[nearest + 1, 1]
@@ -409,7 +409,7 @@ def run_closed_loop(
     path : ndarray, shape (p, 4)
         East m, north m, heading rad (not wrapped), curvature 1/m, every `spacing` m.
     plan : ndarray, shape (m, 3)
-        Speed m/s, acceleration m/s2 and way along the path m at each control step of the driver (10 ms).
+        Speed m/s, acceleration m/s2 and distance along the path m at each control step of the driver (10 ms).
     """
     record = np.empty((len(plan) * STEPS_PER_LOOK, RECORDED))
     k, s, nearest = np.zeros((5, STATES)), start.copy(), 0

@@ -1,6 +1,6 @@
-"""Environments: friction of the road, and the assumed effect of weather on satellite navigation.
+"""Environments of a drive: friction of the road, and the assumed effect of weather on satellite navigation.
 
-Weather does not change traction in CARLA (carla-simulator/carla#655), nor do darkness and fog in reality. So clear,
+In CARLA, weather does not change traction (carla-simulator/carla#655); in reality, darkness and fog do not. So clear,
 night and fog have the same physics and are only labels in the paper's 25 conditions; three of the five environments
 differ.
 """
@@ -26,7 +26,7 @@ class Environment:
         **An assumption, not a measurement**: factor of the weather on the receiver's errors, used by simulations
         with ``gnss_degradation``.
     source : str
-        Of the friction.
+        Source of the friction.
     """
 
     name: str
@@ -56,7 +56,7 @@ ENVIRONMENTS = {
 
 
 def named(value: str | T, table: dict[str, T], what: str) -> T:
-    """Look up a name in a table of records; return a record itself unchanged. Raises `InputError` if unknown."""
+    """Look up a name in a table of records; return a record unchanged. Raise `InputError` if the name is unknown."""
     if not isinstance(value, str):
         return value
     if value not in table:

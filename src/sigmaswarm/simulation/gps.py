@@ -1,4 +1,4 @@
-"""The GPS receiver: grades with their sources, its errors, and outliers.
+"""Simulate a GPS receiver: grades with their sources, errors, and outliers.
 
 Sources: gnss-ins-sim; u-blox data sheets (M8: 2.5 m CEP, which is 2.1 m per axis; 0.05 m/s); the CARLA
 Leaderboard's sensor set-up (5e-6 deg). Position errors of real receivers are correlated over about a minute
@@ -31,22 +31,22 @@ class GpsGrade:
     Attributes
     ----------
     white_std, markov_std : float
-        Standard deviations per axis, m: of each fix's white noise and of the first-order Gauss-Markov error.
+        Standard deviations per axis, m, of the white noise of each fix and of the first-order Gauss-Markov error.
     markov_time : float
         Correlation time, s.
     velocity_std : float or None
         Standard deviation per axis, m/s; None for a receiver that reports neither speed nor course.
     latency : float
-        Age of a fix at its time stamp, s. 0 in all grades: loggers stamp fixes with their time of validity;
-        receivers report them 0.05 to 0.2 s later.
+        Age of a fix at its time stamp, s. It is 0 in all grades, since loggers stamp fixes with their time of validity;
+        receivers report fixes 0.05 to 0.2 s later.
     lever_arm : tuple of float
-        From the IMU to the antenna, m forward, left, up.
+        Vector from the IMU to the antenna, m forward, left, up.
     stated_factor : float
         Ratio of the stated standard deviation to the true one.
     loss : float
-        Probability that a fix goes missing.
+        Probability that a fix is lost.
     carla : bool
-        The noise is white in degrees and passes through CARLA's geodesy.
+        True if the noise is white in degrees and CARLA's geodesy is applied.
     """
 
     name: str
@@ -97,12 +97,12 @@ GPS_GRADES = {
 
 @dataclass(frozen=True)
 class HeadingGrade:
-    """A named quality of the heading that a receiver gives with each fix.
+    """A named grade of the heading that a receiver gives with each fix.
 
     Attributes
     ----------
     white_std, markov_std : float
-        Standard deviations, rad: of each heading's white noise and of the first-order Gauss-Markov error.
+        Standard deviations, rad, of the white noise of each heading and of the first-order Gauss-Markov error.
     markov_time : float
         Correlation time, s.
     mounting : float
@@ -134,7 +134,7 @@ HEADING_GRADES = {
 
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
-    """Add a heading to fixes at times (n,), s, with known yaw (n,), rad; other fixes get none."""
+    """Add a heading to fixes at times (n,), s, with known yaw (n,), rad; other fixes get no heading."""
     interval = float(np.median(np.diff(time)))
     noise = grade.white_std * rng.standard_normal(len(time))
     noise += grade.markov_std * gauss_markov(rng, len(time), 1, interval / grade.markov_time)[:, 0]
@@ -212,7 +212,7 @@ def with_outliers(
     rng : numpy.random.Generator
         Draws each burst's first fix, its length and the direction of its error, all uniformly.
     share : float
-        Share of outliers, in [0, 0.5]; the last burst may exceed it.
+        Share of outliers, in [0, 0.5]; it may be exceeded by a part of the last burst.
     offset : float
         Size of the error, m.
     length : (float, float)

@@ -1,4 +1,4 @@
-"""The IMU: grades with their sources, and the errors of each.
+"""Simulate an IMU: grades with their sources, and the errors of each grade.
 
 Sources, cited after the values:
 
@@ -30,13 +30,13 @@ class Triad:
     Attributes
     ----------
     noise_density : float
-        Unit per sqrt(Hz); a sample's standard deviation is this times sqrt(rate).
+        Density of the white noise, unit per sqrt(Hz); the standard deviation of a sample is this times sqrt(rate).
     bias_std : float
         Standard deviation of the first-order Gauss-Markov bias.
     turn_on : float
-        The constant bias of a run is uniform within +- this.
+        Limit of the constant bias of a run, which is uniform within +- this value.
     scale, misalignment : float
-        Relative errors, uniform within +- this for each axis and for each pair of axes.
+        Limits of relative errors, which are uniform within +- this value for each axis and for each pair of axes.
     reach : float
         Largest measurable value.
     resolution : float
@@ -65,12 +65,12 @@ class ImuGrade:
 
 
 def _accel(per_sqrt_hour: float, bias: float, **more: float) -> Triad:
-    """Accelerometers from m/s/sqrt(h) and m/s2."""
+    """Make accelerometers from values in m/s/sqrt(h) and m/s2."""
     return Triad(per_sqrt_hour / 60, bias, **more)
 
 
 def _gyro(per_sqrt_hour: float, bias_per_hour: float, **more: float) -> Triad:
-    """Gyros from deg/sqrt(h) and deg/h."""
+    """Make gyros from values in deg/sqrt(h) and deg/h."""
     return Triad(per_sqrt_hour * _DEG / 60, bias_per_hour * _DEG / 3600, **more)
 
 
@@ -125,11 +125,11 @@ IMU_GRADES = {
         ),
     )
 }
-"""Grades by name, from the worst to the best real ones, then CARLA's."""
+"""Grades by name: real sensors from the worst to the best, then CARLA's sensor."""
 
 
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
-    """Stationary first-order Gauss-Markov sequences (count, axes) of unit variance.
+    """Draw stationary first-order Gauss-Markov sequences (count, axes) of unit variance.
 
     ``ratio`` is the time between samples divided by the correlation time.
     """
@@ -166,10 +166,10 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
 
 
 def carla_force(times: Array, motion: Motion) -> Array:
-    """Specific force as computed by CARLA's IMU sensor, shape (n - 2, 3): the first belongs to the third sample.
+    """Compute specific force like CARLA's IMU sensor, shape (n - 2, 3); the first row belongs to the third sample.
 
-    The second difference of the last three positions, which lags by one tick, plus gravity, in the present attitude
-    (carla-simulator/carla, InertialMeasurementUnit.cpp).
+    The force is the second difference of the last three positions, which is late by one tick, plus gravity, in the
+    current attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
     """
     steps = np.diff(times)[:, None]
     speeds = np.diff(motion.position, axis=0) / steps

@@ -1,4 +1,4 @@
-"""A driven maneuver: the car's states at each millisecond, and the achieved figures."""
+"""Drive a maneuver: the car's states at each millisecond, and the achieved values."""
 
 from dataclasses import dataclass
 
@@ -73,8 +73,7 @@ def take_journey(
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
     """Measure the time, s, from one speed to another, m/s, in the steepest change; NaN if a speed is never reached.
 
-    The clock starts with the last sample before the change and stops with the first one beyond it, as a
-    stopwatch in the car would.
+    The time is measured from the last sample before the change to the first sample after it, as with a stopwatch.
     """
     speed = speed if rising else speed[::-1]
     begins, ends = np.flatnonzero(speed <= slow), np.flatnonzero(speed >= fast)
@@ -84,7 +83,7 @@ def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
 
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
-    """Return the figures that a journey achieved, named as the targets of its maneuver; ``fixes`` (m,) are times, s."""
+    """Return the values that a journey achieved, named like the maneuver's targets; ``fixes`` (m,) are times, s."""
     record, start = journey.record, journey.start
     speed = np.hypot(record[:, VX], record[:, VY])
     top, first = float(speed.max()) / KMH, int(start / STEP)

@@ -1,8 +1,8 @@
 """The paper's maneuvers as routes, and `urban`, minutes of mixed driving.
 
 Each maneuver is a function of the road's friction and a random generator that returns a `Maneuver`: its legs and its
-target figures. Where friction makes the paper's figure impossible, the legs use as much as the road allows; a drive
-records target and achieved figures.
+target values. If the paper's target is impossible with this friction, the legs use the friction limit. A drive stores
+target and achieved values.
 """
 
 import math
@@ -34,13 +34,13 @@ class Road:
         return min(wanted, _LIMIT * self.friction * GRAVITY)
 
     def easy(self, wanted: float) -> float:
-        """Limit a desired acceleration, m/s2, to that of everyday driving: half of what friction allows."""
+        """Limit a desired acceleration, m/s2, to that of everyday driving: half of the friction limit."""
         return min(wanted, 0.5 * self.friction * GRAVITY)
 
 
 @dataclass(frozen=True)
 class Maneuver:
-    """A route and its target figures."""
+    """A route and its target values."""
 
     legs: list[Leg]
     target: dict[str, float]  # the paper's figures, units in the names
@@ -58,8 +58,8 @@ def straight(road: Road, length: float, kmh: float, wait: float = 0.0) -> Leg:
 def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) -> list[Leg]:
     """Turn by an angle (rad, left positive): clothoid, arc, clothoid.
 
-    The driver slows down into the bend and speeds up out of it, so that the lateral acceleration stays below
-    `lateral` (m/s2), and below 70% of what the road allows, which leaves a margin for braking.
+    The driver slows down before the bend and accelerates after it, so that the lateral acceleration stays below
+    `lateral` (m/s2) and below 70% of the friction limit, which leaves a margin for braking.
     """
     curvature = math.copysign(1 / radius, angle)
     bend = min(0.6 * radius, 0.8 * abs(angle) * radius)  # each clothoid turns by bend / (2 radius)
@@ -186,7 +186,7 @@ MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
     "outages": outages,
     "urban": urban,
 }
-"""Maneuvers by name, in the paper's order; the first five are the paper's."""
+"""Maneuvers by name, in the order of the paper, which has the first five."""
 
 
 def find_maneuver(name: str) -> Callable[[Road, np.random.Generator], Maneuver]:

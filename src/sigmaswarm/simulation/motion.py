@@ -1,9 +1,10 @@
-"""The motion of a point fixed to the car's body, from the car's recorded states, and its vibration.
+"""Compute the motion of a point on the car's body from the car's recorded states, and add vibration.
 
 The body pitches and rolls about its center of gravity, which moves in the plane or on a sloping road. Attitude: yaw,
 then pitch (positive nose down), then roll (positive left side up), each about the body's new axis. So positive lateral
 acceleration (a left turn) rolls the body to the right, and gravity adds to the sensor's reading in the direction of the
-acceleration. The road's pitch and roll add to the suspension's. This is exact rigid-body kinematics in closed form.
+acceleration. Pitch and roll of the road and of the suspension are added. The equations are exact rigid-body kinematics
+in closed form.
 """
 
 import math
@@ -46,7 +47,9 @@ LeverArm = tuple[float, float, float]
 FORCE_DENSITY = (0.06, 0.025, 0.04)
 """Density of the specific force, m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
 RATE_DENSITY = (0.002, 0.003, 0.0005)
-"""Density of the angular rate, rad/s/sqrt(Hz), about the same axes; the only recording of the second axis has 0.010."""
+"""Density of the angular rate, rad/s/sqrt(Hz), about the same axes; in the only recording of the second axis it is
+0.010.
+"""
 FULL_SPEED = 5.0
 """Speed, m/s, below which the vibration is proportional to the speed."""
 SPRINGS = 1.0
@@ -92,9 +95,10 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Motion:
-    """Return the motion of a point of the body, ``lever_arm`` (m forward, left, up) off the center of gravity.
+    """Return the motion of a point of the body, ``lever_arm`` (m forward, left, up) from the center of gravity.
 
-    ``rows`` (n, 21) are recorded states of `sigmaswarm.simulation.dynamics`; (n, 30) with the road's of `terrain`.
+    ``rows`` (n, 21) are recorded states of `sigmaswarm.simulation.dynamics`, or (n, 30) with those of the road of
+    `terrain`.
     """
     arm = np.array(lever_arm)
     yaw = rows[:, YAW]

@@ -1,4 +1,4 @@
-"""The odometer: pulses of the rear wheels, slip included.
+"""Simulate an odometer: pulses of the rear wheels, including slip.
 
 The wheels drive and brake the car (`dynamics`), so they spin and lock. Each passing tooth gives a pulse; a reading is
 the speed of the pulses in a window before it. The control unit assumes a slightly wrong tire size.
@@ -67,8 +67,9 @@ ODOMETER_GRADES = {
         ),
     )
 }
-"""Grades by name. The scale error of 1% (wear and pressure of tires) is from the author's memory; comma2k19's car
-reads 0.8% low."""
+"""Grades by name. The scale error of 1% (wear and pressure of tires) is from the author's memory; the car of comma2k19
+measures 0.8% too little.
+"""
 
 
 def measure_odometer(

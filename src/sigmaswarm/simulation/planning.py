@@ -1,8 +1,8 @@
 """Plan a path in space and a speed in time from the legs of a route.
 
-A route is a list of legs, each with a curvature that changes linearly along it (straight line, arc, clothoid), and with
-its speed and accelerations. `lay_path` joins the legs in the plane; `plan_speed` finds the fastest speed that all legs
-allow and that acceleration and braking can follow.
+A route is a list of legs. Each leg has a curvature that changes linearly (straight line, arc, clothoid), a speed and
+accelerations. `lay_path` joins the legs in the plane; `plan_speed` finds the fastest speed that all legs allow and that
+acceleration and braking can follow.
 """
 
 from collections.abc import Sequence
@@ -98,7 +98,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     """Return the plan, shape (m, 3): speed m/s, acceleration m/s2, distance m, every `LOOK` s.
 
-    The car stands for ``stand`` s before the start; None starts in motion, at the first leg's speed.
+    The car stands for ``stand`` s before the start; with None it starts in motion, at the speed of the first leg.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)

@@ -1,7 +1,7 @@
-"""One simulated drive: a journey, its sensors and the truth.
+"""Simulate one drive: a journey, its sensors and the truth.
 
-Seed, maneuver, environment and run identify a drive. Each sensor derives a stream of random numbers
-from them and from its own name: a change of one sensor does not change the draws of the others.
+Seed, maneuver, environment and run identify a drive. Each sensor derives its random numbers from these values and its
+own name, so a change of one sensor does not change the random numbers of the others.
 """
 
 import math
@@ -82,30 +82,32 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     environment : str or Environment
         "clear", "night", "rain", "fog" or "slippery".
     seed, run : int
-        Together with maneuver and environment they identify the drive; the same ones give the same drive. 0 by default.
+        Together with maneuver and environment these identify the drive; equal values give the same drive. 0 by default.
     imu, gps : str or ImuGrade, GpsGrade
         See `IMU_GRADES` and `GPS_GRADES`; "icm-20602" and "ublox-m8" by default.
     vehicle : str or Vehicle
         "model3" (the real car's pedals, the default) or "model3-carla".
     imu_rate, gps_rate : float
-        Hz, at most 1000; 100 and 5 by default.
+        Sampling rates, Hz, at most 1000; 100 and 5 by default.
     jitter : float
-        s, standard deviation of each sample's time, clipped to 0.4 of the interval; 0 by default.
+        Standard deviation of each sample's time, s, clipped to 0.4 of the interval; 0 by default.
     duration : float, optional
-        s, of "urban" only; 180 by default.
+        Duration of "urban", s; 180 by default.
     warm_up : bool
         Begin with at least 30 m at 5 m/s or more, so that a filter can align (the default). Without it a drive begins
         in motion with the maneuver itself.
     imu_place : tuple of float
-        m forward, left, up of the center of gravity, (0.2, 0, 0.1) by default. The truth refers to this point.
+        Position of the IMU, m forward, left, up of the center of gravity, (0.2, 0, 0.1) by default. The truth refers to
+        this point.
     vibration : float
-        Level of the vibration by road and engine; 1 is that of two recordings of real cars, in which the data
-        sheet's noise is far too small. CARLA's IMU has none; 0 by default.
+        Level of the vibration by road and engine, 0 by default. 1 is the level in two recordings of real cars, where
+        the noise in data sheets is far too small. CARLA's IMU has no vibration.
     gnss_degradation : bool
         Multiply the receiver's errors by the environment's factor: **an assumption, not a measurement**.
     terrain : str or Terrain
-        "flat" (the default), "rolling" or "hilly": slopes of the road, which change the car's attitude and so the IMU's
-        data. The path in the plane, and so the truth, is the same (within millimeters, as the IMU is above the center).
+        "flat" (the default), "rolling" or "hilly": slopes of the road, which change the car's attitude and therefore
+        the IMU's data. The path in the plane, and therefore the truth, is the same (within millimeters, since the IMU
+        is above the center).
     odometer : str or OdometerGrade, optional
         "pulses", "can" or "ideal": see `ODOMETER_GRADES`. No odometer by default.
     heading : str or HeadingGrade, optional
@@ -114,7 +116,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     Returns
     -------
     Drive
-        With truth at the IMU's nominal times; its metadata has the models, and target and achieved figures.
+        The drive, with truth at the IMU's nominal times. Its metadata contain the models, and target and achieved
+        values.
 
     Raises
     ------
@@ -187,7 +190,7 @@ def _drive(s: Scenario) -> Drive:
 
 
 def drive_name(maneuver: str, environment: str, run: int) -> str:
-    """Return the name of a simulated drive, which is also that of its folder."""
+    """Return the name of a simulated drive, which is also the name of its folder."""
     return f"{maneuver}-{environment}-{run:02d}"
 
 
@@ -230,7 +233,7 @@ def _scenario_figures(s: Scenario, where: Environment) -> dict[str, Any]:
 
 
 def _slope_figures(record: Array) -> dict[str, float]:
-    """Return figures of the road's slopes and climb."""
+    """Return statistics of the road's slopes and climb."""
     grade, bank = (np.tan(record[:, i]) for i in (ROAD_PITCH, ROAD_ROLL))
     figures = {
         "grade_std_percent": 100 * np.std(grade),
@@ -252,7 +255,7 @@ def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
 
 
 def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
-    """Return the data sheets' figures under the keys that filters read, and the others in tables."""
+    """Return the values from data sheets under the keys that filters read, and the other values in tables."""
     sensors = {"accel": imu.accel, "gyro": imu.gyro}
     figures = {f"{name}_noise_density": triad.noise_density for name, triad in sensors.items()}
     figures["gps_std_m"] = gps.std

@@ -1,15 +1,15 @@
-"""Hills: grade and bank of the road under a car that drives as on a flat one.
+"""Simulate hills: grade and bank of the road, for a car that drives as on a flat road.
 
-The car's path in the plane, and so the truth, is that of the flat road: the driver compensates for the slope, and
-distances are horizontal. Slopes change the car's height and the body's attitude, which follows the road and, through
-the suspension, gravity's component along the road. Both depend on the distance s along the path:
+The car's path in the plane, and therefore the truth, is that of the flat road, since the driver compensates for the
+slope and distances are horizontal. Slopes change the car's height and the body's attitude, which follows the road and,
+through the suspension, gravity's component along the road. Both depend on the distance s along the path:
 
     grade pitch p(s), bank roll f(s);  road's slope ahead  -tan p,  to the left  tan f / cos p
     height' = slope ahead x vx + slope to the left x vy,  so that the velocity lies in the road
 
 Grade and bank are second-order Gauss-Markov processes along the path, autocovariance std^2 (1 + d/L) exp(-d/L) (R. G.
-Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3), through cubic splines:
-the body's turning accelerates without jumps. The bank adds a crossfall to the right and leans into bends.
+Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3), through cubic splines,
+so that the angular acceleration of the body has no jumps. The bank adds a crossfall to the right and leans into bends.
 
 Sources, cited after the values:
 
@@ -68,11 +68,11 @@ class Terrain:
     grade_std, grade_length, grade_limit : float
         Standard deviation, correlation length and bound of the slope along the road; inf for no bound.
     bank_std, bank_length, bank_limit : float
-        The same of the slope across it.
+        Standard deviation, correlation length and bound of the slope across the road.
     crossfall : float
         Mean slope down to the right, for drainage.
     superelevation : float
-        Largest slope into bends, at `banked_radius` (m); sharper bends, at intersections, have less.
+        Largest slope into bends, at `banked_radius` (m); sharper bends, at intersections, have smaller slopes.
     """
 
     name: str
@@ -161,9 +161,9 @@ def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Ro
 
 
 def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
-    """Return the record (n, 30) of a car on this road, from that on a flat road, (n, 21).
+    """Return the record (n, 30) of a car on this road, from the record on a flat road, (n, 21).
 
-    Roll and pitch are those of the suspension; the columns ROAD_ROLL to CLIMB_ACCEL are added.
+    Roll and pitch refer to the suspension; the columns ROAD_ROLL to CLIMB_ACCEL are added.
     """
     vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]
     # Along the body's own axes, which turn.

@@ -72,7 +72,7 @@ MODEL_3_CARLA = MODEL_3._replace(
     coast=_table(0.0, -0.71, -1.58, -1.58, -1.58),
     full_brake=_table(-4.4, -4.4, -6.1, -7.4, -7.4),
 )
-"""CARLA's mass, drag and pedals: its stock brakes need 2.7 s from 50 km/h to standstill."""
+"""CARLA's mass, drag and pedals; its stock brakes stop the car from 50 km/h in 2.7 s."""
 
 VEHICLES = {"model3": MODEL_3, "model3-carla": MODEL_3_CARLA}
 """Cars by name."""

@@ -1,4 +1,4 @@
-"""`run_batch`: many parameter sets on many drives in one call."""
+"""Run many parameter sets on many drives in one call: `run_batch`."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -38,7 +38,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        True where a covariance became indefinite or a value became NaN.
+        True if a covariance became indefinite or a value became NaN.
     """
 
     costs: Array
@@ -73,7 +73,7 @@ def run_batch(
     as_recorded : bool
         Run without preprocessing: use stale fixes, and treat IMU gaps as ordinary steps.
     executor : concurrent.futures.Executor, optional
-        Runs the filters; by default threads on all cores. The result's bits do not depend on it.
+        Runs the filters; by default threads on all cores. The result does not depend on it.
 
     Raises
     ------

@@ -25,7 +25,7 @@ NOISES = (
 class TouchedBound:
     """A parameter that ended at a bound: the optimum may lie beyond it.
 
-    Its text is stored in files, as ``q_x at its lower bound (1e-05)``.
+    The text of this record is stored in files, as ``q_x at its lower bound (1e-05)``.
     """
 
     parameter: str
@@ -54,7 +54,7 @@ class TouchedBound:
 
 @dataclass(frozen=True)
 class Dimension:
-    """One tuned parameter: its field of FilterParameters, and its range.
+    """One tuned parameter: its field of `FilterParameters`, and its range.
 
     ``entries``: number of consecutive entries that it sets in a tuple; 0 if the field is a number. ``spread``: True if
     the range spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises the parameter per decade of

@@ -46,7 +46,7 @@ class ModelProblem(Problem[dict[str, float]]):
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def why_none(self, point: Array) -> str | None:
-        """Return why the filter at a point, shape (d,), fails on the first log where it does; None if it never does."""
+        """Return why the filter at a point, shape (d,), fails on a log; None if it fails on none."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {failure}" for failure in failures if failure), None)

@@ -1,15 +1,15 @@
-"""Faults of a tuned filter that its objective hardly shows.
+"""Find faults of a tuned filter that its objective hardly shows.
 
-Divergence and drift: during a tuning a diverged filter is not reset, so its cost is that of a wrong track. A likelihood
-that tolerates outliers can still give it a low cost. Errors of one-step forecasts hardly show long drifts: if
-the search ends too early, its filter may forecast nearly as well as the best one, but drift by a kilometer.
+Divergence and drift: during a tuning a diverged filter is not reset, so its track is wrong. A likelihood that tolerates
+outliers can still give such a filter a low cost. Errors of one-step forecasts hardly show long drifts: if the search
+ends too early, the filter may forecast nearly as well as the best one, but drift by a kilometer.
 
-Scale of the covariance: if all noises and the initial covariance are multiplied by one factor, the gains and estimates
-of a Kalman filter do not change. Its covariances are multiplied and its NIS is divided by the factor. Therefore the
-factor mean NIS / 2 makes the filter consistent, if its gains do not depend on the scale. This holds for planar8 and
-tilted12, except with a gate or Student's t and at the start and the gaps of a drive. With planar5 the heading
-uncertainty may reach degrees; then the scale changes the spread of the sigma points, and so the mean. The effect of the
-factor on the position is therefore measured.
+Scale of the covariance: if all noise variances and the initial covariance are multiplied by one factor, the gains and
+estimates of a Kalman filter do not change. Its covariances are multiplied and its NIS is divided by the factor.
+Therefore the factor mean NIS / 2 makes the filter consistent, if its gains do not depend on the scale. This holds for
+planar8 and tilted12, except with a gate or Student's t and at the start and the gaps of a drive. With planar5 the
+heading uncertainty may reach degrees; then the scale changes the spread of the sigma points, and so the mean. The
+effect of the factor on the position is therefore measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -36,7 +36,7 @@ from sigmaswarm.wording import to_do
 NAMED = 3
 """Drives named in one message, and checked for drift."""
 WATCHED = 3600.0
-"""Seconds of a drive that are checked for divergence; a longer check would determine the peak memory."""
+"""Seconds of a drive that are checked for divergence; a longer check would increase the peak memory."""
 FAR = 1.5
 """Drift relative to the baseline above which a warning is given."""
 FEW = 2
@@ -227,6 +227,6 @@ def scale_warnings(objective: str, parameters: FilterParameters, replays: Replay
         after = replays.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= SCALE_MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= SCALE_NEAR:
-            right = f"all noises times {nis / 2:.3g} make the mean NIS 2 and change the position RMSE by {moved:+.1%}"
+            right = f"all variances times {nis / 2:.3g} make mean NIS 2 and change the position RMSE by {moved:+.1%}"
             return [to_do(f"{remedy}, or use FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
     return [to_do(remedy, said)]

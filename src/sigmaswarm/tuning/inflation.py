@@ -1,4 +1,4 @@
-"""Process-noise inflation, for roads and IMUs that the tuning did not use.
+"""Inflate the process noise, for roads and IMUs that the tuning did not use.
 
 Tuning on one drive can make the process noise too small for other roads, temperatures or IMUs. The filter is
 overconfident there and rejects good fixes. A remedy from statistics is to choose the simplest model within one standard
@@ -8,9 +8,10 @@ the allowed cost increase is smaller. It is constant for drives shorter than `RE
 
 A planar model inflates all process noise by one factor, since the velocity's noise represents the tilt of roads. A
 model with roll and pitch inflates the random walks of the IMU biases by the factor, and the noise of position and
-velocity by its square root. With the whole factor on position and velocity, results on the same car are the same, but
-the error on another car is 0.86 of the fixes' error instead of 0.65. Without any inflation of these two, the
-heading error with a cheap IMU is 50% larger, since the filter interprets vibration as biases.
+velocity by its square root. If position and velocity were inflated by the whole factor, results on the same car would
+not change, but the error on another car would be 0.86 instead of 0.65 of the fixes' error. Without inflation of
+position and velocity, the heading error with a cheap IMU is 50% larger, since the filter interprets vibration as
+biases.
 
 The model robot-localization inflates the noise of position, velocity and acceleration. It does not inflate heading and
 yaw rate, which do not depend on roads. The default cost increase comes from filters tuned without truth on each of six
@@ -20,8 +21,9 @@ tune this model on the same car.
 
 A good IMU on a smooth road can reduce a noise to zero, and inflation can't correct this: ten times 1e-13 is still
 negligible. A filter with roll and pitch therefore has lower limits (`space.LEAST`): initial bias deviations of
-0.005 m/s2 and 0.01 deg/s, and random walks of roll, pitch and the gyro biases about x and y. They cost 1 to 6% on
-the training roads. A filter tuned on one KITTI drive has an error of 0.9 m on colorado-1, instead of 3.1 m.
+0.005 m/s2 and 0.01 deg/s, and random walks of roll, pitch and the gyro biases about x and y. These limits increase the
+error on the training roads by 1 to 6%. A filter tuned on one KITTI drive has an error of 0.9 m on colorado-1, instead
+of 3.1 m.
 """
 
 from concurrent.futures import Executor
@@ -52,8 +54,8 @@ def inflated(
     """Inflate the process noise of the best point, shape (d,), until the cost has risen by the allowed share.
 
     ``allowed`` is the relative cost increase for up to `REFERENCE_DURATION` seconds of driving. The function returns
-    the last point within it (after applying the lower limits), its cost, and the largest factor of any noise. All
-    noises stay within their bounds.
+    the last point within it (after applying the lower limits), its cost, and the largest factor of any noise. All noise
+    variances stay within their bounds.
     """
     space = problem.space
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)

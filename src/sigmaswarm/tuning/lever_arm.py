@@ -1,4 +1,4 @@
-"""The antenna's lever arm as the maximum-likelihood estimate from the innovations of a filter.
+"""Estimate the antenna's lever arm by maximum likelihood from the innovations of a filter.
 
 An innovation nu with covariance S = L L^T depends almost linearly on the lever arm and on other unknowns, such as scale
 factors of the IMU. Weighted least squares on L^-1 nu is therefore a Gauss-Newton step on the likelihood of the fixes
@@ -47,14 +47,13 @@ DOF = 8.0
 BLOCK = 20.0
 """Length of a block, s: fix errors may be correlated within a block, but blocks are treated as independent."""
 FITTED = 1.2
-"""Factor on the standard deviations, since noises are fitted to the same fixes and tire slip is not exactly linear.
-
-Without it, 93% of the errors on 65 simulated five-minute drives were within 1.96 standard deviations.
+"""Factor on the standard deviations, since noise parameters are fitted to the same fixes and tire slip is not exactly
+linear. Without this factor, 93% of the errors on 65 simulated five-minute drives were within 1.96 standard deviations.
 """
 ROUNDS, CONVERGED = 8, 0.005
 """Largest number of Gauss-Newton steps, and the step size, m, below which they end."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
-"""Options for tuning the noises; with hand-set noises the standard deviation is two to six times as large."""
+"""Options for tuning the noise parameters; without tuning the standard deviation is two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
 """Arrays of a drive: times (f,) in s, L^-1 nu (f, 2), its negative derivatives (f, 2, k), and robust weights (f,)."""
@@ -256,7 +255,8 @@ def _deviations(
 ) -> tuple[float, float]:
     """Return the standard deviations of the lever arm, forward and left, m.
 
-    Each is the larger one of the model's and of the sandwich estimate from blocks of the drives (White, 1980).
+    Each standard deviation is the larger one of the model's estimate and of the sandwich estimate from blocks of the
+    drives (White, 1980).
     """
     spread, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:

@@ -36,7 +36,7 @@ class Objective:
     likelihood : bool
         True for a negative log-likelihood. In a sum with such a term, all terms are treated as nats.
     nats : float
-        Total weight of the logarithmic terms: errors that are 1% larger cost 0.01 nats per element of a measurement.
+        Total weight of the logarithmic terms: errors that are 1% larger add 0.01 nats per element of a measurement.
         If 0, the cost is a positive error, and its own relative increase is used.
     warning : str or None
         Shown to the user before the search.
@@ -55,12 +55,12 @@ class Objective:
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
         """Return the cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
 
-        It is the mean over the worst drives of each set, a share ``worst`` of all; 1 means all drives.
+        The cost is the mean over the worst drives of each set; ``worst`` is their share, and 1 means all drives.
         """
         return mean_cost(self.each(scores), worst)
 
     def each(self, scores: Scores) -> Array:
-        """Return the costs, shape (n_sets, n_drives); ``inf`` where a set failed or can't be scored."""
+        """Return the costs, shape (n_sets, n_drives); ``inf`` if a set failed or can't be scored."""
         costs = self.per_drive(scores)
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 

@@ -1,7 +1,7 @@
 """Types of the options of a tuning, for type checkers.
 
 `tuning.config` states the default, range and help of every option. PEP 692 requires a TypedDict for the types of
-``**options``, so names and types are repeated here; a test compares the two.
+``**options``, so this module repeats names and types; a test compares the two.
 """
 
 from collections.abc import Callable, Sequence

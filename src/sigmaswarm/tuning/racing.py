@@ -1,11 +1,11 @@
-"""Racing: candidates with high costs on the first drives are dropped before the others.
+"""Race candidates: drop those with high costs on the first drives before all drives are evaluated.
 
 Successive halving (K. Jamieson and A. Talwalkar, Non-stochastic best arm identification and hyperparameter
 optimization, AISTATS 2016) with drives as the resource: all candidates of a batch are evaluated on one drive, the
-better half on two, the better half of those on four, and so on up to all drives. Racing over problem instances was
-proposed by M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp (A racing algorithm for configuring metaheuristics,
-GECCO 2002). Their F-race drops candidates by a statistical test. Here a fixed share is dropped, so the number of steps
-is known in advance.
+better half on two drives, the better half of these on four, and so on up to all drives. Racing over problem instances
+was proposed by M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp (A racing algorithm for configuring
+metaheuristics, GECCO 2002). Their F-race drops candidates by a statistical test. This module drops a fixed share, so
+the number of steps is known in advance.
 
 With many drives (`MANY`), halving alone saves little time: filters run in parallel, and one filter on all drives takes
 as long as eight. Therefore a batch also races against the best candidate so far, the leader, whose cost on each drive
@@ -14,10 +14,10 @@ on the same drives by more than a standard error of the mean difference. If ther
 dropped candidate is extrapolated to all drives: the leader's cost on all drives minus its cost on these is added (a
 control variate). Starting with 1/32 of the drives is faster, but then the extrapolated costs mislead the search.
 
-Each batch takes the drives in a different random order, so that no drive always comes first. Candidates that reach all
-drives have their full cost. Dropped candidates have the cost on the drives they reached. Each group that was dropped
-together is shifted above the worst candidate that continued. The order within the group stays, and none of them can
-become the best.
+Each batch uses the drives in a different random order, so that no drive is always first. Candidates that are evaluated
+on all drives have their exact cost. Dropped candidates have the cost on their drives. The costs of each group that was
+dropped together are raised above the worst candidate that continued. The order within the group is unchanged, and no
+dropped candidate can become the best.
 """
 
 from collections.abc import Sequence
@@ -50,8 +50,9 @@ class Leader:
 class Raced:
     """Costs of a batch of candidates, shape (n,), and the work for them.
 
-    Only candidates that reached all drives have full costs. ``steps`` is the number of filter steps, ``failures`` the
-    number of failed candidates. ``leader`` is the best candidate after this batch; None if all have failed so far.
+    Only candidates that were evaluated on all drives have exact costs. ``steps`` is the number of filter steps,
+    ``failures`` the number of failed candidates. ``leader`` is the best candidate after this batch; None if all have
+    failed so far.
     """
 
     costs: Array
@@ -66,7 +67,7 @@ class Raced:
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return the rungs as (number of candidates, number of drives): each halves the former and doubles the latter."""
+    """Return the rungs: numbers of candidates and of drives. Each has half the candidates and twice the drives."""
     found = [(n_candidates, n_drives // FIRST if n_drives >= MANY else min(1, n_drives))]
     while (drives := found[-1][1]) < n_drives:
         found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))
@@ -132,7 +133,7 @@ def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) ->
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Return the columns in the order of the drives and as C-order, since the last bits of sums depend on both."""
+    """Return the columns in the order of the drives and as C-order, since the rounding of sums depends on both."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 

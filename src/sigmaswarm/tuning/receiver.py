@@ -1,11 +1,11 @@
-"""Measurement noise R and the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
+"""Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
 A filter that forecasts fixes well may only copy them. Many receivers smooth their fixes: consecutive errors differ by
-centimeters, but over minutes the error changes by meters. The likelihood of the next fix depends on the centimeters
-only, so its maximum has an R of centimeters, and the filter copies the fixes. The prior therefore adds the receiver's
-stated accuracy: a log-normal distribution of R about the stated variance. It penalizes only a smaller R, since
-receivers in cities state deviations that are too small. Consecutive fixes share their correlated errors, so more fixes
-must not outweigh the prior: its penalty is added once per fix.
+centimeters, but over minutes the error changes by meters. The likelihood of the next fix depends only on the
+differences of centimeters, so it is largest for an R of centimeters, with which the filter copies the fixes. The prior
+therefore represents the receiver's stated accuracy: a log-normal distribution of R about the stated variance. It
+penalizes only a smaller R, since receivers in cities state deviations that are too small. Consecutive fixes share their
+correlated errors, so more fixes must not outweigh the prior; its penalty is added for each fix.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ FAR_BELOW = 3.0
 NO_PART = 0.05
 """Share of R below which the stated accuracy of a fix has no effect."""
 LOOK = 600.0
-"""Seconds of a drive whose fixes are checked for scatter; more would only take more time."""
+"""Seconds of a drive whose fixes are checked for scatter; a longer part would not change the result."""
 PRIOR_DECIDED = 0.02
 """Cost of the prior, nats per fix, above which a warning reports that it determined R."""
 SMOOTH = 0.5
@@ -44,9 +44,9 @@ STATE = "write the standard deviation of the receiver's fixes, m per axis, as gp
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
     """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
 
-    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0, averaged over both axes.
+    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes.
     ``std``, shape (m, 2), is `receiver_std` of each drive, m. If the filter uses the stated accuracies, R is that of
-    the median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors; where this R is
+    the median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors; if this R is
     larger than std^2, the penalty is 0.5 (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
@@ -145,7 +145,7 @@ def prior_warnings(
         if std == UNSTATED_GPS_STD:
             why = (
                 f"{name} states no accuracy of its fixes, so R was kept near that of a usual receiver, {std:.2g} m per "
-                "axis, and NIS will be low where its fixes are smoothed"
+                "axis, and NIS will be low if the receiver smooths its fixes"
             )
             return [to_do("if the receiver is more or less accurate, write gps_std_m into drive.toml", why)]
         return [f"{name}: R was kept near the {std:.2g} m per axis of white noise that the fixes show"]

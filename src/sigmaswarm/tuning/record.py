@@ -89,8 +89,8 @@ def tuning_file(path: Path) -> Path:
 def seen_by(file: Path) -> list[Landmarks]:
     """Return the landmarks of the training drives listed in a tuning.toml.
 
-    They are in seen.npz next to the file. If that is missing or from an earlier version, only whole drives are
-    recognized (`drives.overlap.known_overlap`).
+    The landmarks are in seen.npz next to tuning.toml. If seen.npz is missing or from an earlier version, only whole
+    drives are recognized (`drives.overlap.known_overlap`).
     """
     data = load_record(TuningRecord, file).data
     kept = load_landmarks(file.parent / SEEN_FILE)

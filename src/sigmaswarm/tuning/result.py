@@ -38,8 +38,9 @@ INFLATED = (
     "roads it drifts slightly more over outages; --inflation 0 turns it off"
 )
 OF_THESE_SENSORS = (
-    "a filter tuned with truth suits the receiver and the IMU of these drives: with others it may be far less accurate "
-    "than the fixes. For others tune without truth (--objective innovation-t)"
+    "a filter tuned with truth suits only the receiver and the IMU of these drives: with other sensors it may be far "
+    ""
+    "less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 LARGE_GAP = 0.2
@@ -96,7 +97,7 @@ class Tuning(Generic[P]):
     start_cost : float or None
         Cost of the start filter on the training drives; None without a start.
     fixes_alone : MotionNoise or None
-        Noises of a constant-velocity filter of the fixes alone, fitted to the training drives by likelihood.
+        Noise parameters of a constant-velocity filter of the fixes alone, fitted to the training drives by likelihood.
     forecasts : tuple of Forecast
         Drift over outages of 1, 5 and 30 s on the training drives, compared with fixes alone and the baseline.
     """
@@ -202,7 +203,7 @@ class Tuning(Generic[P]):
             return MODEL_OBJECTIVES[self.config.objective]
         meaning, prior = objective_named(self.config.objective).summary, self.config.prior
         return (
-            f"{meaning} + {prior:g} x the prior of R where it is smaller than the receiver's"
+            f"{meaning} + {prior:g} x the prior of R, if R is below the receiver's variance"
             if prior
             else meaning
         )
@@ -310,12 +311,12 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings
     if factor != 1.0:
-        inflated = f"all process noises are {factor:.3g}"
+        inflated = f"all process noise variances are {factor:.3g}"
         if car and MODELS[car.model].measures_imu:
-            inflated = f"the noises of position, velocity and acceleration are {factor:.3g}"
+            inflated = f"the noise variances of position, velocity and acceleration are {factor:.3g}"
         if car and MODELS[car.model].tilts:
             root = f"{factor**0.5:.3g}"
-            inflated = f"the random walks of the biases are {factor:.3g} and the noises of position and velocity {root}"
+            inflated = f"the random walks of biases are {factor:.3g} and the noise of position and velocity is {root}"
         yield INFLATED.format(inflated)
     for touched in t.touched_bounds:
         if touched.parameter not in t.unidentified:
@@ -326,15 +327,15 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
             "rises by less than 1%"
         )
     if NOISE_SCALE in t.unidentified and objective not in SCALE_FREE:
-        why = "it does not determine the common scale of all noises, so the covariances can't be trusted"
+        why = "it does not determine the common scale of all noise variances, so the covariances can't be trusted"
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective:
         remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
-        why = "fixes alone determine the heading poorly: it may be wrong by tens of degrees with a good position"
+        why = "the fixes alone hardly determine the heading, which may be wrong by tens of degrees"
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -RISE and factor == 1.0:
-        why = f"moving {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
+        why = f"a change of {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
         yield to_do("search longer, with more trials, or polish", why)
     if car and "truth" in objective:
         yield OF_THESE_SENSORS

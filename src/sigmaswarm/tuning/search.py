@@ -1,4 +1,4 @@
-"""Trials of a tuning: the loop over generations, and its checkpoints."""
+"""Run the trials of a tuning: the loop over generations, and checkpoints."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor

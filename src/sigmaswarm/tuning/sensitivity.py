@@ -1,4 +1,4 @@
-"""Sensitivity of the cost: the range of each parameter in which the cost rises by less than 1%.
+"""Compute the sensitivity of the cost: the range of each parameter in which the cost rises by less than 1%.
 
 Only one parameter changes at a time, so trade-offs between parameters remain hidden. One known trade-off is tried in
 addition: a common factor on all noise variances, which changes the covariance but hardly the estimates.

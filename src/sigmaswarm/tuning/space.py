@@ -163,10 +163,10 @@ def search_space(
 ) -> SearchSpace:
     """Create the search space of a filter; planar5 has the paper's bounds.
 
-    ``scale`` applies to the variances. East and north share their noises (q_xy, q_vxy, r_xy), except in planar5 without
-    the lateral constraint. Bounds per second are converted to ``nominal_interval``, s, by default 10 ms. ``fix_std``,
-    the receiver's standard deviation per axis, m, and ``has_truth``, True if the objective uses truth, are needed for
-    fix-error.
+    ``scale`` applies to the variances. East and north have the same noise (q_xy, q_vxy, r_xy), except in planar5
+    without the lateral constraint. Bounds per second are converted to ``nominal_interval``, s, by default 10 ms.
+    ``fix_std``, the receiver's standard deviation per axis, m, and ``has_truth``, True if the objective uses truth, are
+    needed for fix-error.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")
@@ -174,7 +174,7 @@ def search_space(
     if unknown:
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
     if "slip" in use and "lateral" not in use:
-        raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
+        raise InputError("slip is the tire slip of the lateral constraint; also use lateral")
     if reason := clash(kind, use):
         raise InputError(reason)
     kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu-gate"]
@@ -213,9 +213,9 @@ def _dimensions(
 ) -> Iterator[Dimension]:
     """Yield the dimensions in order; east and north share their noise, except in the paper's own filter.
 
-    With separate noises, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
-    to the north, the lateral constraint then corrects a lateral error by a change along the road that is up to
-    sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
+    With separate noise parameters, a filter tuned on roads to the east had 1000 times more velocity noise to the north.
+    On a road to the north, the lateral constraint then corrects a lateral error by a change along the road that is up
+    to sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING

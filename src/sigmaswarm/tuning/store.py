@@ -1,4 +1,4 @@
-"""The folder of a tuning. Files are written atomically, and the same result gives the same bytes.
+"""The folder of a tuning. Files are written atomically, and the same result gives identical files.
 
 The folder contains
 
@@ -184,7 +184,7 @@ class ResultFolder:
         if saved != wanted:
             old, new = _difference("", saved, wanted)
             raise InputError(
-                f"{file}: was started with {old}, now asked for {new}; "
+                f"{file}: was started with {old}, but this command has {new}; "
                 "repeat the first command, or choose another --out"
             )
 

@@ -105,13 +105,13 @@ def tune(
     out : path, optional
         Folder for results. Every generation is saved in it, so that a killed run can be resumed.
     executor : concurrent.futures.Executor, optional
-        Runs the filters; by default threads on all cores. The result's bits do not depend on it.
+        Runs the filters; by default threads on all cores. The result does not depend on it.
     cluster : distributed.Client, optional
-        Dask cluster whose workers read the drives and run the filters. The result's bits do not depend on it.
+        Dask cluster whose workers read the drives and run the filters. The result does not depend on it.
     progress : callable, optional
         Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options
-        ``resume=True`` continues the run in ``out``; the result has the same bits as without interruption.
+        ``resume=True`` continues the run in ``out``; the result is the same as without interruption.
         ``paper=True`` uses the paper's settings, `PAPER`, and rejects options that contradict them. ``start`` is a
         filter from which the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other
         options are fields of `TuneConfig`: objective, particles, generations, trials, seed, ... Without ``model`` and

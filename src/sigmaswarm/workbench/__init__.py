@@ -1,5 +1,5 @@
-"""The workbench: from a log to a tuned filter in the browser, on the public API.
+"""The workbench: all steps from a log to a tuned filter in the browser, based on the public API.
 
-Its state is an ordinary folder: ``logs`` (dropped files), ``drives``, ``tunings``, ``evaluations``, ``exports``. The
-command line continues where the page stopped, and the page where the command line stopped.
+The state of the workbench is an ordinary folder: ``logs`` (dropped files), ``drives``, ``tunings``, ``evaluations``,
+``exports``. Work on the page can be continued on the command line, and conversely.
 """

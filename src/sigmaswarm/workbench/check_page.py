@@ -1,4 +1,4 @@
-"""Step 2: the findings on a drive, each with the plot that shows it; repairs and cuts, and how to undo them."""
+"""Step 2: show the findings on a drive, each with a plot; repair and cut the drive, and undo this."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,7 +18,7 @@ Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s; steps are done in order."""
 Agreements = dict[str, Agreement]
 Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
-"""The drive after each step, the steps, and the diagnosis and agreements of the last drive."""
+"""Result of the steps: the drive after each step, the steps, and diagnosis and agreements of the last drive."""
 
 
 class CheckPage(Page):
@@ -72,7 +72,7 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._taken)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Do all steps; the results of earlier steps come from memory."""
+        """Do all steps; the results of earlier steps are cached."""
         self.start(waiting, self._checked, self._opened, steps, then=self._taken)
         self.refresh()
 
@@ -241,7 +241,7 @@ def _apply(drive: Drive, step: Step) -> Drive:
 
 
 def _look_ahead(drive: Drive, diagnosis: Diagnosis) -> dict[str, tuple[Agreements, str]]:
-    """Try each repair: the agreements after it, and a sentence where it is withheld."""
+    """Try each repair; return the agreements after it, and a sentence if the repair is withheld."""
     after: dict[str, tuple[Agreements, str]] = {}
     said = "This repair is withheld, since a filter predicts the fixes worse with it. Check the log yourself."
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):

@@ -1,4 +1,4 @@
-"""Step 1: the content of a log, and its conversion to a drive."""
+"""Step 1: show the content of a log, and convert it to a drive."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -126,7 +126,7 @@ class LogPage(OpenLog):
                     button("Use this", self._propose, "auto_fix_high", main=True)
 
     def _propose(self) -> None:
-        """Take the proposal's settings as choices."""
+        """Use the proposal's settings as choices."""
         for key, proposed in (self.look.settings if self.look else {}).items():
             self.bench.log_choices.setdefault(key, {}).update(proposed)
         self.choose()

@@ -108,7 +108,10 @@ class MountingPanel:
             value=chosen("gps_lever_arm_m", ""),
         )
         part = ui.number(
-            "Recording, where a clock restarts (--part)", value=chosen("part"), min=1, precision=0
+            "Recording to read, if a clock restarts in the log (--part)",
+            value=chosen("part"),
+            min=1,
+            precision=0,
         )
         offset.on("change", lambda: self._choose("gps_offset_s", offset.value or 0.0))
         arm.on("change", lambda: self._choose("gps_lever_arm_m", arm.value))
@@ -129,7 +132,7 @@ def sketch(rotation: Array) -> str:
     Parameters
     ----------
     rotation : (3, 3)
-        From the sensor's axes to the vehicle's, as of ``parse_mount``.
+        Rotation from the sensor's axes to the vehicle's axes, as in ``parse_mount``.
     """
     corners = np.array([(0.3, 0.2, 0.0), (-0.3, 0.2, 0.0), (-0.3, -0.2, 0.0), (0.3, -0.2, 0.0)])
     box = _polygon(_place(MOUNTED + corners @ rotation.T), 'fill="#ffffffcc" stroke="#1c2024"')

@@ -1,4 +1,4 @@
-"""The open log of step 1: the choices made for it, and the drive that they give."""
+"""The open log of step 1: the choices made for it, and the resulting drive."""
 
 from functools import partial
 from pathlib import Path

@@ -38,9 +38,9 @@ class Page:
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Do work on a thread, which outlives the tab; the last of several requests counts.
+        """Do work on a thread, which continues if the tab is closed; only the last of several requests is done.
 
-        ``then`` receives the result, or None where an error is in ``wrong``.
+        ``then`` receives the result, or None after an error, which is stored in ``wrong``.
         """
         self.waiting, self._latest = waiting, self._latest + 1
         background_tasks.create(self._work(self._latest, work, arguments, then))

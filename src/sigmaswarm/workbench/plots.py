@@ -1,4 +1,4 @@
-"""Plots of any length: the server sends the smallest and largest value per pixel of the visible part."""
+"""Make plots of any length: the server sends the smallest and largest value per pixel of the visible part."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, cast
@@ -114,7 +114,7 @@ def time_plot(
 ) -> None:
     """Show series over time. Zooming in fetches the detail; with ``on_select`` the mouse selects a span instead.
 
-    ``dashed`` and ``pale`` are as of `lines`; ``span``, s, is shaded if it is a part of the time.
+    For ``dashed`` and ``pale`` see `lines`; ``span``, s, is shaded if it is not the whole time.
     """
 
     def visible(start: float = -np.inf, end: float = np.inf) -> Lines:
@@ -172,7 +172,7 @@ def _same(a: Series | None, b: Series) -> bool:
 
 
 def map_lines(drive: Drive, tracks: Mapping[str, Series] | None = None) -> Lines:
-    """Return the fixes of a drive, its truth where known, and further tracks."""
+    """Return the fixes of a drive, its truth, if known, and further tracks."""
     truth = {"truth": thinned(drive.truth.x, drive.truth.y)} if drive.truth else {}
     shown = {"fixes": thinned(drive.gps.x, drive.gps.y, MOST_POINTS)} | truth | {**(tracks or {})}
     return lines(shown, points=("fixes",))

@@ -25,7 +25,7 @@ Send = Callable[[Scope], Awaitable[None]]
 
 
 class Guard:
-    """Refuses requests without the token, from other hosts' pages, and of too large a size."""
+    """Filter of requests: refuse those without the token, from pages of other hosts, or of too large a size."""
 
     def __init__(self, app: Any, token: str, port: int) -> None:
         self.app, self.prefix, self.hosts = app, f"/{token}/", {f"{HOST}:{port}", f"localhost:{port}"}
@@ -52,7 +52,7 @@ class Guard:
 
     @staticmethod
     def _bounded(receive: Receive) -> Receive:
-        """Count the bytes of a body, whatever its headers state."""
+        """Count the bytes of a body, independent of its headers."""
         taken = 0
 
         async def counted() -> Scope:

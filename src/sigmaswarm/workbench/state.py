@@ -47,7 +47,7 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... by its name; refuse names that lead elsewhere."""
+        """Return the folder of a drive, tuning, ... by its name; refuse names that point to other places."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
@@ -73,7 +73,7 @@ class Workbench:
 
     @property
     def drive_names(self) -> list[str]:
-        """All drives, the checked copies and the parts, too."""
+        """All drives, including the checked copies and the parts."""
         return self.names("drives", DRIVE)
 
     def read(self, name: str) -> Drive:

@@ -28,7 +28,7 @@ class TablePanel:
         self.unfolded = page.drive is None and (used or len(look.tables) <= 4)
 
     def update(self, look: Look, uses: Uses) -> None:
-        """Show another look at the same table."""
+        """Show new information on the same table."""
         self.look, self.uses = look, uses
         for row in self.rows:
             if row.state() != row.shown:
@@ -36,7 +36,7 @@ class TablePanel:
 
     @property
     def heading(self) -> str:
-        """Return the table's name, and the columns of a drive that come from it."""
+        """Return the table's name, and the columns of a drive that are read from it."""
         roles: dict[str, set[str]] = {}
         for (table_, _), found in self.uses.items():
             for target, _ in found if table_ == self.glance.table else ():
@@ -69,7 +69,7 @@ class TablePanel:
             for row in self.rows:
                 row.show()
         if (left := len(self.glance.ranges) - MOST_COLUMNS) > 0:
-            text("p", f"and {left} more columns, which expressions can use, too", "soft")
+            text("p", f"and {left} more columns, which expressions can also use", "soft")
         first = self.look.rows[self.glance.table].head(5)
         if len(first) and (names := first.columns[:12]):
             with ui.expansion("First rows").classes("soft"):

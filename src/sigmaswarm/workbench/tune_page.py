@@ -31,7 +31,7 @@ MODELS = {
     "tilted12": "tilted12",
 }
 STARTING = "reading the drives, to tune on them"
-"""Work in progress that a changed choice must not replace."""
+"""Work in progress that a change of a choice must not interrupt."""
 COMPARED = 6
 """Number of the newest tunings whose convergence is shown."""
 Update = Callable[[], None]

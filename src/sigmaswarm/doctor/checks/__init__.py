@@ -1,1 +1,1 @@
-"""The checks: functions ``check_...`` from the evidence to findings, each with a measure and its thresholds."""
+"""The checks: functions ``check_...`` that return findings from the evidence, with measures and thresholds."""

@@ -1,4 +1,4 @@
-"""The accelerometers: axes, signs, unit and scale of ax and ay, mounting angle, gravity in them."""
+"""Check the accelerometers: axes, signs, unit and scale of ax and ay, mounting angle, and gravity in ax and ay."""
 
 import math
 from collections.abc import Iterator
@@ -100,7 +100,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """Check the mean of ax, ay minus the car's own motion."""
+    """Check the mean of ax and ay minus the acceleration of the car."""
     assert evidence.acceleration is not None
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
@@ -108,20 +108,20 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     if size < TILT[0] + margin:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
-    what = f"the motion does not explain {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 in ax, ay"
+    what = f"ax and ay contain constants of {leak[0]:+.2f} and {leak[1]:+.2f} m/s2, which the motion does not explain"
     severity, confidence = "warning", 0.95
     if size > TILT[1] + margin:
         severity, confidence = "serious", 0.99
         what = f"{what}: this is gravity, since the IMU is tilted by about {tilt:.0f} deg"
     else:
         what = f"{what}: the IMU has a bias, or is tilted by about {tilt:.0f} deg"
-    remedy = "level the IMU, or subtract the constant; --model planar8 estimates the rest"
+    remedy = "level the IMU, or subtract the constants; --model planar8 estimates the remaining bias"
     repair = _leveled(evidence.drive.imu, leak)
     yield Finding("gravity", severity, what, WHERE, evidence.span, confidence, remedy, repair)
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """Turn six axes level where a tilt explains the residual of ax and ay; else subtract the constants."""
+    """The repair: rotate six axes level if a tilt explains the residual of ax and ay, else subtract constants."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):
@@ -176,7 +176,9 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     # Gravity is almost all on az: the factor of az that corrects the magnitude.
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
-    what = f"the specific force is {size:.2f} m/s2 but gravity is {GRAVITY:.2f} m/s2: az is off by {off:+.2f}"
+    what = (
+        f"the specific force is {size:.2f} m/s2 but gravity is {GRAVITY:.2f} m/s2: az deviates by {off:+.2f}"
+    )
     yield Finding(
         "gravity-size", "warning" if large else "note", what, "imu.csv, az", evidence.span, 0.99,
         f"multiply az by {factor:.3f}, or look up the sensor's scale",

@@ -1,9 +1,8 @@
-"""The gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
+"""Check the gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
-Within half a second the direction of the specific force turns against the body as the body turns (g' = -w x g). The
-car's own acceleration also turns this direction, but a body that rolls and pitches on its springs leans the same way:
-in a left turn the force points to the left and the left side rises. So flat roads show the signs, too, but not the
-scales.
+Within half a second the direction of the specific force, in body axes, rotates opposite to the body (g' = -w x g). The
+car's acceleration also rotates this direction, but the body on its springs leans accordingly: in a left turn the force
+points to the left and the left side rises. So flat roads also show the signs, but not the scales.
 """
 
 from collections.abc import Iterator
@@ -100,9 +99,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the ratio of the course's turns to the gyro's over whole windows, without a bias.
+    """Return the ratio of the turns of the course to those of the gyro over whole windows, without a bias.
 
-    On circles, changes within windows are small, and lever arms and slip look like a scale.
+    In steady circles, changes within windows are small, and the effects of lever arm and slip look like a scale.
     """
     imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
     assert course is not None and fit is not None
@@ -151,7 +150,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
 
 
 def upside_down(evidence: Evidence) -> bool:
-    """Return True if az, gx and gy are those of an IMU upside down and no course shows the other axes."""
+    """Return True if az, gx and gy show that the IMU is upside down, and no course shows the other axes."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
         return False
@@ -201,7 +200,7 @@ def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
 def _deviations(angle: Array, change: Array) -> Array:
     """Fit the factors of the turns about x and y in the change by robust least squares, over their standard deviations.
 
-    The turn about z is a regressor, too, since a tilted sensor and cornering contain it.
+    The turn about z is also a regressor, since a tilted sensor and cornering contain a part of it.
     """
     columns = np.column_stack([*angle, np.ones(len(change))])
     scale = np.linalg.norm(columns, axis=0)

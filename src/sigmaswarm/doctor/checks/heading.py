@@ -1,4 +1,4 @@
-"""The heading of two antennas or a compass against the course and the gyro: convention, mounting, delay."""
+"""Check the heading of two antennas or a compass by course and gyro: convention, mounting, delay."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -50,20 +50,20 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
         way = "later" if late > 0 else "earlier"
         what = f"the heading is {abs(late):.2f} s {way} than the positions of the same rows"
         remedy = (
-            "a filter assumes one time for both: give headings a time of their own, or leave the column out"
+            "a filter assumes the same time for both: give headings their own times, or leave the column out"
         )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 
 
 def _offset(off: Array) -> tuple[float, float]:
-    """Return the constant part of angles, and the median magnitude of the rest, rad."""
+    """Return the constant part of angles, and the median magnitude of the remainder, rad."""
     mean = float(np.angle(np.mean(np.exp(1j * off))))
     mean += float(np.median(wrap_angle(off - mean)))
     return wrap_angle(mean), float(np.median(np.abs(wrap_angle(off - mean))))
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """Return the convention with the smallest constant among those that follow the course about equally well."""
+    """Return the convention with the smallest constant offset, of those that follow the course about equally well."""
     limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
@@ -83,7 +83,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
         yield Finding("heading-convention", "serious", what, WHERE, span, 0.99, remedy, repair)
     elif turned:
         degrees, serious = math.degrees(offset), abs(offset) >= TURNED[1]
-        what = f"heading is {degrees:+.1f} deg off the course, as if the antennas were mounted at that angle"
+        what = f"heading differs from the course by {degrees:+.1f} deg, as if the antennas were mounted at that angle"
         remedy = f"subtract {math.radians(degrees):.4f} rad, if the car does not drive sideways or in reverse"
         severity = "serious" if serious else "warning"
         yield Finding("heading-offset", severity, what, WHERE, span, 0.95, remedy, repair)

@@ -34,7 +34,10 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     if change := moved(evidence.drive):
         time, angle = change
         what = f"the IMU was moved at t = {time:.0f} s: gravity's direction changes by {math.degrees(angle):.0f} deg"
-        remedy = f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; each has another mounting"
+        remedy = (
+            f"cut the log there: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts have different "
+            "mountings"
+        )
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
     elif mounting is not None and mounting.needed:
@@ -53,7 +56,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 def moved(drive: Drive) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved within a log, and the angle of gravity, rad; None if it was not.
 
-    Split the directions of the specific force, each over 5 s, where they scatter least about the two medians.
+    The directions of the specific force, averaged over 5 s, are split at the time at which they scatter least about the
+    medians of the two parts.
     """
     imu = drive.imu
     if imu.az is None:
@@ -82,7 +86,10 @@ def moved(drive: Drive) -> tuple[float, float] | None:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a log whose filter would start in reverse with the course as heading. Earlier reversing is harmless."""
+    """Find a log whose filter would start in reverse, with the course as heading.
+
+    Reversing before the start is harmless.
+    """
     course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
         return
@@ -100,7 +107,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     (first, slope, limit), *rest = shown
     until = float(course.time[first.stop - 1])
     if start.time < until + course.span and slope < -limit and any(s > least for _, s, least in rest):
-        what = f"the log seems to begin in reverse, until t = {until:.0f} s: there ax is positive where the speed falls"
+        what = f"the log seems to begin in reverse, until t = {until:.0f} s: ax is positive there while the speed falls"
         remedy = f"cut that part off: sigmaswarm split DRIVE --at {until + 2:.0f} --out parts, and use the second part"
         span = evidence.span[0], until
         where, cut = "gps.csv, imu.csv, ax", round(until + 2)

@@ -1,4 +1,4 @@
-"""The receiver's stated standard deviation compared with the fixes' scatter, correlated errors, and outliers."""
+"""Compare the stated standard deviation with the scatter of the fixes; find correlated errors and outliers."""
 
 from collections.abc import Iterator
 
@@ -12,8 +12,9 @@ from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 TOO_SMALL = 2.0
 """Ratio of the observed noise to the stated noise above which the stated noise is too small."""
 LEAST_STATED = 0.003
-"""Standard deviation, m, that no receiver reaches in motion (RTK: 0.006 to 0.01 m by data sheets). Below it the noise
-from fix to fix decides alone: it contains some of the motion, but the scatter about a path also has the IMU's errors."""
+"""Standard deviation, m, that no receiver reaches in motion (RTK: 0.006 to 0.01 m by data sheets). A smaller one is
+compared with the noise from fix to fix, which contains some of the motion; the scatter about a path of 10 s also
+contains the IMU's errors."""
 TOO_LARGE = 6.5
 """Ratio of the stated noise to the observed white noise above which the stated noise is too large. Smaller ratios are
 usual, since a receiver's slow errors are not observed."""
@@ -72,7 +73,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
                 "a filter's error can be checked"
             )
             remedy = (
-                "expect larger errors than the filter's standard deviations, which cover the scatter alone"
+                "expect larger errors than the filter's standard deviations, which contain only the scatter"
             )
             yield Finding(
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
@@ -84,7 +85,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"{scatter:.2g} m per axis"
     )
     remedy = (
-        f"state {scatter:.2g} m, or more where slow errors are known, which a log without truth does not show"
+        f"state {scatter:.2g} m, or more if slow errors are known; a log without truth does not show them"
     )
     yield Finding(
         "gps-noise", "warning", what, where, span, confidence, remedy, Repair("state-noise", (scatter,))

@@ -1,4 +1,4 @@
-"""The wheel speed against fixes and accelerometer: sign, unit, scale, clock, a stuck counter, and slip."""
+"""Check the wheel speed by fixes and accelerometer: sign, unit, scale, clock, a stuck counter, and slip."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -90,7 +90,7 @@ def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odomete
 
 
 def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
-    """Find constant readings that the fixes contradict, whatever their sign, unit and scale; return their spans."""
+    """Find constant readings that the fixes contradict for every sign, unit and scale; return their spans."""
     time, speed, seen = odometer.time, np.abs(odometer.speed), np.abs(course.velocity)
     begins = np.flatnonzero(np.append(True, np.diff(odometer.speed) != 0))
     ends = np.append(begins[1:], len(time)) - 1
@@ -182,7 +182,10 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return the ratios of the odometer's displacement, turned by the gyro, to that of the fixes, and the latter, m."""
+    """Return the ratios of the displacements by odometer and by fixes, and the displacements by fixes, m.
+
+    The gyro gives the directions of the odometer's displacements.
+    """
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

@@ -1,4 +1,4 @@
-"""Times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and repeated values."""
+"""Check times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and repeated values."""
 
 from collections.abc import Iterator
 
@@ -33,7 +33,7 @@ nearer to a jump than to a pause."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
-    """Find an offset of the clocks, or state the smallest offset that would be visible."""
+    """Find an offset between the clocks, or report the smallest offset that would be visible."""
     late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
     move = f"subtract {size} from" if late > 0 else f"add {size} to"
@@ -55,7 +55,8 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(late / std),
             f"{move} the fixes' times{'' if clear else ' if other drives show it too'}, or let the tuning find it "
-            "(--use latency); that estimate gives the best forecasts, and may differ by a few standard deviations",
+            "(--use latency); the tuned value gives the best forecasts, and may differ from this one by a few "
+            "standard deviations",
             Repair("shift-fixes", (-late,)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
@@ -82,7 +83,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield _rate("gps", "fixes", gps.time)
     remedy = "a filter uses the mean of the samples around a gap, and increases its covariance"
     yield from _gaps("imu", imu.time, IMU_GAP, remedy)
-    remedy = "a filter uses the IMU alone there; nothing to do if this is intended"
+    remedy = "during this time a filter uses only the IMU; nothing to do if this is intended"
     yield from _gaps("gps", gps.time, GPS_GAP, remedy)
     if remark := unshared_times(imu.time, gps.time):
         yield finding_of(remark, "note", _ends(imu.time), 1.0)
@@ -146,7 +147,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             None,
         )
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "the logger paused, or its clock jumped: the car's speed does not distinguish the two"
+            what = "the logger paused, or its clock jumped: the car's speed does not show which"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = f"the logger's clock jumped: the car needs only {passed:.1f} s for the distance between these fixes"
             code, severity, remedy = (
@@ -167,8 +168,8 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time, s, from fix j to the next, from the speed around them, and its standard deviation.
 
-    The speed is that of a line through the fixes of `AROUND` seconds on each side, since single fixes are too noisy. If
-    the two speeds differ, the car may have had either.
+    The speed is the slope of a line through the fixes of `AROUND` seconds on each side, since single fixes are too
+    noisy. If the two speeds differ, the car may have had any speed between them.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

@@ -24,8 +24,8 @@ LATE = 0.2
 """Delay above which a finding is a warning, s."""
 FEWEST = 30
 REMEDY = (
-    "a filter assumes one time for both: leave speed and course out, or give them a time of their own (in a recipe a "
-    "second [[gps]] of the same table, with a shifted t), and test them on another drive"
+    "a filter assumes the same time for both: leave speed and course out, or give them their own times (in a recipe, a "
+    "second [[gps]] of the same table, with a shifted t) and test them on another drive"
 )
 
 
@@ -82,7 +82,7 @@ def agrees(evidence: Evidence) -> bool:
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
     """Find the delay of speed and course relative to the positions, s, that fits best.
 
-    Also return the ratio of the misfits with and without this delay.
+    The second result is the ratio of the misfits with and without this delay.
     """
     course = evidence.course
     assert course is not None

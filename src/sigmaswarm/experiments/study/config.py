@@ -26,7 +26,7 @@ from sigmaswarm.tuning.space import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"
-"""Name of the group of all conditions; also stands for an unknown maneuver or environment."""
+"""Name of the group of all conditions, and of an unknown maneuver or environment."""
 UNTUNED = "untuned"
 """The protocol of methods without tuning."""
 ProtocolName = Literal["paper", "honest"]
@@ -112,7 +112,7 @@ MEASURES = {
     "gps_rmse_m": "RMSE against the GPS fix after the update (equation 4), m",
     "heading_rmse_deg": "heading error, deg",
     "outage_drift_m": "drift over a 5 s outage, m",
-    "nis": "mean NIS, 2 where the filter is consistent",
+    "nis": "mean NIS, 2 if the filter is consistent",
 }
 """Measures of each drive."""
 QUICK = {"runs": 2, "trials": 3}
@@ -221,7 +221,7 @@ class StudyConfig(BaseModel):
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError("is an option of studies with rivals; set rivals, too")
+            raise ValueError("is an option of studies with rivals; also set rivals")
         return value
 
     @model_serializer(mode="wrap")

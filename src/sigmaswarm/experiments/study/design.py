@@ -150,7 +150,7 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """Value of ``racing``: as configured; by default True with many training drives, where it costs no accuracy."""
+        """Value of ``racing``: as configured; by default True with many training drives, for equal accuracy."""
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])

@@ -1,7 +1,7 @@
 """Networks of a study. Each supports the filter of one trial and is trained only on the training drives of that trial.
 
-Each has a folder in learned/, as written by `sigmaswarm learn`. They are trained one after the other, so that the
-processor time of each can be measured.
+Each network has a folder in learned/, as written by `sigmaswarm learn`. The networks are trained one after the other,
+so that the processor time of each can be measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,7 +63,7 @@ class Training:
 
     @property
     def folder(self) -> str:
-        """Folder of the training, relative to the study's."""
+        """Folder of the training, relative to the study's folder."""
         what = f"trial-{self.trial:03d}" if self.minutes is None else f"curve-{self.minutes:g}-minutes"
         return f"learned/{self.network}/{what}"
 
@@ -85,7 +85,8 @@ class Trained:
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    With more minutes, the drives for fewer minutes are included. If these are too few for training, drives are added.
+    With more minutes, the drives for fewer minutes are included. If the drawn drives are too few for training, drives
+    are added.
     """
     left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -107,8 +108,8 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     chosen = begun + whole  # the last ones are held back, and these should be complete
     if len(chosen) < FEWEST and longest < ALONE:
         raise InputError(
-            f"trial {trial} has too little to train networks on: they need {FEWEST} drives of {LEAST:g} s after the "
-            f"start of a filter, or one of {ALONE:g} s; add drives, or the maneuver urban"
+            f"trial {trial} has too few data to train networks: they need {FEWEST} drives of {LEAST:g} s after the "
+            f"start of the filter, or one drive of {ALONE:g} s; add drives, or the maneuver urban"
         )
     shown = len(chosen) - len(chosen) // FEWEST
     return Lessons(tuple(chosen[:shown]), tuple(chosen[shown:]), driven)

@@ -65,10 +65,10 @@ class ScoreStatistics(_Part):
     Attributes
     ----------
     mean, sd : over trials, of the mean over each trial's test drives
-    trial_interval : mean +- 1.96 SD / sqrt(n); covers the variation by optimizer and split, but not by new drives
-    corrected_t_interval : corrected resampled t interval, for new drives
-    bootstrap_interval : for new drives, by resampling trials, and drives within conditions
-    n_trials, n_drives : numbers of trials and drives with values
+    trial_interval : mean +- 1.96 SD / sqrt(n); accounts for the variation due to optimizer and split, but not due to
+    new drives corrected_t_interval : corrected resampled t interval, for new drives bootstrap_interval : for new
+    drives, by resampling trials, and drives within conditions n_trials, n_drives : numbers of trials and drives with
+    values
     """
 
     mean: Figure
@@ -127,7 +127,7 @@ class PairedComparison(PairedStatistics, _Compared):
 
 
 class TrialTuning(_Part):
-    """Tuning in one trial; ``folder``, relative to the study's, contains result.json and history.npz."""
+    """Tuning in one trial; ``folder``, relative to the study's folder, contains result.json and history.npz."""
 
     protocol: str
     method: str
@@ -163,7 +163,7 @@ class Effort(_Part):
     ----------
     labelled_s : driving time with truth, s, of all training drives of its filter
     learned_s : driving time, s, used without truth to train its network
-    numbers : number of parameters that tuning and training set
+    numbers : number of parameters that tuning and training determine
     """
 
     protocol: str

@@ -221,7 +221,7 @@ def rival_results(
 def _efforts(
     design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
 ) -> Iterator[Effort]:
-    """Compute the amount of data and free parameters of each variant; those of a network include its filter's."""
+    """Compute the data and free parameters of each variant; for a network those of the filter are included."""
     durations = [float(ready.drive.imu.time[-1] - ready.drive.imu.time[0]) for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
     truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))

@@ -123,7 +123,7 @@ def score_all(
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """Prepared drives, a mask of the drives where an outage fits and failures count, and functions of the measures."""
+    """Prepared drives, a mask of the drives with room for an outage and counted failures, and functions of measures."""
 
     replays: Replays
     fits: NDArray[np.bool_]
@@ -154,7 +154,7 @@ def _score_sets(
     Returns
     -------
     dict of measure to ndarray, shape (sets, all drives)
-        Scores; ``inf`` where the filter failed, NaN on drives without a job.
+        Scores; ``inf`` if the filter failed, NaN on drives without a job.
     """
     found: dict[str, Array] = {}
     for drives, sets in jobs:
@@ -181,7 +181,7 @@ def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     """Score raw fixes, fixes alone or IMU only on all drives; return arrays of shape (1, drives) by measure.
 
-    The filter of the fixes alone uses the medians of the noises fitted to the drives.
+    The filter of the fixes alone uses the medians of the noise parameters fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     if method == "fixes-alone":

@@ -130,7 +130,7 @@ def run_study(
     out : path
         The study's folder.
     resume : bool
-        Continue the study in ``out``. The result has the same bits as without interruption.
+        Continue the study in ``out``. The result is the same as without interruption.
     executor : concurrent.futures.Executor, optional
         Runs the tunings; by default forked processes on Linux, else threads.
     workers : int, optional
@@ -181,7 +181,7 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
     for name in StudyConfig.model_fields:
         if getattr(saved, name) != getattr(config, name):
             raise InputError(
-                f"{file}: was started with {name} = {getattr(saved, name)!r}, now asked for "
+                f"{file}: was started with {name} = {getattr(saved, name)!r}, but this command has "
                 f"{getattr(config, name)!r}; repeat the first command, or name another folder"
             )
 

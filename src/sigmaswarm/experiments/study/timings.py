@@ -64,8 +64,9 @@ def rival_times(
 ) -> dict[str, dict[str, float]]:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s`` is the time of a trial, s; that of a network does not include its filter's. ``sample_us`` is the mean
-    time of an IMU sample over a whole drive, us. If a training or tuning was resumed, only its last part is counted.
+    ``training_s`` is the time of a trial, s; for a network it does not include the tuning of the filter. ``sample_us``
+    is the mean time of an IMU sample over a whole drive, us. If a training or tuning was resumed, only its last part is
+    counted.
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}

@@ -1,7 +1,7 @@
 """LiveFilterBank: sixteen filters with the interface of a `LiveFilter`; the estimate is their mixture.
 
 Lanes are replaced in a past state that no late fix can change; then the later samples are processed again with the new
-lanes. So results depend on the samples and fixes alone: late fixes, live runs and files give the same bits.
+lanes. So the results depend only on the samples and fixes: they are identical with late fixes, live and from a file.
 """
 
 import os
@@ -95,7 +95,7 @@ class _Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A running search: it replays the logged steps up to number ``taped`` from the ancestor of lane ``led``.
+    """A running search, which replays the logged steps up to number ``taped`` from the ancestor of lane ``led``.
 
     A copy by fork or pickle searches in the calling thread.
     """
@@ -123,19 +123,19 @@ class LiveFilterBank(LiveFilter):
     """A bank of sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
     Each filter (lane) predicts the fixes. The fixes' likelihood (the evidence of the lane, which fades within a minute)
-    gives the lane's weight. Lane 0 is the tuning, with the bits of a `LiveFilter`; some lanes represent other
+    gives the lane's weight. Lane 0 is the tuning, with the same results as a `LiveFilter`; some lanes represent other
     receivers. Every 10 s of driving, the worst lanes are replaced by the result of a search over the last minute and by
     copies of good lanes. So the bank adapts to other sensors or another reception. On the car of the tuning, the bank
-    is not better than the filter. If the mixture diverges, the lanes are reset like a `LiveFilter`. The alignment uses
-    the known gyro bias, and most lanes keep their biases.
+    is not more accurate than the filter. If the mixture diverges, the lanes are reset like a `LiveFilter`. The
+    alignment uses the known gyro bias, and most lanes keep their biases.
 
-    The interface is that of a `LiveFilter` without the smoothed state. A `pickle` copy continues with the same bits.
-    After a reset of some lanes, all lanes ignore fixes from before it.
+    The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
+    results. After a reset of some lanes, all lanes ignore fixes from before the reset.
 
     Parameters
     ----------
     parameters, initial, nominal_interval, lever_arm, history, recover, as_recorded
-        As of `LiveFilter`.
+        See `LiveFilter`.
     seed : int
         Seed of the lanes' first offsets and of the search.
     searches : bool
@@ -235,7 +235,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight to the first lanes only, like an export with this number of lanes; only without searches."""
+        """Give weight only to the first lanes, like an export with this number of lanes; for banks without searches."""
         self._counted = lanes
         self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)
@@ -310,7 +310,7 @@ class LiveFilterBank(LiveFilter):
         )
 
     def _is_taped(self, first: int) -> bool:
-        """True if the log has the steps from number ``first`` on."""
+        """True if the log contains the steps from number ``first``."""
         return first >= int(self._numbers[swarm.TAPED]) - int(self._numbers[swarm.TAPE_LENGTH])
 
     def _tape(self, first: int, last: int) -> Array:
@@ -411,7 +411,7 @@ class LiveFilterBank(LiveFilter):
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
         """Keep the known biases of a state estimate (n,), (n, n), except in lanes with other biases.
 
-        The alignment's bias is used where it is more precise than the known bias or contradicts it.
+        The alignment's bias is used if it is more precise than the known bias or contradicts it.
         """
         seen = start.gyro
         surer = (

@@ -43,7 +43,7 @@ class BankLog:
         s
     weights : ndarray, shape (k, LANES)
     moved : ndarray, shape (k, d)
-        Offsets of the mixture from the tuning in decades; the rear axle's in m.
+        Offsets of the mixture from the tuning in decades; offset of the rear axle in m.
     groups : mapping of str to list of int
         See `Spread.groups`.
     """
@@ -81,8 +81,8 @@ class BankLog:
 class BankRun:
     """A run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
 
-    ``seed``, ``searches``, ``recover`` and ``as_recorded`` are those of `LiveFilterBank`. ``failure`` reports the first
-    time at which all lanes had failed, in the pieces so far.
+    ``seed``, ``searches``, ``recover`` and ``as_recorded``: see `LiveFilterBank`. ``failure`` states the first time, in
+    the pieces so far, at which all lanes had failed.
     """
 
     def __init__(
@@ -209,14 +209,14 @@ def run_bank(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run a filter bank over a drive: return the estimate of a `LiveFilterBank` at each IMU sample.
+    """Run a filter bank over a drive; return the estimate of a `LiveFilterBank` at each IMU sample.
 
     Parameters
     ----------
     drive, parameters, initial, recover, as_recorded
-        As in `run_filter`.
+        See `run_filter`.
     seed, searches
-        As of `LiveFilterBank`.
+        See `LiveFilterBank`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Search of a filter bank: differential evolution of offsets, scored by replaying their filters over the last minute.
+"""Search better offsets for a filter bank by differential evolution; each candidate replays the last minute.
 
 R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search begins
 with the population of the previous one.
@@ -95,7 +95,7 @@ class Steps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run from a place to before step ``stop``; changes lanes and place."""
+        """Run from a place up to step ``stop``, which is not run; lanes and place change."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         arrays = (
@@ -180,8 +180,8 @@ def search(
 ) -> Found | None:
     """Search for better offsets over some steps; return None if the steps have too few fixes.
 
-    ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,): offsets of the
-    lane with the largest weight, which replace the last member of ``population`` (LANES, d).
+    ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
+    of the lane with the largest weight, which replace the last member of ``population`` (LANES, d).
     """
     rng = np.random.default_rng(seed)
     if steps.n_scored < FEWEST_SCORED_FIXES:

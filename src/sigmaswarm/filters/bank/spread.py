@@ -20,8 +20,9 @@ offsets."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
 R_DOWN_STD = 0.45
-"""Standard deviation in the penalty of an R below that of the tuning, decades; in a city, fixes are good until they
-jump."""
+"""Standard deviation in the penalty of an R below that of the tuning, decades. It is small, since fixes in a city are
+accurate until they jump.
+"""
 SCALE_STD = 0.7
 """Standard deviation of a common factor of all variances, decades; this factor hardly changes the estimates."""
 START_STD = 1.5
@@ -53,13 +54,13 @@ _MEANS = {
 
 @dataclass(frozen=True)
 class Spread:
-    """The offsets that a tuning can have."""
+    """The offsets that the filters of a bank can have from a tuning."""
 
     tuning: FilterParameters
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Name and standard deviation of each offset, in decades of variance; the rear axle's in m."""
+        """Name and standard deviation of each offset, in decades of variance; for the rear axle in m."""
         p, found = self.tuning, dict[str, float]()
         for state in MODELS[p.model].states:
             found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
@@ -105,12 +106,16 @@ class Spread:
         receivers = [lane for lane, by in enumerate(FIXED) if R in by]
         others = [*range(len(FIXED), LANES)]
         if START not in self.names:
-            return {"the tuning": [0], "other receivers": receivers, "found on the way": [*biased, *others]}
+            return {
+                "the tuning": [0],
+                "other receivers": receivers,
+                "found by the search": [*biased, *others],
+            }
         return {
             "the tuning": [0],
             "other biases": biased,
             "other receivers": receivers,
-            "found on the way": others,
+            "found by the search": others,
         }
 
     def penalty(self, offsets: Array) -> Array:
@@ -146,9 +151,9 @@ class Spread:
         return found
 
     def warnings(self, moved: Array) -> tuple[str, ...]:
-        """Warnings of offsets (d,) that are too large for the vehicle of the tuning.
+        """Return warnings of offsets (d,) that are too large for the vehicle of the tuning.
 
-        A common factor of all variances has one warning; the other offsets are compared relative to it.
+        There is one warning for a common factor of all variances; the other offsets are relative to this factor.
         """
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]

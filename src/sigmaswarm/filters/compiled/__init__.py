@@ -1,6 +1,6 @@
-"""The filters, compiled: many parameter sets at once.
+"""Compiled filters for many parameter sets at once.
 
 `layout` numbers the rows of the one array that a run works on; `planar5` and `planar8` predict in closed form;
 `measurements` updates; `step` combines both; `run` and `live` take the steps of a time line. `custom` is the filter for
-a user's own model. `textbook/` has the same equations in textbook form.
+a user's model. `textbook/` contains the same equations in textbook form.
 """

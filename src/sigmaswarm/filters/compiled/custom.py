@@ -1,9 +1,9 @@
 """The unscented filter of `textbook`, compiled with a user's f and h: one parameter set over one log.
 
-f and h are unknown, so nothing can be vectorized; the gain comes from avoiding Python. Numba can't cache a user's
-function between processes, so each process compiles its own kernel on first use. The code uses plain loops, since
-whole-array expressions compile several times as slowly. It uses plain arguments, since a tuple of the arrays doubles
-the time of a step.
+f and h are unknown, so the code can't be vectorized; it is faster only because it avoids Python. Numba can't cache a
+user's function between processes, so each process compiles its kernel at the first use. The code uses plain loops,
+since whole-array expressions compile several times as slowly. The arguments are separate arrays, since a tuple of the
+arrays doubles the time of a step.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false
@@ -33,8 +33,8 @@ def build_kernel(
 ) -> Any:
     """Build the filter for a user's functions, compiled on its first call; the inner `run` documents its arguments.
 
-    ``diagonal``: process_noise gives the diagonal of Q. Bounds are checked in the user's functions: an index out of
-    bounds raises an error there, too.
+    ``diagonal``: process_noise gives the diagonal of Q. Bounds are also checked in the user's functions, where an index
+    out of bounds raises an error.
     """
     user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
@@ -188,7 +188,7 @@ def _add_products(a, b, weights, out):
 
 @_kernel
 def _absorb(mean, covariance, nu, s, cross, root):
-    """x + K nu and P - K S K^T; return NIS and log det S, all NaN if S has no root.
+    """Compute x + K nu and P - K S K^T; return NIS and log det S. All are NaN if S has no root.
 
     With S = L L^T, y = L^-1 nu and W = C L^-T: K nu = W y, K S K^T = W W^T, and the NIS is y^T y.
     """
@@ -217,7 +217,7 @@ def _absorb(mean, covariance, nu, s, cross, root):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return whether all numbers of both arrays are finite: zero times any other number is NaN."""
+    """Return True if all numbers of both arrays are finite. Zero times a number that is not finite is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

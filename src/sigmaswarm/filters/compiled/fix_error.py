@@ -1,8 +1,8 @@
 """Correlated fix errors, as two states after those of a model: `filters.fix_error` in closed form.
 
-The states do not enter the process. So a prediction multiplies their columns of P by F and changes nothing else: F is
-made from the scratch rows of a model's prediction, in an unscented filter too (its statistical linearization, see
-`tape`). The change of b from fix to fix is computed at the fix. Measurements loop over all n states; b is the last two.
+The process does not depend on these states. So a prediction only multiplies their columns of P by F. F is computed from
+the scratch rows of a model's prediction, also in an unscented filter (its statistical linearization, see `tape`). The
+change of b from fix to fix is computed at the fix. Measurements loop over all n states; b is the last two.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -14,7 +14,7 @@ from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
 
 
 def carry(w, u, *, n, biases):
-    """Propagate the columns of b by a planar model's step; ``biases``: that of planar8."""
+    """Propagate the columns of b by a planar model's step; ``biases``: the model is planar8."""
     dt = u[DT]
     h = 0.5 * dt
     for l in range(LANES):
@@ -43,7 +43,7 @@ def age_fix_error(w, z, since):
 
 
 def move_fix_error(w, *, n, noted):
-    """Propagate b from the last fix to this one; ``noted``: number of phi among the rows of `tape`, 0 without one."""
+    """Propagate b from the last fix to this one; ``noted``: index of phi among the rows of `tape`, 0 without phi."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         for j in range(n - 2, n):

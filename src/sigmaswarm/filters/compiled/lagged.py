@@ -1,4 +1,4 @@
-"""Repetition of a live filter's last seconds, with every step logged for the smoother."""
+"""Repeat the last seconds of a live filter, and log every step for the smoother."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 

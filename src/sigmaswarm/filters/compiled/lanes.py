@@ -2,8 +2,8 @@
 
 **Lanes.** Arrays are (row, lane) with parameter sets side by side, so that each loop over lanes becomes vector
 instructions; `layout` names the rows. All rows of one run live in one local array: with a single base pointer the
-compiler can rule out that writing one row changes another. A failing lane becomes NaN or loses its OK flag; nothing
-branches on it, so the other lanes neither wait nor change.
+compiler can rule out that writing one row changes another. The numbers of a failing lane become NaN, or its OK flag
+becomes 0. No code branches on this, so the other lanes neither wait nor change.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -20,14 +20,14 @@ from sigmaswarm.filters.compiled.unroll import Kernel
 from sigmaswarm.filters.compiled.vectors import put_loops
 
 OPTIONS = {"error_model": "numpy", "nogil": True}
-"""Flags of functions that call kernels: they divide as kernels do. Only loops over lanes may be rearranged."""
+"""Compiler flags of functions that call kernels; they divide like kernels. Only loops over lanes may be rearranged."""
 
 
 def kernel(function, **known):
     """A function to be inlined into others, with its keyword-only parameters bound: see `Kernel` and `put_loops`.
 
-    It takes the array of rows ``w``, returns nothing, and does not end early. Its loops over lanes become functions of
-    their own. It is generated when a caller is compiled.
+    The function's first argument is the array of rows ``w``; it returns nothing and has no early return. The loops over
+    lanes become separate functions. The code is generated when a caller is compiled.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 
@@ -40,8 +40,8 @@ _FLUSH_SUBNORMALS = 0x8040
 def _exchange_control(typing_context, control):
     """Set the processor's control register of floating point and return its old value; -1: add `_FLUSH_SUBNORMALS`.
 
-    A subnormal number costs a hundred cycles, and precise measurements shrink a covariance to such numbers. It does
-    nothing on processors other than x86.
+    An operation with a subnormal number takes a hundred cycles, and precise measurements reduce covariances to such
+    numbers. On processors other than x86 the function does nothing.
     """
 
     def generate(context, builder, signature, arguments):
@@ -89,7 +89,7 @@ def _series(z):
 FAR = (math.pi / 4) ** 2
 """Largest squared angle for `sinc_cos`."""
 TINY = 1e-100
-"""Number that is added to divisors that may be 0; too small to change other divisors."""
+"""Number that is added to divisors that may be 0. It is too small to change other divisors."""
 
 
 def sinc_cos(z):
@@ -101,7 +101,7 @@ def sinc_cos(z):
 def _near(x, n):
     """Sine and cosine of x minus n right angles, which is between -pi/4 and pi/4, without branches or calls.
 
-    The error is about 3e-16, the accuracy of pi/2, in addition to that of the last digit of x.
+    The error is about 3e-16, the accuracy of pi/2, in addition to the rounding error of x.
     """
     r = x - n * (math.pi / 2)
     z = r * r
@@ -136,8 +136,8 @@ def spread_of(quarter_gamma, variance):
 def angle_of(y, x):
     """The angle of the vector (x, y), in [-pi, pi], without branches or calls; to the last digit or two.
 
-    The ratio of the smaller to the larger, reduced to [-tan(pi/8), tan(pi/8)], then the rational function of Cephes
-    (S. Moshier, atan.c).
+    The ratio of the smaller to the larger coordinate is reduced to [-tan(pi/8), tan(pi/8)]; then the rational function
+    of Cephes is used (S. Moshier, atan.c).
     """
     ax, ay = abs(x), abs(y)
     large = ax if ax > ay else ay

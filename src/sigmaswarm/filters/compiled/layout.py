@@ -1,6 +1,6 @@
-"""The array that a run works on, (row, lane): its lanes, and its rows, numbered in the order of their names.
+"""The array of a run, (row, lane): its lanes, and the numbers of its rows.
 
-Kernels write ``w[R.XX, l]``; `unroll.unrolled` puts the number in its place before Numba sees it.
+Kernels contain ``w[R.XX, l]``; `unroll.unrolled` replaces R.XX by its number before Numba compiles them.
 """
 
 from collections import namedtuple
@@ -20,8 +20,9 @@ WIDEST = 8
 """Lanes in the widest vector of any processor. An array of rows has as many lanes, or a multiple of it."""
 
 BLOCKS = 2
-"""Largest multiple of LANES of a run: the lanes from LANES on are in rows of their own, after the rows of the first
-LANES lanes."""
+"""Largest multiple of LANES in a run. The lanes after the first LANES are in additional rows, after the rows of the
+first LANES lanes.
+"""
 
 
 def most_lanes(kernel: str) -> int:
@@ -110,7 +111,7 @@ NAMES = tuple(name for block in _BLOCKS.values() for name in block)
 N_ROWS = len(NAMES)
 
 R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
-"""Each row's number under its name."""
+"""The number of each row, by the row's name."""
 P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
 ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0, R.PIVOT0
 """First rows: P[i, j] with i <= j is in row P0 + j (j + 1) / 2 + i, the i-th of the others in row Q0 + i and so on."""
@@ -140,4 +141,4 @@ def at(i: int, j: int) -> int:
 
 
 N_KEPT: int = SUM_ROWS.stop
-"""Rows of a filter, from which it continues. The rows after them are scratch."""
+"""Rows from which a filter continues. The rows after them are scratch."""

@@ -1,7 +1,7 @@
-"""A live filter's memory, and its change due to an IMU sample and due to a fix: one compiled call each.
+"""The memory of a live filter, and compiled functions that process an IMU sample or a fix.
 
-The filter is the first lane of the rows in `layout`; a step is in `single`, and is called by its address, so that this
-file is compiled once for all models. The memory is eight arrays:
+The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so that this file
+is compiled once for all models. The memory is eight arrays:
 
     belief  (N_ALL,) the state, which a late fix resets to an earlier one; then settings and values without reset
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
@@ -114,12 +114,14 @@ DUE = 2
 
 
 _plain = njit(**OPTIONS)
-"""Functions without lanes; their time slots must equal those of a run, so no operations are rearranged."""
+"""Compiler options of functions without lanes. Their time slots must equal those of a run, so operations are not
+rearranged.
+"""
 
 
 @_plain
 def _step_to(step, v, to, u, happens, z, wheels):
-    """Step from the time of the state to a moment; u (N_STEP,) has the axes and the gap, and gets its length."""
+    """Step from the time of the state to another time; u (N_STEP,) contains the axes and the gap; its length is set."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
@@ -130,7 +132,7 @@ def _step_to(step, v, to, u, happens, z, wheels):
 
 @_plain
 def _copy(of, to, n):
-    """Copy the first n numbers; for whole arrays Numba takes long to compile."""
+    """Copy the first n numbers; copying whole arrays would take Numba long to compile."""
     for i in range(n):
         to[i] = of[i]
 
@@ -172,16 +174,16 @@ def is_definite(p, n, factor, first):
 
 @_plain
 def _check(v):
-    """Fail a filter whose covariance has lost its definiteness."""
+    """Mark a filter as failed if its covariance is no longer positive semidefinite."""
     if v[OK] == 1.0 and not is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start):
         v[OK] = 0.0
 
 
 @_plain
 def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
-    """Step through the fixes up to a sample's time; apply the odometer and the constraints of a car there.
+    """Process the fixes up to a sample's time; then apply the odometer and the constraints of a car.
 
-    ``number``: of the sample, from the start.
+    ``number``: number of the sample, counted from the start.
     """
     before, nothing = v[TIME], np.zeros(11)
     no_fix, wheels = nothing[:8], nothing[8:]
@@ -222,7 +224,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 @_plain
 def _until(rows, n, now):
-    """Return how many of the first n rows, which begin with their times, are up to a time."""
+    """Return how many of the first n rows, which begin with their times, are not later than a time."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -239,13 +241,13 @@ def _stands(v, fixes, end, now, means):
 
 @_plain
 def _lies_ahead(v, t):
-    """Return whether a time is so far ahead of the filter's that it needs a second stamp."""
+    """Return True if a time is so far ahead of the filter's time that a second stamp must confirm it."""
     return t - v[TIME] > LEAP and v[BELIEVES_TIMES] == 0.0
 
 
 @_plain
 def _record(counts, history, k):
-    """The k-th record of the history, the oldest one first."""
+    """Return the k-th record of the history, counted from the oldest."""
     return history[(counts[OLDEST] + k) % history.shape[0]]
 
 
@@ -498,7 +500,7 @@ def _take_sample(sources):
 
 def _take_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-        """Process a fix: it waits for its sample, or is processed as late; far ahead, it waits for a second fix."""
+        """Process a fix: it waits for its sample, is late, or, if it is far ahead, waits for a second fix."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
@@ -595,7 +597,7 @@ class LiveCalls:
 
 @once
 def live_calls():
-    """Compiled once, on import: numbers of other types are converted."""
+    """Functions that are compiled once, on import; numbers of other types are converted."""
     makers = (_take_sample, _take_fix, _take_speed, _look_back, _look_at_covariance)
     calls = [cached_by_sources(make, "live") for make in makers]
     for function, numbers in zip(calls, (7, 10, 2, 1, 0), strict=True):

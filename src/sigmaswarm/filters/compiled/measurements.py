@@ -1,9 +1,9 @@
-"""Updates of the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
+"""Update the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
 
 Each measurement fills, lane by lane, the innovation nu, its variance S and the covariances C = Cov(state, z); then
-`_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C come from sigma
-points. Where z is linear in the state they are the Kalman filter's; where it is rotated by the heading they have a
-closed form, as in planar5.py and planar8.py.
+`_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C follow from
+sigma points. If z is linear in the state, they equal those of the Kalman filter. If z is rotated by the heading, they
+have a closed form, as in planar5.py and planar8.py.
 
 Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`, as are the parts that depend on the
 gyro's bias (its index, or -1); `absorbers` returns the result.
@@ -72,8 +72,8 @@ def axis_of(bias):
 def absorb_fix(w, z, lever, since, *, looks, gated, adaptive, fix_error, note_prior):
     """Update with a position fix of the antenna.
 
-    ``z`` is a row of `Timeline.fixes`, ``since`` Q's scale since the last fix. Parts that no column needs are left out,
-    which does not change a bit of the others.
+    ``z`` is a row of `Timeline.fixes`, ``since`` is the scale of Q since the last fix. Parts that no column needs are
+    left out, which does not change the results.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
@@ -152,9 +152,9 @@ def _look(w, l):
 
 
 def _measure_fix(w, z, lever, *, n):
-    """z = p + R(theta) lever - latency v: nu, H P H^T, C and R.
+    """Compute nu, H P H^T, C and R of z = p + R(theta) lever - latency v.
 
-    R(theta) lever depends on theta alone, so its sigma points have planar5's closed form.
+    R(theta) lever depends only on theta, so its sigma points have planar5's closed form.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]
@@ -186,7 +186,7 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """R(theta) lever, k J R(theta) lever, and e: the effect of the heading and its spread on the lever arm."""
+    """Compute R(theta) lever, k J R(theta) lever, and e: effects of the heading and its variance on the lever arm."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
@@ -198,8 +198,9 @@ def _turn_lever(w, lever_x, lever_y):
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
     """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts no large numbers.
 
-    P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position and at the
-    correlated fix error, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P H^T.
+    P - C S^-1 C^T loses all digits of a variance that a fix reduces by a factor of a billion. H has 1 at the position
+    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P
+    H^T.
     """
     for l in range(LANES):
         used = w[R.G11, l] != 0.0
@@ -233,10 +234,10 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
 def _fade(w, *, n):
     """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu (FADING < 0: off).
 
-    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things
-    differ. The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, forget too fast.
-    And only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would grow
-    on.
+    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. There are
+    two changes. The innovations are averaged with weights rho and 1 - rho, since the weights in the paper, rho and 1
+    over 1 + rho, forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1
+    C^T, since the rest would grow without limit.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -256,7 +257,7 @@ def _fade(w, *, n):
 def _reason(w, *, n):
     """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`.
 
-    The present factors of R and Q are replaced by the new ones.
+    The previous factors of R and Q are replaced by the new ones.
     """
     for l in range(LANES):
         memory = w[R.FUZZY, l]
@@ -288,7 +289,7 @@ def _reason(w, *, n):
 
 
 def _stretch(w, l, s11, s12, s22, factor, *, n):
-    """P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and S and C with it; a factor of 1 changes no bit.
+    """Compute P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and adapt S and C; a factor of 1 changes nothing.
 
     ``s11``, ``s12`` and ``s22`` are H P H^T.
     """
@@ -314,8 +315,8 @@ def _weigh(w, since):
     update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
     tr R^-1 A), three times from w = 1.
 
-    A filter that is wrong takes all fixes for outliers. So the fix that ends a long run of them has weight 1, and the
-    part of P that it observes is inflated to explain its innovation.
+    A filter with a wrong state would treat all fixes as outliers. So the fix that ends a long run of outliers has
+    weight 1, and the part of P that it observes is inflated to explain its innovation.
     """
     recovering = 0
     for l in range(LANES):
@@ -352,9 +353,9 @@ def _adapt(w, since, *, n):
     """Adapt Q and R to a fix's innovation, with weight 1 - FORGETTING (1: off).
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
-    their weights (1 - b) / (1 - b^(k+1)). R from the residual after the update, eps eps^T + H P+ H^T, positive by
-    construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which negative values are not used. A second fix of the same
-    time (since = 0) shows nothing about Q.
+    their weights (1 - b) / (1 - b^(k+1)). R is estimated from the residual after the update, eps eps^T + H P+ H^T,
+    which is positive by construction. Q is estimated from K nu nu^T K^T + P+ - (P- - Q), whose negative values are not
+    used. A second fix at the same time (since = 0) contains no information on Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):
@@ -383,7 +384,8 @@ def absorb_velocity(w, z, *, n):
 def absorb_standstill(w, u, *, n, gyro_biases, tilted):
     """Update at a standstill: the velocity is 0, and the gyro measures its biases, if they are states.
 
-    These are linear in the error, so sequential updates equal a joint one, if the error is injected at the end.
+    The measurements are linear in the error, so sequential updates equal a joint update if the error is injected at the
+    end.
     """
     for l in range(LANES):
         w[R.R1, l] = w[R.R_STANDSTILL, l]
@@ -418,14 +420,14 @@ def _take_velocity(w, zu, zv, *, n):
 
 
 def _measure_along(w, u, wheels, *, n, bias, lateral):
-    """z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward: nu, S and C.
+    """Compute nu, S and C of z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward.
 
     To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: the reading of the wheels, speed /
     scale = forward - delay (ax - b).
 
-    R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with t = R^T
-    P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is rotated by 90 degrees; ``away``
-    is its forward velocity.
+    R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, rotated back into the body frame, with t
+    = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is rotated by 90 degrees;
+    ``away`` is its forward velocity.
     """
     if lateral:
         shown = u[GZ]
@@ -500,7 +502,7 @@ def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
 
 
 def _measure_heading(w, *, n):
-    """z = theta: its prediction, C and H P H^T; linear in the state."""
+    """Compute the prediction, C and H P H^T of z = theta, which is linear in the state."""
     for l in range(LANES):
         w[R.N1, l], w[R.S11, l] = w[R.T, l], w[R.TT, l]
         for i in range(n):
@@ -522,7 +524,7 @@ def absorb_heading(w, u, z, *, tilted, measure_heading):
 
 
 def _absorb_one(w, *, n):
-    """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
+    """Update x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C are in rows S11, N1 and C1."""
     for l in range(LANES):
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
         g = 1.0 / w[R.S11, l]
@@ -534,7 +536,7 @@ def _absorb_one(w, *, n):
 
 
 def _absorb_two(w, *, n, tilted):
-    """x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, in rows G11, G12, G22."""
+    """Update x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, is in rows G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
         w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0

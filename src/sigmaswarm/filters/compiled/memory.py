@@ -1,4 +1,4 @@
-"""A live filter's memory as one number: passing eight arrays to compiled code costs more than a filter's step."""
+"""Pass a live filter's memory to compiled code as one number, since passing eight arrays takes longer than a step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
@@ -42,7 +42,8 @@ class Memory:
     arrays : LiveArrays
         The state is a copy of the given one.
     handle : int
-        Argument of `memory_at`, valid while this object exists. Without compilation: the step and the arrays.
+        Argument of `memory_at`, valid while this object exists. Without compilation it contains the step and the
+        arrays.
     """
 
     def __init__(self, step: Any, given: LiveArrays) -> None:
@@ -56,7 +57,7 @@ class Memory:
 
 
 def _aligned(numbers):
-    """A copy that is aligned to a cache line, as its vectors require."""
+    """Return a copy that is aligned to a cache line, as vector instructions require."""
     room = np.empty(len(numbers) + CACHE_LINE // 8)
     first = (-room.ctypes.data // 8) % (CACHE_LINE // 8)
     copy = room[first : first + len(numbers)]

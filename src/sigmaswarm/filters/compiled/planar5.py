@@ -1,9 +1,9 @@
 """planar5's prediction in closed form; compare `models.planar5` and `textbook.UnscentedKalmanFilter`.
 
-The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate,
-with g the acceleration in the local frame. Any square root of P is right for sigma points; take the one with theta
-first. Then only its first column (and its mirror image) moves theta, by d = gamma sigma_theta with gamma^2 = n + lambda
-= alpha^2 (n + kappa). All other sigma points share the center's g0 = g(theta). With J a turn by 90 degrees,
+The process is linear in all states except theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw
+rate, with g the acceleration in the local frame. Every square root of P is valid for sigma points; the one with theta
+first is used. Then only its first column (and its mirror image) changes theta, by d = gamma sigma_theta with gamma^2 =
+n + lambda = alpha^2 (n + kappa). All other sigma points share the center's g0 = g(theta). With J a turn by 90 degrees,
 
     g(theta +- d) = g0 cos d +- J g0 sin d,       w = 1 / (2 gamma^2) the weight of one sigma point,
     e         = 2 w (cos d - 1) = -(2 / gamma^2) sin^2(d/2)          (no difference of large numbers is left)
@@ -14,11 +14,10 @@ first. Then only its first column (and its mirror image) moves theta, by d = gam
 
 The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
 
-An extended Kalman filter is the same with the second-order terms off: gamma = 0, so that e = 0 and k = 1.
-
-The heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, are rotated. After another
-change of the heading, by a fix or a start, they are computed again: until then row FACED is 0, and FACED_ALL in all
-lanes.
+An extended Kalman filter has the same form without the second-order terms: gamma = 0, so that e = 0 and k = 1. In a
+step the heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, are rotated. After
+another change of the heading, by a fix or a start, cosine and sine are computed again. Until then row FACED is 0, and
+FACED_ALL is 0 in all lanes.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -30,7 +29,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _face(w):
-    """The heading's cosine and sine, in the lanes where it was changed by something other than the gyro."""
+    """Compute the heading's cosine and sine in the lanes in which a fix or a start changed the heading."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         faced = w[R.FACED, l] > 0.0
@@ -64,10 +63,9 @@ def _turn(w, ax, ay, turn):
 
 @kernel
 def predict_planar5(w, u):
-    """One step of the process model, in two loops: one loop is too long for a processor's lookahead.
+    """Compute a step of the process model in two loops, since one loop is too long for a processor's lookahead.
 
-    The position moves by half a step with the velocity before, the velocity turns into the one after, and the position
-    moves by half a step with that.
+    The position moves by half a step with the velocity before the step and by half a step with the velocity after it.
     """
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
     if w[R.FACED_ALL, 0] == 0.0:

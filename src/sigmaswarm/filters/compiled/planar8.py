@@ -1,17 +1,18 @@
 """planar8's prediction in closed form: planar5 with the IMU's biases as random walks.
 
-u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with b the accelerometer's biases and w the gyro's.
-This is bilinear in theta and b. Take the square root of P with theta first again: its first column moves theta by d and
-b along with it; with theta fixed, the other columns move b only, and there the process is linear. Write g0 for the mean
-specific force minus bias in the local frame; J for a rotation by 90 degrees; t = R P[b, theta]; gamma, d, e and k as in
-planar5, and m = (1 - cos d) / P[theta, theta]. Adding up the sigma points gives
+u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with the accelerometer's biases b and the gyro's bias
+w. The process is bilinear in theta and b. The square root of P again begins with theta: its first column changes theta
+by d, and also b. The other columns change only b while theta is fixed, so for them the process is linear. g0 is the
+mean specific force minus bias in the local frame, and J is a rotation by 90 degrees. gamma, d, e and k are as in
+planar5, t = R P[b, theta], and m = (1 - cos d) / P[theta, theta]. The sums over the sigma points are
 
     mean of g   = g0 + mu,    mu = e g0 - k J t
     Cov(s, g)   = P[:, theta] (k J g0 + m t)^T - P[:, b] R^T
     Cov(g)      = R P[b, b] R^T + k^2 (P[theta, theta] J g0 (J g0)^T - gamma^2 t t^T)
                   - k cos d (J g0 t^T + t (J g0)^T) + (alpha^2 (n + kappa - 1) + beta) mu mu^T
 
-The second-order terms off (gamma = SECOND = 0): mu = 0, m = 0, k = cos d = 1; the extended Kalman filter.
+Without the second-order terms (gamma = SECOND = 0), mu = 0, m = 0 and k = cos d = 1: this is the extended Kalman
+filter.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -23,7 +24,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _turn(w, dt, ax, ay):
-    """The effect of heading, biases and their spread on the acceleration times dt."""
+    """Compute the effect of heading, biases and their covariances on the acceleration times dt."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         s, c = dt * sin_t, dt * cos_t  # all below is times dt

@@ -1,9 +1,9 @@
 """The extended filter of robot_localization in ``two_d_mode``, for many parameter sets side by side.
 
-Read it next to `filters.robot_localization`, which has the equations and the textbook form. The eight states are in
-planar8's rows: x, y, vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one
-for each row that differs from the identity, and measurements of single states are used one after the other: with a
-diagonal R this is the joint update.
+`filters.robot_localization` contains the equations and the textbook form. The eight states are in planar8's rows: x, y,
+vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one for each row that
+differs from the identity, and measurements of single states are used one after the other: with a diagonal R this is the
+joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -47,7 +47,7 @@ def _wrap(angle):
 
 @kernel
 def _predict(w, d, q):
-    """x += cos A - sin B, y += sin A + cos B with A = vx d + ax d2/2 and B = vy d + ay d2/2; P = J P J' + q Q."""
+    """Predict x += cos A - sin B, y += sin A + cos B, with A = vx d + ax d2/2, B = vy d + ay d2/2; P = J P J' + q Q."""
     h = 0.5 * d
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
@@ -86,11 +86,11 @@ def _predict(w, d, q):
 
 
 RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
-"""States and their derivatives."""
+"""Pairs of states and their derivatives."""
 
 
 def _absorb(w, z, *, state, noise, gate):
-    """A measurement of one state: x += K nu; P' = P - p p' / S, and the state's own column p R / S.
+    """Update with a measurement of one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
 
     ``gate``: the row of the NIS at which it is rejected; 0: none.
     """
@@ -129,7 +129,7 @@ _absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
 
 @kernel
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
-    """nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU, rotated by the mean heading."""
+    """Compute nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU at the mean heading."""
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
         w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]
@@ -151,11 +151,11 @@ def _look_at_fix(w):
 
 
 BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
-"""Rows that hold x and y as they were before a fix."""
+"""Rows with x and y before a fix."""
 
 
 def _absorb_axis(w, *, state, noise, innovation):
-    """As `_absorb` for one axis of a fix, in the lanes that use it."""
+    """Update with one axis of a fix, like `_absorb`, in the lanes that use the fix."""
     for l in range(LANES):
         r, use = w[noise, l], w[R.USE, l]
         one = use / (w[at(state, state), l] + r)

@@ -1,7 +1,7 @@
-"""The array that a run works on, on the stack and at the start of a cache line.
+"""Allocate the array of a run on the stack, aligned to a cache line.
 
-Numba's `np.empty` starts at any multiple of 32 bytes, so that with AVX-512 every load and store may cross two cache
-lines: by chance, the whole run then takes a seventh longer.
+Numba's `np.empty` starts at any multiple of 32 bytes, so with AVX-512 each load and store may touch two cache lines. In
+this case the run takes a seventh longer.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -48,6 +48,6 @@ def _in_python(lanes):
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
 """``(lanes)``: an uninitialized array of rows on the calling kernel's stack.
 
-Its type has ``lanes`` columns, the memory LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
-where nothing is compiled.
+The type of the array has ``lanes`` columns, its memory has LANES: lane LANES + k of row r is lane k of row N_ROWS + r.
+Without compilation the array always has LANES columns.
 """

@@ -35,7 +35,7 @@ NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 
 
 def kept(column: Array) -> Array:
-    """An input array for kernels: contiguous and not writable; each other form would be compiled."""
+    """Return an input array for kernels, contiguous and not writable, since kernels are compiled for this form only."""
     view = np.ascontiguousarray(column).view()
     view.flags.writeable = False
     return view
@@ -59,7 +59,10 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 
 @kernel
 def _take_logarithm(w):
-    """Add the logarithms of the last fixes' products to the sums, and reset the products; slow, so rarely called."""
+    """Add the logarithms of the products of the last fixes to the sums, and reset the products.
+
+    This function is slow and rarely called.
+    """
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -71,7 +74,7 @@ def _wrapped(angle):
 
 
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
-    """Errors in x, y and heading, with the estimate interpolated linearly between two IMU samples."""
+    """Compute errors in x, y and heading; the estimate is interpolated linearly between two IMU samples."""
     x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
     y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
     turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])
@@ -102,9 +105,9 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_doubtful(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """As `_score`, for truth with a variance, which weights each moment and is added to P in the NEES.
+    """Score like `_score`, for truth with a variance, which weights each time and is added to P in the NEES.
 
-    Separate from `_score`, which would round differently with a factor of 1.
+    This function is separate from `_score`, which would round differently with a factor of 1.
     """
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
@@ -120,8 +123,8 @@ def _run(
 ):  # fmt: skip
     """Run the steps from a place to a stop; w has the state and memory of the filters, before and after.
 
-    ``state``: the rows that are recorded; ``heading``: the one that is scored. A step's and a fix's numbers are passed
-    as tuples: a row of an array would be reference-counted at each step.
+    ``state``: the recorded rows; ``heading``: the row of the scored heading. The numbers of a step and of a fix are
+    passed as tuples, since a row of an array would be reference-counted at each step.
     """
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
     wheels = (0.0, 0.0, 0.0)
@@ -334,7 +337,7 @@ def run_kernel(model):
 
 @once
 def taped_kernel(model):
-    """As `run_kernel`, but ``record`` takes the `tape.taped_rows`; with IMU in all flags, of every step."""
+    """Run like `run_kernel`, but write the `tape.taped_rows` to ``record``; if all flags contain IMU, of every step."""
     return _kernel_of(model, partial(step_of, model, noted=True), taped_rows(model), f"{model}, taped")
 
 
@@ -357,7 +360,8 @@ def run_lanes(
 ) -> None:
     """Run up to `most_lanes` filters over some steps of one time line, from the end of the last call.
 
-    Runs in pieces give the bits of the whole run, if each piece but the last stops after a step that has IMU.
+    Runs in pieces give the same results as the whole run, if each piece except the last stops after a step with the
+    flag IMU.
 
     Parameters
     ----------
@@ -371,9 +375,9 @@ def run_lanes(
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval
     target_end : (k,) number of targets before the end of each step (constant where flags lack IMU)
-    rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane, and what it remembers
+    rows : (N_KEPT, a multiple of WIDEST), changed: state, constants, sums and memory of each lane
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
-    stop : the step before which to stop; at k, sums are complete
+    stop : the step before which the run stops; for k the sums are complete
     record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes, up
         to LANES, at each IMU sample of these steps; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before it

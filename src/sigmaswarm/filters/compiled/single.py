@@ -1,7 +1,7 @@
-"""One step of one filter; other compiled code calls it by its address.
+"""Compile one step of one filter, which other compiled code calls by its address.
 
-Numba inlines called functions and compiles them again; but the bookkeeping of a live filter is the same for each model,
-without the model's arithmetic. So a step is a separate compiled function, and the loop over steps gets its address.
+Numba would inline the step into its callers and compile them for each model, although the rest of a live filter is the
+same for all models. So a step is a separate compiled function, and the loop over steps receives its address.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -28,7 +28,7 @@ SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, 
 
 def _one_step(sources, *, step, kept, tape, taped):
     def one_step(v, u, happens, z, wheels, lever, since):
-        """A step as in `step`, whose tuples are arrays; ``v`` is the filter before and after."""
+        """A step as in `step`, with arrays instead of tuples; ``v`` is the filter before and after the step."""
         if sources == "":  # never; so the name is closed over
             return
         control = exchange_control(-1)
@@ -74,7 +74,7 @@ class SingleStep:
 
 @once
 def single_step(model, tape=-1):
-    """The step of a model, compiled now.
+    """Return the compiled step of a model.
 
     ``tape``: the index in the filter's numbers of the number of logged steps; the `taped_rows` of each follow it.
     Negative: no log.

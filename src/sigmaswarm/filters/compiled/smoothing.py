@@ -1,4 +1,4 @@
-"""The backward pass of Rauch, Tung and Striebel, compiled: one filter over the logged steps, the last one first.
+"""The compiled backward pass of Rauch, Tung and Striebel: one filter over the logged steps, from last to first.
 
     G   = P A^T (P-)^-1
     m^s = m + G (m^s' - m-)
@@ -57,7 +57,7 @@ def _moved_planar8(move, p, ap, n):
 
 @_plain
 def _moved_tilted12(move, p, ap, n):
-    """A P, of the error; its third, first and second part are in rows 4, 8 and 9."""
+    """Compute A P of the error; its third, first and second part are in rows 4, 8 and 9."""
     dt, east, north = move[0], move[1], move[2]
     h, g = 0.5 * dt, GRAVITY * dt
     for c in range(n):
@@ -74,7 +74,7 @@ def _moved_tilted12(move, p, ap, n):
 
 
 def _moved_unscented(move, p, ap, n, *, first):
-    """A P, of the error, made from the rows D and the slopes."""
+    """Compute A P of the error from the rows D and the slopes."""
     h = 0.5 * move[0]
     for c in range(n):
         vx = p[2, c] - move[1] * p[5, c] - move[2] * p[6, c]
@@ -103,7 +103,7 @@ _MOVED = {
 
 
 def _spread(state, p, *, n, first):
-    """The covariance (n, n) of a packed upper triangle, column by column."""
+    """Return the covariance (n, n) of an upper triangle that is packed column by column."""
     at = first
     for b in range(n):
         for a in range(b + 1):
@@ -154,7 +154,7 @@ def _turn_between(q, p, error):
 
 @_plain
 def _turned(q, x, y, z, out):
-    """exp((x, y, z)) q."""
+    """Return exp((x, y, z)) q."""
     angle = 0.5 * math.sqrt(x * x + y * y + z * z)
     k = 0.5 * math.sin(angle) / angle if angle > 0.0 else 0.5
     c, x, y, z = math.cos(angle), k * x, k * y, k * z
@@ -167,7 +167,7 @@ def _turned(q, x, y, z, out):
 
 
 def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, phi, moved, spread, solve):
-    """Smooth one step: from the state after it to the one before it, ``behind`` (n_state,), in place."""
+    """Smooth one step: replace the state after it by the state before it in ``behind`` (n_state,)."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
@@ -259,10 +259,9 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     name : name of the kernel of the forward pass
     tape : (k, t) `tape.taped_rows` of each step
     start : (s,) the filter's state before the first one: its `state_rows`
-    ends, started : (a,) int, (a, s) the steps behind which the filter was reset, and its state then: what lies
-        before is smoothed without what comes behind
-    sampled : (k,) bool: the steps whose ends are returned
-    behind : (s,) changed: the smoothed state, behind the last step and then before the first
-    out : (r, s) written: the smoothed states at the chosen ends
+    ends, started : (a,) int, (a, s) the steps after which the filter was reset, and its state then; steps before a
+    reset are smoothed without later ones sampled : (k,) bool: the steps whose ends are returned behind : (s,) changed:
+    at first the smoothed state after the last step, at the end the one before the first step out : (r, s) written: the
+    smoothed states at the chosen ends
     """
     _kernel_of(name)(tape, start, ends, started, sampled, behind, out)

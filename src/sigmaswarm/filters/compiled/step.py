@@ -1,4 +1,4 @@
-"""One step of LANES filters, the same in a run and in a live filter: predict, then update with the measurements."""
+"""Compute one step of LANES filters, in a run or a live filter: predict, then update with the measurements."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -55,8 +55,9 @@ def _step(
 ):  # fmt: skip
     """Predict, and update with the measurements.
 
-    ``u`` is a step's numbers, DT ... GY, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`,
-    ``wheels`` one of `Wheels.rows`: tuples. ``lever`` is that of the time line, ``since`` Q's scale since the last fix.
+    The following arguments are tuples: ``u``, the numbers DT ... GY of a step; ``z``, a row of `Timeline.fixes`;
+    ``wheels``, a row of `Wheels.rows`. ``happens`` contains the bits of `schedule`, ``lever`` is the lever arm of the
+    time line, and ``since`` is the scale of Q since the last fix.
     """
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:

@@ -1,15 +1,15 @@
-"""A filter bank's step: LANES filters of one model at once, and the evidence of each filter.
+"""Compute a step of a filter bank: LANES filters of one model at once, and the evidence of each filter.
 
-It replaces a live filter's `single_step`. The filter itself is the bank's first lane; all lanes are after its state
-(`live.BEHIND`), so that late fixes take them back, too:
+This step replaces the `single_step` of a live filter. The filter of the live filter is the bank's first lane. All lanes
+are stored after its state (`live.BEHIND`), so that late fixes also return them to an earlier state:
 
     NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
     ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the marks of a live filter reach to here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
     TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
 
-The evidence of a lane is the logarithm of the fixes' likelihood, Gaussian, so that a wrong covariance lowers it; it
-fades with time. A weight is exp(EVIDENCE_COUNTS evidence - penalty), normed.
+The evidence of a lane is the logarithm of the Gaussian likelihood of the fixes, which a wrong covariance lowers; it
+fades with time. The weight is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -34,7 +34,7 @@ from sigmaswarm.filters.schedule import FIX
 EVIDENCE_LASTS = 60.0
 """Time in which the evidence decays to 1/e, s."""
 LARGEST_NIS = 200.0
-"""Upper limit of the NIS of a fix in the evidence, so that one fix alone does not decide. Student's t would penalize
+"""Upper limit of the NIS of a fix in the evidence, so that a single fix does not decide. Student's t would penalize
 jumps too little: between high buildings fixes are good until they jump, and a lane with a small R would gain.
 """
 EVIDENCE_COUNTS = 0.1
@@ -152,7 +152,7 @@ def _note_fix(v, w, now):
 
 @njit(**OPTIONS)
 def _check_lanes(v, w):
-    """Fail lanes whose covariance is no longer definite; the live filter checks the first lane, which is its own."""
+    """Mark lanes as failed whose covariance is no longer definite; the live filter checks the first lane."""
     for lane in range(1, LANES):
         if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v, FACTOR.start):
             w[R.OK, lane] = 0.0
@@ -199,7 +199,7 @@ def _swarm_step(sources, *, step, kept):
 
 @once
 def swarm_step(model):
-    """The step of a filter bank of a model, compiled now, as `single.single_step`."""
+    """Return the compiled step of a filter bank of a model, like `single.single_step`."""
     kept = (*(int(r) for r in state_rows(model)), *range(CONSTANT_ROWS.start, N_KEPT))
     function = named_by_sources(_swarm_step, f"swarm {model}", lambda: {"step": step_of(model), "kept": kept})
     return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (swarm_step, model))

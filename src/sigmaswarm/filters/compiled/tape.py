@@ -1,10 +1,11 @@
-"""The log of a step of the compiled filter for a smoother: the prediction before any update, and its transition.
+"""Log each step of the compiled filter for a smoother: the prediction before any update, and its transition.
 
 A smoother does not need the measurements. For each step it uses three things: the state after it; the prediction
 (mean and covariance, with Q, gaps, fading factor and the inflation after a run of outliers); and the covariance of the
-state before with the state after, P A^T. A is the transition: of an extended filter the Jacobian, of an unscented one
-its statistical linearization, Cov(s', s) P^-1. In planar5.py's and planar8.py's closed form that is the Jacobian with
-k J g0 + m t in place of J g0. The few numbers that make A are noted here, in rows MOVE; `smoothing` reads them.
+state before with the state after, P A^T. A is the transition: the Jacobian of an extended filter, or the statistical
+linearization of an unscented filter, Cov(s', s) P^-1. In the closed forms of planar5.py and planar8.py this
+linearization is the Jacobian with k J g0 + m t in place of J g0. The few numbers that determine A are written to rows
+MOVE, which `smoothing` reads.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -29,7 +30,7 @@ MOVES = {
         *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
     ),
 }
-"""Rows from which A is made, by kernel, each in proportion to the step's length; phi of `fix_error` follows."""
+"""Rows from which A is computed, by kernel, each proportional to the step's length; phi of `fix_error` follows."""
 
 
 def _moves_of(name):

@@ -1,17 +1,18 @@
 """tilted12's extended filter; compare `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
 
-The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. The mean's rows I, J and T have the error about east,
-north and up: 0 except between a measurement and `fold`, which rotates the quaternion by it. All other rows are
-planar8's; K and L are the biases of gx and gy.
+The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T of the mean contain the error about east,
+north and up, which is 0 except between a measurement and `fold`, which rotates the quaternion by this error. All other
+rows are those of planar8; K and L are the biases of gx and gy.
 
-F has seven rows that differ from the identity's, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h = dt/2:
+F has seven rows that differ from those of the identity, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h
+= dt/2:
 
     u' = u + g J - a_n T - D11 A - D12 B        x' = x + h (u + u')
     v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')
     I' = I - D11 K - D12 L - D13 W              J', T' likewise
 
-So P' = F P F^T takes F P first, its seven rows in scratch, then F from the right; the columns of A, B, W, K and L are
-done after the first.
+So P' = F P F^T is computed in two parts: first F P, whose seven rows are in scratch, then the product with F from the
+right. The columns of A, B, W, K and L are computed last.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -189,14 +190,14 @@ def fold(w):
 
 @kernel
 def settle(w):
-    """The heading, for scores."""
+    """Compute the heading for scores."""
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         w[R.HEADING, l] = angle_of(2.0 * (q1 * q2 + q0 * q3), 1.0 - 2.0 * (q2 * q2 + q3 * q3))
 
 
 def measure_fix_tilted(w, z, lever, *, n):
-    """z = p + (R lever) - latency v: nu, H P H^T, C and R; of the error's part e x (R lever), see `tilted.Antenna`."""
+    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v; for the error see `tilted.Antenna`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     for l in range(LANES):
@@ -230,7 +231,7 @@ def measure_fix_tilted(w, z, lever, *, n):
 
 
 def measure_heading_tilted(w, *, n):
-    """z = yaw of the attitude: its prediction, C and H P H^T; H as `tilted.Heading`."""
+    """Compute the prediction, C and H P H^T of z = yaw of the attitude; for H see `tilted.Heading`."""
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         east, north = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3)
@@ -243,7 +244,7 @@ def measure_heading_tilted(w, *, n):
 
 
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
-    """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
+    """Compute nu, C and S of the velocity to the left at the rear axle, or forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:
         shown = u[GZ]
     else:

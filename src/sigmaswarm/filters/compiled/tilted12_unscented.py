@@ -1,12 +1,13 @@
 """tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
-Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Any square root L of P is right for
-them; take the one that begins with the states that do not enter linearly, in the order of `tilted.STEP_FIRST` and
-`MEASURED_FIRST`. Then its other columns move states that enter linearly while those are fixed: position, velocity and
-the accelerometer's biases. Only the first columns need points:
+Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Every square root L of P is valid; the
+one used begins with the states that do not enter linearly, in the order of `tilted.STEP_FIRST` and `MEASURED_FIRST`.
+The other columns change only states that enter linearly while the first states are fixed: position, velocity and the
+accelerometer's biases. Only the first columns need points:
 
-- In a step, the gyro's biases. The columns of the attitude after them move no such bias: all points of these rotate as
-the center does, so their error does not change, and the acceleration is that of the center, rotated in closed form.
+- In a step, the gyro's biases. The columns of the attitude, which follow, do not change these biases. Their points
+  rotate like the center, so their error does not change, and their acceleration is that of the center, rotated in
+  closed form.
 - In a fix, the attitude, which rotates the lever arm, also in closed form.
 - In the lateral constraint and the odometer, the attitude, which rotates the velocity.
 
@@ -18,10 +19,10 @@ the curvature t = (r+ + r-) / (2 gamma^2). Then the sums over the sigma points a
     Cov(s, r)  = sum of L_c d^T = P[:, drawn] H,   with L_drawn^T H = d
     Cov(r)     = H^T P[drawn, drawn] H + gamma^2 (sum of t t^T) + (beta - alpha^2) mu mu^T
 
-The turned vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
-|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part with H added to it takes the place of the Jacobian,
-the last two terms of Cov(r) are added to the covariance, and the rest is as in `tilted12`. H is stored in rows
-SLOPE, mu in SHIFT, and these two terms in EXTRA.
+The rotated vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L_c x (L_c x a), with the angle d = gamma
+|L_c|, k = sin d / d and q = (1 - cos d) / d^2. So the linear part plus H replaces the Jacobian, the last two terms of
+Cov(r) are added to the covariance, and the rest is as in `tilted12`. H is stored in rows SLOPE, mu in SHIFT, and these
+two terms in EXTRA.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -77,7 +78,7 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """H in place of the slopes, mu, and the addition of the curvatures to the covariance.
+    """Compute H in place of the slopes, mu, and the addition of the curvatures to the covariance.
 
     ``columns`` of each output.
     """
@@ -125,7 +126,7 @@ def _turned(x, y, z, w, l):
 
 
 def _sinc_cos_far(z):
-    """As `sinc_cos`, of any angle."""
+    """Like `sinc_cos`, for any angle."""
     angle = math.sqrt(z) + TINY
     sine, cos = sincos(angle)
     return sine / angle, cos
@@ -286,7 +287,7 @@ def _turn_acceleration(w):
 
 @kernel
 def _unscented_transition(w, u):
-    """H, mu and the addition to the covariance of a step; mu is added to the mean."""
+    """Compute H, mu and the addition to the covariance of a step; mu is added to the mean."""
     _root_of_step(w)
     ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
     far = 0
@@ -401,7 +402,7 @@ _linearize_along = kernel(_linearize, columns=(3,))
 
 @kernel
 def measure_fix_unscented(w, z, lever):
-    """z = p + (R lever) - latency v, as `tilted12.measure_fix_tilted`."""
+    """Compute z = p + (R lever) - latency v like `tilted12.measure_fix_tilted`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     _root_of_rotation(w)
@@ -451,7 +452,7 @@ def measure_fix_unscented(w, z, lever):
 
 @kernel
 def measure_heading_unscented(w):
-    """z = yaw of the attitude: its prediction, C and H P H^T from the turns of the forward axis by sigma points."""
+    """Compute the prediction, C and H P H^T of z = yaw from the rotations of the forward axis by sigma points."""
     _root_of_rotation(w)
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
@@ -482,7 +483,7 @@ def measure_heading_unscented(w):
 
 
 def _measure_along(w, u, wheels, *, lateral, bias):
-    """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
+    """Compute nu, C and S of the velocity to the left at the rear axle, or forward: `tilted.RearAxle`, `Wheels`."""
     if lateral:
         shown = u[GZ]
     else:

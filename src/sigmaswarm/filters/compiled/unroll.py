@@ -1,8 +1,8 @@
 """Unroll loops over states, and inline kernels into each other.
 
-Loops over lanes become vector instructions, and their body must be without branches: see `vectors`. So `unrolled`
-unrolls the loops over states, with n a number, and replaces names of rows by numbers. It also inlines kernels, which
-Numba does slowly. Names in a function must be defined above it in its file.
+Loops over lanes become vector instructions, so their body must not contain branches (see `vectors`). Therefore
+`unrolled` unrolls the loops over states, for a known number n of states, and replaces names of rows by numbers. It also
+inlines kernels, since Numba does this slowly. Names in a function must be defined above the function in its file.
 """
 
 import ast
@@ -88,7 +88,7 @@ class Kernel:
 
     @cached_property
     def name(self) -> str:
-        """Its qualified name."""
+        """The qualified name of the function."""
         return _name(self.source, self.known)
 
     @cached_property
@@ -106,7 +106,7 @@ def unrolled(
     /,
     **known: Any,
 ) -> Callable[..., Any]:
-    """The same function with its keyword-only parameters bound to ``known``, and loops over states and rows unrolled.
+    """Return the function with its keyword-only parameters bound to ``known``, and loops over states and rows unrolled.
 
     Parameters
     ----------
@@ -152,11 +152,11 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
 
 
 def _told_apart(known: Names) -> str:
-    """Distinguish a function from others that are made of the same one: a hash of its bound names.
+    """Return a hash of bound names, which distinguishes functions that are generated from the same function.
 
-    Numba names machine code after a function's qualified name and the number of compilations of the process. So
-    kernels of two models, compiled by two processes, may have the same name, and when both are loaded from the cache,
-    one would run in place of the other.
+    Numba names machine code after a function's qualified name and the number of compilations of the process. So kernels
+    of two models, compiled by two processes, may have the same name. If both are loaded from the cache, one could
+    replace the other.
     """
     parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):

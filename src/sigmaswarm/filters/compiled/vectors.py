@@ -1,13 +1,13 @@
 """Loops over lanes, emitted as vector instructions of LLVM.
 
 A kernel with unrolled loops over states has some thousand lines of arithmetic. Numba would infer the type of each
-number, for half a minute and more; here all are doubles, so each loop over lanes is emitted directly, as a function of
-its own that takes the array of rows and the few numbers that all lanes share. The function's name contains a hash of
-its text, so all callers share one function and get the same bits.
+number, which takes half a minute and more. In kernels all numbers are doubles, so each loop over lanes is emitted
+directly as a separate function of the array of rows and the few numbers that all lanes share. The function's name
+contains a hash of its text, so all callers share one function and get identical results.
 
-The body of a loop over lanes has no branches. It has assignments to names and to ``w[row, l]`` with a known row,
-arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`. Calls of
-plain functions of that kind are written into it. A name that is only added to counts lanes: ``n += test``.
+The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w[row, l]`` with a
+known row, arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`.
+Calls of plain functions with such a body are inlined. ``n += test`` counts the lanes in which a test is true.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -126,7 +126,7 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
 
 
 def _as_intrinsic(loop: _Loop) -> Any:
-    """``called(w, (shared ...))``, for Numba: it calls the loop, and puts it into the module if it is not there."""
+    """Return ``called(w, (shared ...))`` for Numba, which calls the loop and adds it to the module if necessary."""
 
     def call(typing_context, w, numbers):
         def generate(context, builder, signature, arguments):
@@ -208,7 +208,7 @@ def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
 
 
 class _Frame(NamedTuple):
-    """The values of names in a function: numbers and functions from outside it, and values of its own."""
+    """The values of names in a function: global numbers and functions, and local values."""
 
     names: Names
     values: dict[str, Any]

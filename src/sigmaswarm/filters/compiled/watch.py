@@ -1,4 +1,4 @@
-"""Inputs of a live filter's divergence monitor: the last usable fix, and an approximate heading.
+"""Compute the inputs of a live filter's divergence monitor: the last usable fix, and an approximate heading.
 
 The samples of the last seconds are in a ring buffer: time, ax, ay, gz, and the other axes. Rows of fixes are those of
 `live`.
@@ -29,9 +29,9 @@ _plain = njit(**OPTIONS)
 
 @_plain
 def last_fix(fixes, end, until, after):
-    """The row, before row ``end``, of the last fix after a time and up to another; -1 where there is none.
+    """Return the row, before row ``end``, of the last fix between two times; -1 if there is none.
 
-    Stale fixes and those that are not numbers are left out.
+    Stale fixes and fixes that are not numbers are left out.
     """
     for f in range(end - 1, -1, -1):
         if fixes[f, _T] <= after:
@@ -81,9 +81,9 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
 @_plain
 def _way(samples, k, steps, since, until, gyro_bias):
-    """The path between two times at 1 m/s, heading east at first, and the change of heading up to the last sample.
+    """Return the path between two times, and the change of heading up to the last sample.
 
-    Row ``k`` is the last sample up to ``since``; so many ``steps`` follow.
+    The path has 1 m/s and begins to the east. Row ``k`` is the last sample up to ``since``; ``steps`` samples follow.
     """
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
     for _ in range(steps):

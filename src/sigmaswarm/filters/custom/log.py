@@ -24,13 +24,14 @@ class Log:
     time : ndarray, shape (k,)
         s, strictly increasing.
     measurement_time : ndarray, shape (f,)
-        s, strictly increasing, on its own clock.
+        Times of the measurements, s, strictly increasing; they need not be among ``time``.
     measurements : ndarray, shape (f, m)
         (f,) stands for (f, 1).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Mean and covariance of the state at ``time[0]``, where the filter starts. They must not come from truth.
+        Mean and covariance of the state at ``time[0]``, at which the filter starts. They must not be computed from
+        truth.
     inputs : ndarray, shape (k, u), optional
-        Inputs of the process; (k,) stands for (k, 1). None: f gets an empty array.
+        Inputs of the process; (k,) stands for (k, 1). None: the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
         True values of some or all states, by name. No filter uses them.
     truth_time : ndarray, shape (j,), optional
@@ -142,7 +143,7 @@ class Log:
 class Steps:
     """Steps of a filter over a log.
 
-    The first step has length zero, for a measurement at the very start.
+    The first step has length zero, for a measurement at the first time.
 
     Attributes
     ----------
@@ -186,6 +187,6 @@ def build_steps(log: Log) -> Steps:
 
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
-    """Index in ``times`` of each of ``ends``; -1 where it is not among them."""
+    """Return the index in ``times`` of each of ``ends``; -1 if it is not among them."""
     found = np.isin(ends, times)
     return np.where(found, np.cumsum(found) - 1, -1).astype(np.int64)

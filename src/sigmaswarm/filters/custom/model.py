@@ -27,7 +27,7 @@ class Tunable:
     Attributes
     ----------
     name : str
-        f, h and the noises read its value as ``p.NAME``.
+        f, h and the noise functions read the value as ``p.NAME``.
     lowest, highest : float
         Bounds of the search.
     logarithmic : bool
@@ -47,8 +47,8 @@ class Tunable:
 class Model:
     """A user's process and measurement, and the parameters that are tuned in them.
 
-    ``p`` has the values of ``parameters``, each under its name: ``p.length``. Plain functions of numbers and NumPy
-    arrays are compiled with Numba; others run too, some hundred times slower.
+    ``p`` contains the values of ``parameters`` by name, such as ``p.length``. Plain functions of numbers and NumPy
+    arrays are compiled with Numba; other functions run about a hundred times slower.
 
     Attributes
     ----------
@@ -185,16 +185,16 @@ class Model:
 
 
 def as_covariance(noise: Any) -> Array:
-    """Q or R, (n, n), from a matrix or its diagonal."""
+    """Return Q or R, (n, n), from a matrix or its diagonal."""
     noise = np.asarray(noise, dtype=np.float64)
     return np.diag(noise) if noise.ndim == 1 else noise
 
 
 def fingerprint(*things: Any) -> str:
-    """Hash values and functions, which are hashed by their bytecode and the outside values that they use.
+    """Hash values and functions; a function is hashed by its bytecode and the global values that it uses.
 
-    Equal code with equal numbers has the same hash in every process. Lambdas and functions of notebooks have bytecode,
-    too, and comments do not change it.
+    Equal code with equal numbers has the same hash in every process, also for lambdas and functions of notebooks.
+    Comments do not change the hash.
     """
     digest = hashlib.sha256()
     seen: set[int] = set()
@@ -238,6 +238,6 @@ def _add(digest: Any, thing: Any, seen: set[int]) -> None:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Outside names that a function may use, with those of its inner functions."""
+    """Return the global names that a function and its inner functions may use."""
     inner = (_names(c) for c in code.co_consts if isinstance(c, CodeType))
     return set(code.co_names).union(*inner)

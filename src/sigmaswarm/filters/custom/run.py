@@ -1,4 +1,4 @@
-"""Filters of users' models over logs: compiled where possible, in textbook form otherwise; and their smoother."""
+"""Run filters of users' models over logs, compiled if possible, else in textbook form, and smooth their estimates."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -36,14 +36,14 @@ class ModelEstimate:
     time : ndarray, shape (k,)
         Times of the log, s.
     mean, covariance : ndarray, shapes (k, n), (k, n, n)
-        State estimate, angles wrapped to (-pi, pi]. NaN from a failure on.
+        State estimate, angles wrapped to (-pi, pi]. NaN after a failure.
     measurement_time : ndarray, shape (f,)
         Times of the measurements within ``time``, s.
     nis, nll : ndarray, shape (f,)
         Normalized innovation squared and negative log-likelihood of each measurement, before its update. The mean NIS
         of a consistent filter is m, the number of elements of a measurement.
     failure : str or None
-        The failure and its time; None without one.
+        The failure and its time; None without a failure.
     """
 
     time: Array
@@ -61,7 +61,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Parameters
     ----------
     log : Log
-        Its truth, if any, is not used.
+        The log; its truth, if any, is not used.
     model : Model
     parameters : mapping of str to float
         The model's parameters by name, as in `Tuning.parameters`; for an unscented filter also alpha, beta, kappa.
@@ -69,7 +69,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Returns
     -------
     ModelEstimate
-        With ``failure`` set where the filter failed.
+        The estimates; ``failure`` is set if the filter failed.
 
     Raises
     ------
@@ -84,19 +84,19 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
     """Run the filter of a model of your own over a log, and smooth: each estimate uses all measurements.
 
-    H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. It runs in NumPy,
-    about a hundred times slower than `run_model`.
+    H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. The smoother runs
+    in NumPy, about a hundred times slower than `run_model`.
 
     Parameters
     ----------
     log, model, parameters
-        As in `run_model`.
+        See `run_model`.
 
     Returns
     -------
     ModelEstimate
-        ``nis`` and ``nll`` are the filter's. Where the filter failed, ``failure`` is set, and the estimates before it
-        are smoothed.
+        ``nis`` and ``nll`` are those of the filter. If the filter failed, ``failure`` is set, and the estimates before
+        the failure are smoothed.
 
     Raises
     ------
@@ -147,7 +147,7 @@ class Filtered(Trajectory):
 
 
 class Runner:
-    """Logs that are prepared once for any number of parameter sets; the model must fit them, else `InputError`."""
+    """Logs that are prepared once for any number of parameter sets; `InputError` if the model does not fit them."""
 
     def __init__(self, model: Model, logs: Sequence[Log]) -> None:
         for log in logs:
@@ -192,7 +192,7 @@ def _run_textbook(
 
 
 def _textbook(model: Model, steps: Steps, parameters: Mapping[str, float]) -> TextbookModel | None:
-    """The textbook filter at the start of a log; None where the user's functions fail there."""
+    """Return the textbook filter at the start of a log, or None if the user's functions fail there."""
     try:
         with np.errstate(all="ignore"):  # the result is checked
             return TextbookModel(model, steps, _scaling(parameters), model.values(parameters))
@@ -215,7 +215,7 @@ _KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
 
 
 def kernel_of(model: Model, steps: Steps) -> Any:
-    """The model's compiled filter, compiled when first used; None where it can't be compiled."""
+    """Return the model's filter, compiled at its first use; None if it can't be compiled."""
     if model not in _KERNELS:
         _KERNELS[model] = _compiled(model, steps) if model.kind == "ukf" else None
     return _KERNELS[model]
@@ -260,7 +260,7 @@ def _same(a: Filtered, b: Filtered) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """The line of Numba's message that states the reason."""
+    """Return the line of Numba's message that states the reason."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if not line.startswith(("Failed in", "During", "File ", "^"))]
     return (telling or lines or [type(error).__name__])[0].rstrip(".:")
@@ -276,7 +276,7 @@ def trial_parameters(model: Model) -> dict[str, float]:
 
 
 def check(model: Model, log: Log) -> None:
-    """Call the model's functions with the log's first data; raise `InputError` where a result is not usable."""
+    """Call the model's functions with the first data of the log; raise `InputError` if a result is not usable."""
     n, m = len(model.states), log.measurements.shape[1]
     if len(log.mean) != n:
         raise log.wrong(f"mean has {len(log.mean)} values, the model {model.name} has {n} states")

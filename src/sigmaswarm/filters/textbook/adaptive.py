@@ -15,7 +15,7 @@ class SageHusa:
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of their
     weights (1 - b) / (1 - b^(k+1)); the maximum-a-posteriori estimate of the noise under exponential forgetting.
-    Guards: R is from the residual after the update, which is positive by construction; a change that makes Q negative
+    R is computed from the residual after the update, so it is positive by construction. A change that makes Q negative
     is not used.
 
     Attributes
@@ -54,7 +54,7 @@ class FuzzyNoise:
     tuned_process_noise, tuned_measurement_noise : ndarray, shapes (n,) and (2,)
         The diagonals of Q, per nominal step, and R at a ratio of 1.
     memory : float
-        Share of the averages that is kept from fix to fix.
+        Weight of the previous average at each fix.
     widths : tuple of float, length 2
         Widths of the edges of ratio and trend.
     gains : tuple of float, length 2
@@ -62,7 +62,7 @@ class FuzzyNoise:
     quick, slow : float
         The ratio of the actual to the theoretical innovation covariance, averaged.
     times_r, times_q : float
-        The factors in force.
+        The current factors of R and Q.
     """
 
     tuned_process_noise: Array
@@ -96,7 +96,7 @@ class FuzzyNoise:
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
     def factors(self) -> tuple[float, float]:
-        """Factors of R and Q: the mean of the rules' consequents, weighted by their truths."""
+        """Return the factors of R and Q: the mean of the rules' consequents, weighted by the memberships."""
         ratio = (self.quick - 1) / (self.quick + 1) / self.widths[0]
         trend = (self.quick - self.slow) / (self.quick + self.slow) / self.widths[1]
         small, large = np.clip(-ratio, 0, 1), np.clip(ratio, 0, 1)
@@ -116,10 +116,10 @@ class FuzzyNoise:
 class StrongTracking:
     """Inflate P before a fix until the trace of S is at least the recent mean of nu^T nu.
 
-    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two
-    changes: The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, forget too fast.
-    And only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would grow
-    on.
+    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. There are
+    two changes. The innovations are averaged with weights rho and 1 - rho, since the weights in the paper, rho and 1
+    over 1 + rho, forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1
+    C^T, since the rest would grow without limit.
 
     Attributes
     ----------
@@ -145,8 +145,9 @@ class StudentT:
     """Weight fixes whose errors have Student's t distribution: the R of each fix is divided by the weight of the fix.
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012. One thing differs: a filter that is wrong takes all fixes for
-    outliers. So the fix that ends a long run of them has weight 1, and P is inflated before it.
+    the multivariate Student-t distribution, MLSP 2012. There is one change, since a filter with a wrong state would
+    treat all fixes as outliers: the fix that ends a long run of outliers has weight 1, and P is inflated before this
+    fix.
 
     Attributes
     ----------

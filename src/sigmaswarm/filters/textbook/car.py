@@ -1,4 +1,4 @@
-"""Filters for cars in textbook form; a step follows the equations.
+"""Filters for cars in textbook form; each step follows the equations.
 
 Tests compare these filters with `compiled/run.py`, one step at a time.
 """
@@ -60,7 +60,7 @@ class TextbookCar:
     Attributes
     ----------
     filter : GaussianFilter
-        Its ``mean`` and ``covariance`` may be set before a step.
+        The filter; its ``mean`` and ``covariance`` may be set before a step.
     noise : SageHusa or FuzzyNoise
         The current diagonals of Q and R.
     """
@@ -111,7 +111,7 @@ class TextbookCar:
         self._since = 0.0
 
     def step(self, i: int) -> None:
-        """Take step i of the time line: predict, then update with the measurements at its end."""
+        """Compute step i of the time line: predict, then update with the measurements at its end."""
         line, p = self.timeline, self.parameters
         imu, model = self._imu[i], self.model
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
@@ -177,7 +177,7 @@ class TextbookCar:
         self.filter.absorb(replace(innovation, variance=np.maximum(innovation.variance, least)))
 
     def _age_fix_error(self, stated: Array) -> None:
-        """Propagate the correlated error from the last fix to the next, whose ``stated`` variances are (2,) m2 or 0."""
+        """Propagate the correlated error to the next fix; ``stated``: variances of the next fix, (2,) m2, or 0."""
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
         f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
@@ -195,7 +195,7 @@ def _filter(
     points: SigmaPoints | None,
     redraw_sigma_points: bool,
 ) -> GaussianFilter:
-    """The filter of a model: unscented with sigma points, else extended; on a manifold where the model has tilts."""
+    """Return the filter of a model: unscented with sigma points, else extended; with tilts on a manifold."""
     f, tilts = model.process, model.tilts
     if tilts:
         manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)

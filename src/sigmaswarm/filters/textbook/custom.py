@@ -36,7 +36,7 @@ class TextbookModel:
         self.nis, self.nll = np.full((2, len(steps.measurements)), np.nan)
 
     def step(self, i: int) -> None:
-        """Take step i, and update with the measurement at its end, if any."""
+        """Compute step i, and update with the measurement at its end, if there is one."""
         steps, kalman = self.steps, self.filter
         dt, row = float(steps.dt[i]), steps.absorbs[i]
         if dt > 0:
@@ -49,7 +49,7 @@ class TextbookModel:
 
 
 def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:
-    """The model's filter at the start of a log."""
+    """Return the model's filter at the start of a log."""
 
     def f(state: Array, dt: float, u: Array) -> Array:
         return np.asarray(model.f(state.copy(), dt, u, p))  # a copy: f may work in place
@@ -73,7 +73,7 @@ def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> Gauss
 
 
 def negative_log_likelihood(innovation: Innovation) -> float:
-    """-log N(nu; 0, S); raises `numpy.linalg.LinAlgError` where S is not a covariance."""
+    """Return -log N(nu; 0, S); raise `numpy.linalg.LinAlgError` if S is not a covariance."""
     root = np.linalg.cholesky(innovation.variance)
     log_det = 2 * np.log(np.diag(root)).sum()
     return float(0.5 * (innovation.nis + log_det + len(innovation.nu) * np.log(2 * np.pi)))

@@ -20,7 +20,7 @@ from sigmaswarm.filters.textbook.gaussian import (
 
 
 class ExtendedKalmanFilter(GaussianFilter):
-    """An extended Kalman filter for any process and measurement that NumPy can also evaluate for complex numbers.
+    """An extended Kalman filter for any process and measurement that also accept complex numbers.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class ExtendedKalmanFilter(GaussianFilter):
     h : callable
         ``h(state) -> measurement``, shapes (n,) to (m,).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Where it starts.
+        Mean and covariance at the start.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their innovations are wrapped.
     """
@@ -67,7 +67,7 @@ class ExtendedKalmanFilter(GaussianFilter):
 
 
 def complex_step(function: Callable[[Array], Array], x: Array) -> Array:
-    """The Jacobian, shape (m, n), exact to rounding: d f / d x_i = Im f(x + i h e_i) / h for a tiny h.
+    """Return the Jacobian, shape (m, n), up to rounding: d f / d x_i = Im f(x + i h e_i) / h for a tiny h.
 
     W. Squire and G. Trapp, Using complex variables to estimate derivatives of real functions, SIAM Review 40, 1998.
     """

@@ -1,4 +1,4 @@
-"""Loops over the steps of a drive or a log: run any textbook filter, and smooth it (Rauch-Tung-Striebel).
+"""Run any textbook filter over the steps of a drive or a log, and smooth its estimates (Rauch, Tung and Striebel).
 
 References
 ----------
@@ -18,7 +18,7 @@ from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Prediction
 
 FAILURES = (SigmaswarmError, np.linalg.LinAlgError, ArithmeticError, ValueError)
-"""Errors that end a filter but not the tuning: no square root, or a function outside of its domain."""
+"""Errors that end a filter but not a tuning: no square root, or a function outside of its domain."""
 Retraction = Callable[[Array, Array], Array]
 
 
@@ -34,12 +34,12 @@ class Stepper(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """State estimates of a filter at some moments.
+    """State estimates of a filter at some times.
 
     Attributes
     ----------
     mean, covariance : ndarray, shapes (k, n), (k, n, n)
-        NaN from a failure on. The covariance is empty where it is not recorded.
+        NaN after a failure. The covariance is empty if it is not recorded.
     failed : int
         The step in which the filter failed, or -1.
     """
@@ -50,14 +50,14 @@ class Trajectory:
 
     @classmethod
     def empty(cls, k: int, n: int, *, covariances: bool = True, failed: int = -1) -> "Trajectory":
-        """Make a trajectory of NaN, of n states at k moments."""
+        """Make a trajectory of NaN, of n states at k times."""
         return cls(np.full((k, n), np.nan), np.full((k if covariances else 0, n, n), np.nan), failed)
 
 
 def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
-    """Take all steps; ``records`` has the row of the trajectory (of ``n_rows``) that each step writes, or -1."""
+    """Compute all steps; ``records``: the row of the trajectory (of ``n_rows``) that each step writes, or -1."""
     n, failed = len(stepper.filter.mean), -1
     trajectory = Trajectory.empty(n_rows, n, covariances=covariances)
     for i, row in enumerate(records):
@@ -85,7 +85,7 @@ class Smoothed:
     mean, covariance : ndarray, shapes (k + 1, n), (k + 1, n, n)
         States at the start and after each of k steps.
     failed : int
-        The step in which the filter failed, or -1; the steps are those before it.
+        The step in which the filter failed, or -1; only the steps before it are included.
     """
 
     mean: Array
@@ -96,7 +96,7 @@ class Smoothed:
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
 ) -> Smoothed:
-    """Take all steps, and smooth. ``plus`` adds an error to a state and ``minus`` finds it, as in `manifold`."""
+    """Compute all steps, and smooth. ``plus`` adds an error to a state and ``minus`` returns it, as in `manifold`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):

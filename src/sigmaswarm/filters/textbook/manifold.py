@@ -1,4 +1,4 @@
-"""Filters with a mean on a manifold, and the covariance of a small error that ``plus`` adds to the mean.
+"""Filters whose mean is on a manifold, with the covariance of a small error that ``plus`` adds to the mean.
 
 References
 ----------
@@ -63,7 +63,7 @@ class ErrorStateKalmanFilter(_OnManifold):
     h : callable
         ``h(state) -> measurement``, with ``h.jacobian(state)``: its Jacobian for a small error, shape (m, n).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Where it starts.
+        Mean and covariance at the start.
     manifold : Manifold
     """
 
@@ -99,7 +99,7 @@ class ErrorStateKalmanFilter(_OnManifold):
 class ManifoldUnscentedKalmanFilter(_OnManifold):
     """UKF-M: sigma points are errors, added to the mean; parameters as in `ErrorStateKalmanFilter`.
 
-    ``measured``: sigma points of measurements, if these differ from those of the process.
+    ``measured``: sigma points of measurements, if they differ from those of the process.
     """
 
     def __init__(

@@ -90,16 +90,16 @@ class UnscentedKalmanFilter(GaussianFilter):
     h : callable
         ``h(state) -> measurement``, shapes (n,) to (m,).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Where it starts.
+        Mean and covariance at the start.
     points : SigmaPoints
     redraw_sigma_points : bool
-        Draw new sigma points after Q is added (FilterPy 2.0.0). False: push the propagated ones through h
-        (FilterPy 1.4.5, what the paper most likely ran).
+        Draw new sigma points after Q is added (FilterPy 2.0.0). False: apply h to the propagated points (FilterPy
+        1.4.5, which the paper probably used).
     angles : sequence of int
-        States that are angles. The changes by f of their differences from the centre point are wrapped. A circular
-        mean would be wrong, since the center's weight is a large negative number for a small alpha.
+        States that are angles. The changes by f of their differences from the centre point are wrapped. A circular mean
+        would be wrong, since for a small alpha the center's weight is a large negative number.
     measured_angles : sequence of int
-        Elements of ``h`` that are angles: their differences from the centre point's, and their innovations, are
+        Elements of ``h`` that are angles: their differences from those of the center point, and their innovations, are
         wrapped.
 
     Attributes

@@ -28,7 +28,7 @@ class Optimizer(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Return the state as arrays, numbers and strings by name, so that `restore` continues bit for bit.
+        """Return the state as arrays, numbers and strings by name, so that `restore` continues with identical results.
 
         The state of ``rng`` is saved separately and is not needed here.
         """
@@ -127,7 +127,7 @@ class AskTell:
         return ("positions", "global_best", "global_cost", "told", *self.saved)
 
     def state(self) -> dict[str, Any]:
-        """Return the state for `restore`, so that the search continues bit for bit."""
+        """Return the state for `restore`, so that the search continues with identical results."""
         return {name: getattr(self, name) for name in self._names()} | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:

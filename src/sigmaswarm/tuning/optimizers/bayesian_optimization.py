@@ -6,9 +6,9 @@ M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-bo
 Riche and L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is assumed to have its
 predicted cost until its cost is known.
 
-scikit-learn fits the length scales to all points and costs each time, so points, costs and the generator are the whole
-state. This module searches for the next point itself, with the analytic gradient of the expected improvement. Without
-the gradient, the search would take several times as long as all other steps.
+scikit-learn fits the length scales to all points and costs each time, so the state consists of points, costs and the
+generator. The search for the next point is part of this module and uses the analytic gradient of the expected
+improvement. Without the gradient, the search would take several times as long as all other steps.
 """
 
 import threading
@@ -48,7 +48,7 @@ class BayesianOptimization(AskTell):
     name = "bo"
     saved = ("points", "costs")
     batch: int = 1
-    """Number of points between two fits: with fewer, evaluations are used better; with more, less time is needed."""
+    """Number of points between two fits: fewer points use evaluations better, more points save time."""
     candidates: int = 2000
     """Number of candidates for each point."""
     searches: int = 3
@@ -85,8 +85,8 @@ class BayesianOptimization(AskTell):
 def leveled(costs: Array) -> Array:
     """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one must be finite.
 
-    A diverged filter may cost a thousand times as much as a good one, and a process fitted to such costs is flat near
-    the best point. The transformation is nearly linear below the median and logarithmic above. Infinite costs are
+    The cost of a diverged filter may be a thousand times that of a good one, and a process fitted to such costs is flat
+    near the best point. The transformation is nearly linear below the median and logarithmic above. Infinite costs are
     replaced by the highest finite one.
     """
     finite = np.isfinite(costs)
@@ -133,7 +133,7 @@ def _fitted(points: Array, costs: Array) -> Array:
 
 
 class Improvement:
-    """Expected improvement over the lowest cost, in standard deviations of costs, at points of the unit cube.
+    """Model of the expected improvement over the lowest cost, in standard deviations of costs, in the unit cube.
 
     The Gaussian process has length scales, shape (d,), and is fitted to points, shape (n, d), with costs, shape (n,).
     """

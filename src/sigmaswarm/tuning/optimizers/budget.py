@@ -83,7 +83,7 @@ class Budgeted:
         return NelderMead(self.low, self.high, 1, self.rng, start=start, start_cost=cost)
 
     def state(self) -> dict[str, Any]:
-        """Return the state for `restore`, so that the search continues bit for bit."""
+        """Return the state for `restore`, so that the search continues with identical results."""
         parts = {"first": self.first, "local": self.local}
         states = {
             f"{part}.{name}": value

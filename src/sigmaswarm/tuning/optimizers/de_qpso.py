@@ -2,13 +2,13 @@
 
 J. Sun, W. Xu and B. Feng, A global search strategy of quantum-behaved particle swarm optimization, Proc. IEEE Conf.
 Cybernetics and Intelligent Systems 2004, 111-116: a particle has no velocity. It is drawn from a Laplace distribution
-about a point between its own best position and the swarm's. The mean of all best positions sets the length of the move,
-and the contraction-expansion coefficient falls linearly.
+about a point between its own best position and that of the swarm. The mean of all best positions sets the length of the
+move, and the contraction-expansion coefficient falls linearly.
 
 The hybrid is after Y. Fu, M. Ding, C. Zhou and H. Hu, Route planning for unmanned aerial vehicle (UAV) on the sea using
 hybrid differential evolution and quantum-behaved particle swarm optimization, IEEE Trans. Systems, Man, and
-Cybernetics: Systems 43, 1451-1465, 2013. Here each particle takes one of the two moves by chance, so that a generation
-is one batch.
+Cybernetics: Systems 43, 1451-1465, 2013. In this version each particle randomly makes one of the two moves, so that a
+generation is one batch.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Search without memory, as a baseline for optimizers.
 
-There are uniform random points (J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR 13,
-281-305, 2012), and scrambled Sobol' points, which fill the space more evenly (A. B. Owen, Randomly permuted
+The points are uniform random points (J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR
+13, 281-305, 2012), or scrambled Sobol' points, which fill the space more evenly (A. B. Owen, Randomly permuted
 (t,m,s)-nets and (t,s)-sequences, 1995).
 """
 
