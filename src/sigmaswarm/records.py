@@ -73,5 +73,5 @@ def read_content(
         said = shown(" ".join(str(error).split()) or type(error).__name__, 160)
         raise InputError(f"{path}: not readable: {said}; {remedy}") from None
     if not isinstance(content, dict):
-        raise InputError(f"{path}: the file: should be a table of keys; {remedy}")
+        raise InputError(f"{path}: the file should be a table of keys; {remedy}")
     return cast("dict[str, Any]", content)

@@ -33,7 +33,7 @@ class ExportOptions:
         c99: drive that is written as the input of the replay program.
     check
         c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives on which the errors in
-        README.md are measured.
+        the exported README.md are measured.
     against
         robot-localization, with --check: a second tuning to compare in README.md.
     lanes

@@ -72,7 +72,7 @@ class ImportOptions:
     part
         Recording to read, from 1, if a clock restarts within a table.
     msg
-        Definitions of ROS messages, .msg files or a package's folder, for bags without them.
+        A .msg file, or the folder of a ROS package, with message definitions that a bag lacks.
     mount
         Orientation of the IMU: auto, degrees about z (90), roll,pitch,yaw (0,10,90), or axes (x=-y,y=x).
     gps_offset

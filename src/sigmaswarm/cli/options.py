@@ -70,7 +70,7 @@ def options_of(
     by_data: Collection[str] = (),
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command with ``**options`` the fields of a model as options; it receives the options that the user gave.
+    """Add the fields of a model as options to a command; its ``**options`` receive those that the user gave.
 
     ``shown`` are the fields in the short help, ``apart`` are fields that are not options of the command, and
     ``by_data`` are fields whose default depends on the data. ``renamed`` maps deprecated names to the current ones.

@@ -383,7 +383,7 @@ MODELS: dict[str, CarModel] = {
 
 
 def require_driven_by_imu(model: str, use: str) -> None:
-    """Raise an error if a model that measures the IMU does not support a use.
+    """Raise an error if IMU samples are measurements in a model; ``use`` is what does not support this.
 
     Raises
     ------

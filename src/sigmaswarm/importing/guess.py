@@ -162,6 +162,6 @@ def _downward(imu: Columns) -> str:
     if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= -0.5 * gravity:
         return ""  # without gravity in it, its sign means nothing
     return (
-        f"{imu.names['az'].column} is negative, so that axis points down; where the others point forward "
-        "and to the right, use --mount x=x,y=-y, and check the result with `sigmaswarm doctor`"
+        f"{imu.names['az'].column} is negative: the z axis points down; if x points forward and y to the right, "
+        "use --mount x=x,y=-y, and check the result with `sigmaswarm doctor`"
     )

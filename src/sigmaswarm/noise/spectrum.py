@@ -147,7 +147,7 @@ def _smallest(s: Spectrum, known: Array, shapes: Array) -> tuple[Array, Array]:
 
 
 def _least_squares(matrix: Array, right: Array, sets: list[list[int]]) -> Array:
-    """Solve normal equations (..., k, k), (..., k) for values >= 0: the best of all sets of values that are not 0."""
+    """Solve normal equations (..., k, k), (..., k) for values >= 0: try each set of values that may differ from 0."""
     best, gain = np.zeros_like(right), np.zeros(right.shape[:-1])
     for chosen in sets:
         part = matrix[..., chosen, :][..., :, chosen] * (1 + 1e-9 * np.eye(len(chosen)))

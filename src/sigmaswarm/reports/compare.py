@@ -58,8 +58,8 @@ def comparison_table(comparison: Comparison) -> Table:
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
         f"and worst "
         f"run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over the "
-        "rows. Steps: filter steps, as a share of the budget on all drives. Touched bounds: number of runs in which a "
-        f"parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
+        "rows. Steps: filter steps, as a share of those of all evaluations on all drives. Touched bounds: number of "
+        f"runs in which a parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
         f"held out: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)

@@ -201,8 +201,8 @@ def _integral(values: Array) -> Array:
 def _swing(target: Array, frequency: float, damping: float) -> Array:
     """Return the second-order response (n, 3), its rate and its acceleration, from rest at the first target.
 
-    The response is linear, so the road's addition to the target is added to the response (exact for a target that is
-    linear between milliseconds).
+    The system is linear, so responses to parts of the target can be added. The discretization is exact for a target
+    that is linear between milliseconds.
     """
     a, b = [[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]], [[0.0], [frequency**2]]
     system = np.array(a), np.array(b), np.eye(2), np.zeros((2, 1))

@@ -58,7 +58,7 @@ SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
 SCALE_MOVED = 0.02
 """Largest relative change of the position RMSE for which the factor is suggested."""
 SCALE_NEAR = 0.2
-"""Largest relative error of mean NIS after scaling for which the factor is suggested."""
+"""Largest relative error of the mean NIS, after scaling by the factor, for which the factor is suggested."""
 
 
 @dataclass(frozen=True)

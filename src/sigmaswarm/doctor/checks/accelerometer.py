@@ -15,17 +15,19 @@ from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
 MOUNTING = (math.radians(5), math.radians(10))
-"""Rotations about z, rad, above which there is a warning, and a serious finding."""
+"""Limits of a rotation about z, rad: above the first the finding is a warning, above the second it is serious."""
 TILT = (0.5, 1.2)
-"""Residuals of ax, ay, m/s2, above which a finding is a warning, and is serious. Roads and cheap sensors' biases stay
-below the second limit."""
+"""Limits of the residual of ax, ay, m/s2: above the first the finding is a warning, above the second it is serious.
+Roads and cheap sensors' biases stay below the second limit."""
 SIZE = (0.3, 1.0)
-"""Differences of the median specific force from gravity, m/s2, above which a finding is a note, and is a warning.
+"""Limits of the difference of the median specific force from gravity, m/s2: above the first the finding is a note,
+above the second a warning.
 
 Cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Ratios of a rotation to its standard deviation above which the rotation is a note, and is repaired."""
+"""Limits of the ratio of a rotation to its standard deviation: above the first the finding is a note, above the second
+the rotation is repaired."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
 """Standard deviation of the acceleration below which the scale is unknown, m/s2."""
@@ -90,10 +92,13 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         yield Finding("mounting", severity, what, WHERE, span, confidence_of(angle / std), remedy, repair)
     second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
     force = mount.matrix @ np.array([imu.ax, imu.ay])
-    for name, (scale, std), row in zip(("forward", "left"), mount.scale, force, strict=True):
+    for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True):
         pushed = np.std(smoothed(imu.time, row, second, 1.0))
         if pushed > LEAST_PUSH and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
-            what = f"the car's acceleration {name} is {scale:.2f} times that of the IMU (standard deviation {std:.2f})"
+            what = (
+                f"the car's {name} acceleration is {scale:.2f} times the one measured by the IMU "
+                f"(standard deviation {std:.2f})"
+            )
             remedy = "check the sensor's range setting and low-pass filter"
             confidence = confidence_of((scale - 1) / std)
             yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)

@@ -25,8 +25,8 @@ FAR_FIRST = 1000.0
 """Distance from the first fix to the next good fix, m, above which the first fix, as the origin, displaces the
 drive."""
 WHITE = 0.7
-"""Ratio of the noise from fix to fix to the scatter about a path of 10 s, below which errors are correlated; the ratio
-of white noise is 1."""
+"""Limit of the noise from fix to fix divided by the scatter about a path of 10 s; below it, errors are correlated.
+White noise has a ratio of 1."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:

@@ -121,7 +121,7 @@ def _move(w, u):
 
 
 def predict_tilted12(w, u, *, columns):
-    """One step of the process model; ``columns``: `COLUMNS`, and those of states that do not enter it."""
+    """Run one step of the process model; ``columns``: `COLUMNS`, and those of states that the process does not use."""
     _half_turn(w, u)
     _move(w, u)
     h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]

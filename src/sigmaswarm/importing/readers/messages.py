@@ -64,7 +64,7 @@ class _Messages:
     remarks: list[str] = field(default_factory=list[str])
 
     def batches(self, wanted: Wanted) -> Iterator[Batch]:
-        """Read the wanted columns in batches of some thousand messages."""
+        """Read the wanted columns in batches of `CHUNK` messages."""
         total = sum(self.tables[topic].rows or 0 for topic in wanted)
         collectors = {topic: _Collector(topic, list(columns)) for topic, columns in wanted.items()}
         for seen, (topic, received, message) in enumerate(self._messages(wanted), 1):

@@ -98,7 +98,8 @@ class AskTell:
         """Receive the costs of the last points, shape (n,); values that are not finite count as ``inf``."""
         if np.shape(costs) != (len(self.positions),):
             raise ValueError(
-                f"{len(self.positions)} points were asked for, costs have shape {np.shape(costs)}"
+                f"`ask` returned {len(self.positions)} points, but the costs have shape {np.shape(costs)}; "
+                "give one cost for each point"
             )
         costs = np.where(np.isfinite(costs), costs, np.inf)
         if len(costs) and costs.min() < self.global_cost:
