@@ -36,7 +36,7 @@ from asked_of_workers import costs, forget, nothing, timed
 from dask_processes import Processes
 from sigmaswarm import read_drive, simulate, tune, write_drive
 from sigmaswarm.datasets.cluster import Cluster, connected
-from sigmaswarm.datasets.remote import RemoteDataset, remote_dataset, source_of
+from sigmaswarm.datasets.remote import RemoteDataset, remote_datasets
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 
@@ -66,7 +66,7 @@ def drives_of(folder: Path, count: int, seconds: float) -> list[Path]:
 
 
 def remote(client: Any, drives: Sequence[Path]) -> RemoteDataset:
-    return remote_dataset(Cluster(client), map(source_of, drives))[0]
+    return remote_datasets(Cluster(client), [drives])[0][0]
 
 
 def command(*arguments: object) -> tuple[int, str, str, float]:

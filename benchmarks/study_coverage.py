@@ -9,6 +9,7 @@ import argparse
 
 import numpy as np
 
+from sigmaswarm.experiments.statistics import Draws
 from sigmaswarm.experiments.study.results import summarize
 
 NAMES = ("mean +- 1.96 SD / sqrt(n)", "corrected resampled t", "bootstrap over drives and trials")
@@ -46,7 +47,7 @@ def covered(rng: np.random.Generator, luck: float, **design: int) -> list[bool]:
     """Whether each interval of one simulated study covers the truth."""
     scores, strata, truth = simulated_study(rng, luck, **design)
     ratio = float(np.isfinite(scores[0]).sum() / np.isnan(scores[0]).sum())
-    found = summarize(scores, strata, ratio, rng)
+    found = summarize(scores, strata, ratio, Draws(rng))
     intervals = found.trial_interval, found.corrected_t_interval, found.bootstrap_interval
     return [low <= truth <= high for low, high in intervals]
 

@@ -1,5 +1,6 @@
 """Convert between WGS-84 and a local east-north-up frame, and wrap angles."""
 
+import math
 from typing import overload
 
 import numpy as np
@@ -37,3 +38,11 @@ def enu_to_geodetic(enu: ArrayLike, origin: Origin) -> Array:
 
     east, north, up = np.moveaxis(np.asarray(enu, np.float64), -1, 0)
     return np.stack(pymap3d.enu2geodetic(east, north, up, *origin), axis=-1)
+
+
+def roll_pitch_yaw(rotation: Array, digits: int = 0) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a rotation (3, 3), deg, rounded, in the order of ``import --mount``."""
+    pitch = -math.asin(float(np.clip(rotation[2, 0], -1, 1)))
+    angles = math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
+    roll, pitch, yaw = (round(math.degrees(angle), digits) + 0.0 for angle in angles)
+    return roll, pitch, yaw

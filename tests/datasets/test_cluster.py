@@ -23,7 +23,7 @@ from sigmaswarm import (
 )
 from sigmaswarm.cli import main
 from sigmaswarm.datasets.cluster import Cluster, ClusterError, connected
-from sigmaswarm.datasets.remote import Assignment, assigned, remote_dataset, source_of
+from sigmaswarm.datasets.remote import Assignment, assigned, remote_datasets, source_of
 from sigmaswarm.datasets.worker import BASE_MEMORY, USABLE_MEMORY, CachedDrive, DriveCache
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import make_design
@@ -134,7 +134,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
 
 
 def test_a_newcomer_takes_its_share(processes, client, folders):
-    dataset, _ = remote_dataset(Cluster(client), map(source_of, folders))
+    (dataset,), _ = remote_datasets(Cluster(client), [folders])
     replays = replays_on(dataset, Passes(), partial(require_fit, objective="truth-rmse", seed=0))
     before = replays.scores([FILTER]).position_rmse
     name = processes.add()
@@ -316,6 +316,6 @@ def test_nothing_was_warned_of(processes):
 
 
 def test_what_workers_cannot_import_is_one_line(client, folders):
-    dataset, _ = remote_dataset(Cluster(client), [source_of(folders[0])])
+    (dataset,), _ = remote_datasets(Cluster(client), [folders[:1]])
     with pytest.raises(ClusterError, match=r"^worker tcp://.* can't run the task .*ModuleNotFoundError"):
         dataset.map(tree)  # of a module that no worker has

@@ -34,13 +34,17 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
+def draws() -> s.Draws:
+    return s.Draws(0)
+
+
 def test_means_by_hand():
     np.testing.assert_array_equal(s.trial_means(FROZEN), [2.0, 3.5, 4.5])
     np.testing.assert_array_equal(s.drive_means(FROZEN), [2.0, 4.0, 2.0, 6.0, NAN])
 
 
 def test_the_summary_by_hand():
-    found = summarize(FROZEN, STRATA, 2 / 3, rng())
+    found = summarize(FROZEN, STRATA, 2 / 3, draws())
     mean, sd = 10 / 3, math.sqrt(((2 - 10 / 3) ** 2 + (3.5 - 10 / 3) ** 2 + (4.5 - 10 / 3) ** 2) / 2)
     assert found.mean == pytest.approx(mean)
     assert found.sd == pytest.approx(sd)
@@ -67,25 +71,25 @@ def test_the_paper_s_intervals_are_over_trials():
 
 def test_the_bootstrap_is_scipy_s_where_there_is_one_stratum():
     values = np.random.default_rng(3).gamma(2.0, 1.0, 60)
-    found = s.bootstrap(np.asarray, [values], ["all"] * 60, rng())
+    found = s.bootstrap(np.asarray, [values], ["all"] * 60, draws())
     theirs = stats.bootstrap((values,), np.mean, method="percentile", rng=rng()).confidence_interval
     assert found == pytest.approx(tuple(theirs), abs=0.03)
 
 
 def test_resampling_stays_within_strata():
     values = np.array([1.0, 1.0, 1.0, 9.0, 9.0, 9.0])
-    assert s.bootstrap(np.asarray, [values], list("aaabbb"), rng()) == (5.0, 5.0)
-    low, high = s.bootstrap(np.asarray, [values], ["all"] * 6, rng())
+    assert s.bootstrap(np.asarray, [values], list("aaabbb"), draws()) == (5.0, 5.0)
+    low, high = s.bootstrap(np.asarray, [values], ["all"] * 6, draws())
     assert low < 4 < 6 < high
 
 
 def test_trials_are_resampled_too():
     """Drives that are all alike leave open what the trials do."""
     each = np.array([1.0, 2.0, 3.0, 4.0])
-    low, high = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 5, axis=1), ["all"] * 5, rng())
+    low, high = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 5, axis=1), ["all"] * 5, draws())
     assert 0.99 < low < 1.7
     assert 3.3 < high < 4.01
-    assert s.crossed_bootstrap(np.full((3, 5), 2.0), ["all"] * 5, rng()) == (2.0, 2.0)
+    assert s.crossed_bootstrap(np.full((3, 5), 2.0), ["all"] * 5, draws()) == (2.0, 2.0)
 
 
 def test_levels_are_a_least_squares_fit():
@@ -114,15 +118,15 @@ def test_a_mean_varies_as_much_as_theory_says(n: int):
 
 def test_strata_of_one_drive_are_thrown_together():
     values = np.array([1.0, 5.0, 9.0])
-    assert s.bootstrap(np.asarray, [values], list("abc"), rng()) == s.bootstrap(
-        np.asarray, [values], list("aaa"), rng()
+    assert s.bootstrap(np.asarray, [values], list("abc"), draws()) == s.bootstrap(
+        np.asarray, [values], list("aaa"), draws()
     )
 
 
 def test_few_trials_have_students_tails():
     """Where all drives are alike, the interval is about the t interval of the trials' means."""
     each = np.array([1.0, 2.0, 4.0, 3.0, 2.5])
-    found = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 4, axis=1), ["all"] * 4, rng())
+    found = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 4, axis=1), ["all"] * 4, draws())
     wanted = stats.t.interval(0.95, 4, each.mean(), stats.sem(each))
     assert found[1] - found[0] == pytest.approx(wanted[1] - wanted[0], rel=0.15)
 
@@ -137,7 +141,7 @@ def test_in_a_small_study_the_interval_is_around_the_mean(seed: int):
     for trial in range(3):
         held_out = 4 * np.arange(25) + chance.integers(0, 4, 25)
         values[trial, held_out] = (level * chance.uniform(0.9, 1.1, 25))[strata[held_out]]
-    found = summarize(values, [str(k) for k in strata], 1 / 3, rng())
+    found = summarize(values, [str(k) for k in strata], 1 / 3, draws())
     low, high = found.bootstrap_interval
     assert low < found.mean < high
     assert high - low < 0.2 * found.mean  # as drives of a condition differ, not as conditions do
@@ -145,7 +149,7 @@ def test_in_a_small_study_the_interval_is_around_the_mean(seed: int):
 
 def test_a_failed_filter_has_no_intervals():
     failed = np.where(FROZEN == 6.0, np.inf, FROZEN)
-    found = summarize(failed, STRATA, 2 / 3, rng())
+    found = summarize(failed, STRATA, 2 / 3, draws())
     assert found.mean is found.sd is None
     assert found.corrected_t_interval == found.bootstrap_interval == (None, None)
 
@@ -153,7 +157,7 @@ def test_a_failed_filter_has_no_intervals():
 def test_the_comparison_by_hand():
     tuned = np.array([[1.0, 2.0, 3.0, 4.0]])
     manual = np.array([[2.0, 5.0, 2.5, 8.0]])
-    found = compare_paired(tuned, manual, ["all"] * 4, rng())
+    found = compare_paired(tuned, manual, ["all"] * 4, draws())
     assert found.mean_difference == pytest.approx((-1 - 3 + 0.5 - 4) / 4)
     assert found.improvement == pytest.approx(100 * (4.375 - 2.5) / 4.375)  # eq. 5
     # ranks of |difference|: 0.5 is 1 (worse), 1 is 2, 3 is 3, 4 is 4 (better): (9 - 1) / 10
@@ -172,8 +176,8 @@ def test_the_paper_s_improvement():
 def test_only_drives_that_both_were_tested_on_are_compared():
     other = np.where(np.isnan(FROZEN), NAN, FROZEN + 1)
     other[:, 3] = NAN
-    assert compare_paired(FROZEN, other, STRATA, rng()).n_drives == 3
-    assert compare_paired(FROZEN, FROZEN, STRATA, rng()).p == 1.0
+    assert compare_paired(FROZEN, other, STRATA, draws()).n_drives == 3
+    assert compare_paired(FROZEN, FROZEN, STRATA, draws()).p == 1.0
 
 
 @pytest.mark.parametrize("n", [1, 3, 5, 6, 10, 20, 37])
@@ -222,13 +226,13 @@ def test_what_was_drawn_for_the_same_drives_is_not_drawn_again(monkeypatch: pyte
     """Neither for other scores nor for other figures, and every figure is what it is alone."""
     other = np.where(np.isnan(FROZEN), np.nan, FROZEN**2)
 
-    def figures(known: s.Known | None) -> list[object]:
-        pairs = [compare_paired(FROZEN, other, STRATA, rng(), known)]
-        return [*pairs, *(summarize(values, STRATA, 2 / 3, rng(), known) for values in (FROZEN, other))]
+    def figures(common: s.Draws | None) -> list[object]:
+        pairs = [compare_paired(FROZEN, other, STRATA, common or draws())]
+        return [*pairs, *(summarize(values, STRATA, 2 / 3, common or draws()) for values in (FROZEN, other))]
 
-    alone, known = figures(None), s.Known()
-    assert figures(known) == alone
+    alone, common = figures(None), draws()
+    assert figures(common) == alone
     monkeypatch.setattr(s, "_weights", lambda *_: pytest.fail("drawn again"))
-    assert figures(known) == alone
+    assert figures(common) == alone
     with pytest.raises(pytest.fail.Exception):
-        summarize(FROZEN, STRATA, 2 / 3, np.random.default_rng(1), known)
+        summarize(FROZEN, STRATA, 2 / 3, s.Draws(1))

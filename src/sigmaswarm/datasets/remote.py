@@ -150,7 +150,7 @@ def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequenc
 
 @dataclass(frozen=True, eq=False)
 class RemoteDataset:
-    """Drives on the workers of a cluster; `remote_dataset` makes it."""
+    """Drives on the workers of a cluster; `remote_datasets` makes it."""
 
     assignment: Assignment
     indices: tuple[int, ...]
@@ -216,10 +216,10 @@ def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
     return function(cached.drive)
 
 
-def remote_dataset(
-    cluster: Cluster, sources: Iterable[Source], *, progress: Progress | None = None
-) -> tuple[RemoteDataset, list[SigmaswarmWarning]]:
-    """Let the workers of a cluster read drives, and return the warnings of the reader.
+def remote_datasets(
+    cluster: Cluster, groups: Sequence[Iterable[Any]], *, progress: Progress | None = None
+) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
+    """Let the workers read groups of drives, paths, URLs or sources; return a dataset of each group, and the warnings.
 
     Raises
     ------
@@ -228,10 +228,10 @@ def remote_dataset(
     ClusterError
         If a worker has other versions, or its drives don't fit into its memory.
     """
-    wanted = list(sources)
-    assignment = Assignment(cluster, wanted)
+    sources = [[source_of(drive) for drive in group] for group in groups]
+    assignment = Assignment(cluster, [source for group in sources for source in group])
     assignment.poll()
-    dataset = RemoteDataset(assignment, tuple(range(len(wanted))))
+    dataset = RemoteDataset(assignment, tuple(range(len(assignment.sources))))
 
     def read(i: int) -> tuple[float, list[SigmaswarmWarning]] | InputError:
         try:
@@ -248,11 +248,12 @@ def remote_dataset(
                 assignment.sizes[i] = found[0]
                 warned += found[1]
             if progress:
-                progress(i + 1, len(wanted))
+                progress(i + 1, len(dataset))
     if failed:
         raise _joined_error(failed)
     assignment.assign()
-    return dataset, warned
+    ends = accumulate(map(len, sources), initial=0)
+    return [dataset.subset(range(begin, end)) for begin, end in pairwise(ends)], warned
 
 
 def _size_and_warnings(
@@ -261,21 +262,13 @@ def _size_and_warnings(
     return drives[0].size, drives[0].warned
 
 
-def remote_datasets(
-    cluster: Cluster, groups: Sequence[Sequence[Any]], *, progress: Progress | None = None
-) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
-    """Let the workers read drives, paths or URLs together; return a dataset of each group, and the warnings."""
-    sources = [source_of(drive) for group in groups for drive in group]
-    dataset, warned = remote_dataset(cluster, sources, progress=progress)
-    ends = accumulate(map(len, groups), initial=0)
-    return [dataset.subset(range(begin, end)) for begin, end in pairwise(ends)], warned
-
-
-def source_of(drive: Drive | Location) -> Source:
+def source_of(drive: Drive | Location | Source) -> Source:
     """Make the source of a drive, a path or a URL. Paths become absolute: workers may run in other folders."""
     if isinstance(drive, Drive):
         return partial(_with_no_warnings, drive)
-    return partial(read_with_warnings, drive if is_url(drive) else Path(drive).absolute())
+    if isinstance(drive, str | Path):
+        return partial(read_with_warnings, drive if is_url(drive) else Path(drive).absolute())
+    return drive
 
 
 def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:

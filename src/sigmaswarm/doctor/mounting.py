@@ -22,6 +22,7 @@ from sigmaswarm.doctor.yaw_fit import LATENESS as YAW_LATENESS
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive, Imu
+from sigmaswarm.geodesy import roll_pitch_yaw
 
 ROUNDS = 12
 """Largest number of rounds. A few logs need more than six; with only six rounds, their errors would be up to a degree.
@@ -93,11 +94,7 @@ class Mounting:
     @property
     def degrees(self) -> tuple[float, float, float]:
         """Return roll, pitch and yaw of `repair`, deg, in the order of ``import --mount``."""
-        r = self.repair
-        pitch = -math.asin(np.clip(r[2, 0], -1, 1))
-        angles = math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
-        roll, pitch, yaw = (round(math.degrees(angle), 1) + 0.0 for angle in angles)
-        return roll, pitch, yaw
+        return roll_pitch_yaw(self.repair, 1)
 
 
 @dataclass(frozen=True, eq=False)

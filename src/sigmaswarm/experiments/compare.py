@@ -155,6 +155,10 @@ class _Grid:
             pool,
             progress=lambda done, total, _: progress(done, total) if progress else None,
         )
+        fixes_alone = None
+        if self.test:
+            alone = partial(_rmse_alone, noise=self.problem.fixes_alone())
+            fixes_alone = _mean(np.array(self.test.replays.of_each_prepared(alone)))
         return Comparison(
             contenders=tuple(self.rivals),
             runs={c.label: tuple(outcomes[c, seed] for seed in range(self.seeds)) for c in self.rivals},
@@ -162,14 +166,8 @@ class _Grid:
             steps_per_set=steps_per_set,
             drives=tuple(drive["name"] for drive in self.problem.data),
             test=tuple(drive["name"] for drive in self.test.data) if self.test else (),
-            fixes_alone_rmse=self._fixes_alone() if self.test else None,
+            fixes_alone_rmse=fixes_alone,
         )
-
-    def _fixes_alone(self) -> float | None:
-        """Return the mean RMSE of the fixes alone on the held-out drives, m; None without truth."""
-        assert self.test is not None
-        alone = partial(_rmse_alone, noise=self.problem.fixes_alone())
-        return _mean(np.array(self.test.replays.of_each_prepared(alone)))
 
     def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
         """Return a function that runs a contender with a seed, or reads the finished run."""

@@ -207,13 +207,10 @@ class Comparison:
             # inf can't be interpolated
             low, high = np.quantile(reached, [0.25, 0.75], axis=0, method="nearest")
             columns = {
-                "full_evaluations": grid,
-                "median": np.median(reached, axis=0),
-                "quartile_1": low,
-                "quartile_3": high,
+                **{"optimizer": contender.name, "scale": contender.scale, "full_evaluations": grid},
+                **{"median": np.median(reached, axis=0), "quartile_1": low, "quartile_3": high},
             }
-            named = pl.lit(contender.name).alias("optimizer"), pl.lit(contender.scale).alias("scale")
-            frames.append(pl.DataFrame(columns).select(*named, pl.all()))
+            frames.append(pl.DataFrame(columns))
         return pl.concat(frames)
 
     def write(self, folder: Path) -> list[Path]:

@@ -19,11 +19,30 @@ from scipy import stats
 from sigmaswarm.drives.drive import Array
 
 Interval = tuple[float, float]
-Known = dict[Hashable, tuple[Array, Any]]
-"""Cache of random draws: (key, state of the generator) -> (draw, next state)."""
 RESAMPLES = 2000
 """Number of resamples of each bootstrap."""
 LEVEL = 0.95
+
+
+class Draws:
+    """Random weights of drives and trials in resamples; each result starts with ``seed``.
+
+    Equal weights are drawn once, since hundreds of results of a study share drives and trials.
+    """
+
+    def __init__(self, seed: int | np.random.Generator) -> None:
+        self._seed = seed
+        self._known: dict[Hashable, tuple[Array, Array]] = {}
+
+    def weights(
+        self, strata: Sequence[str], times: Array | None = None, trials: int = 1
+    ) -> tuple[Array, Array]:
+        """Return the weights of drives, see `_drive_weights`, and of a number of trials, see `_weights`."""
+        key = trials, times if times is None else times.tobytes(), *strata
+        if key not in self._known:
+            rng = np.random.default_rng(self._seed)
+            self._known[key] = _drive_weights(strata, rng, times), _weights(trials, rng)
+        return self._known[key]
 
 
 def trial_means(values: Array) -> Array:
@@ -55,38 +74,32 @@ def trial_interval(values: Array) -> Interval:
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
 
-def corrected_interval(values: Array, test_per_train: float, level: float = LEVEL) -> Interval:
+def corrected_interval(values: Array, test_per_train: float) -> Interval:
     """Return the corrected resampled t interval of trials whose splits overlap (Nadeau and Bengio 2003, section 3)."""
     n = len(values)
     if n < 2:
         return math.nan, math.nan
     error = spread(values) * math.sqrt(1 / n + test_per_train)
-    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * error
+    half = float(stats.t.ppf((1 + LEVEL) / 2, n - 1)) * error
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
 
 def bootstrap(
-    statistic: Callable[..., Array],
-    columns: Sequence[Array],
-    strata: Sequence[str],
-    rng: np.random.Generator,
-    known: Known | None = None,
+    statistic: Callable[..., Array], columns: Sequence[Array], strata: Sequence[str], draws: Draws
 ) -> Interval:
     """Return the percentile interval of a statistic of the means of paired columns.
 
     Drives are resampled within their strata. ``statistic`` is called with the resampled means of each column, shape
-    (RESAMPLES,). ``known`` is a cache of draws: see `_once`.
+    (RESAMPLES,).
     """
     n = len(columns[0])
     if n < 2 or not all(np.isfinite(column).all() for column in columns):
         return math.nan, math.nan
-    weight = _once(known, rng, tuple(strata), lambda: _drive_weights(strata, rng))
+    weight, _ = draws.weights(strata)
     return _middle(statistic(*(weight @ column / n for column in columns)))
 
 
-def crossed_bootstrap(
-    values: Array, strata: Sequence[str], rng: np.random.Generator, known: Known | None = None
-) -> Interval:
+def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Interval:
     """Return the percentile interval of the mean, with drives and trials resampled independently.
 
     The interval accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole
@@ -100,11 +113,10 @@ def crossed_bootstrap(
     if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known_values]).all():
         return math.nan, math.nan
     drive_levels, trial_levels = levels(values[np.ix_(trials, kept)])
-    own, times = [strata[i] for i in np.flatnonzero(kept).tolist()], known_values[:, kept].sum(axis=0)
-    of_drives, n = (*own, times.tobytes()), len(trial_levels)
-    drives = _once(known, rng, of_drives, lambda: _drive_weights(own, rng, times.astype(np.float64)))
-    by_drive = drives @ drive_levels / times.sum()
-    by_trial = _once(known, rng, n, lambda: _weights(n, rng)) @ trial_levels / n
+    own, n = [strata[i] for i in np.flatnonzero(kept).tolist()], len(trial_levels)
+    times = known_values[:, kept].sum(axis=0).astype(np.float64)
+    of_drives, of_trials = draws.weights(own, times, n)
+    by_drive, by_trial = of_drives @ drive_levels / times.sum(), of_trials @ trial_levels / n
     variances = np.array([np.var(by_drive), np.var(by_trial)])
     freedom = np.array([max(len(own) - len(set(own)), 1), len(trial_levels) - 1])
     if not variances.any():
@@ -122,17 +134,6 @@ def levels(values: Array) -> tuple[Array, Array]:
     normal = np.diag(counted.sum(axis=1)) - share @ counted.T
     trials = np.linalg.lstsq(normal, filled.sum(axis=1) - share @ filled.sum(axis=0), rcond=1e-9)[0]
     return (filled.sum(axis=0) - trials @ counted) / counted.sum(axis=0), trials
-
-
-def _once(known: Known | None, rng: np.random.Generator, of: Hashable, draw: Callable[[], Array]) -> Array:
-    """Draw, or return the cached draw, since hundreds of results of a study share drives and generator state."""
-    if known is None:
-        return draw()
-    key = of, str(rng.bit_generator.state)
-    if key not in known:
-        known[key] = draw(), rng.bit_generator.state
-    found, rng.bit_generator.state = known[key]
-    return found
 
 
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array | None = None) -> Array:
@@ -177,7 +178,7 @@ def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
     return np.asarray(100 * (m - tuned) / m, dtype=np.float64)
 
 
-def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
+def median_interval(values: Array) -> Interval:
     """Return a distribution-free interval of the median.
 
     The interval is the narrowest symmetric pair of order statistics that contains the median with at least this
@@ -187,7 +188,7 @@ def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
     ordered = np.sort(values)
     n = len(ordered)
     k = 0  # number of values outside the interval at each end
-    while 2 * stats.binom.cdf(k, n, 0.5) <= 1 - confidence:
+    while 2 * stats.binom.cdf(k, n, 0.5) <= 1 - LEVEL:
         k += 1
     return float(ordered[k]), float(ordered[n - 1 - k])
 

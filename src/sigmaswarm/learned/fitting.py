@@ -155,19 +155,13 @@ def fit(
 def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
     """Return the optimizer, the loss and an epoch; trainings of the same loss share the compiled code."""
     import jax
-
-    optimizer = _optimizer(learning_rate)
-    return optimizer, jax.jit(loss), jax.jit(partial(_epoch, loss, optimizer))
-
-
-def _optimizer(learning_rate: float) -> Any:
-    """Return Adam with weight decay and clipped gradients; updates that are not finite are skipped."""
     import optax
 
-    steps = optax.chain(
-        optax.clip_by_global_norm(LARGEST_GRADIENT), optax.adamw(learning_rate, weight_decay=DECAY)
-    )
-    return optax.apply_if_finite(steps, max_consecutive_errors=np.iinfo(np.int32).max)
+    adam = optax.adamw(learning_rate, weight_decay=DECAY)
+    steps = optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), adam)
+    # updates that are not finite are skipped
+    optimizer = optax.apply_if_finite(steps, max_consecutive_errors=np.iinfo(np.int32).max)
+    return optimizer, jax.jit(loss), jax.jit(partial(_epoch, loss, optimizer))
 
 
 def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any) -> Any:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import SEEN_FILE, landmarks, save_landmarks
 from sigmaswarm.errors import InputError
@@ -20,7 +20,7 @@ from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned import noise_gru, outage_lstm
 from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.fitting import Fit, Lesson, Schedule, exact, fit, part_of
+from sigmaswarm.learned.fitting import Fit, Schedule, exact, fit, part_of
 from sigmaswarm.learned.folder import LEARNED_SEEN, Learned, LearnedRecord, NetworkRecord, TrainingRecord
 from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
@@ -46,32 +46,14 @@ class Progress:
     loss: float
 
 
-class Learner(Protocol):
-    """Interface of the training of one type of network."""
+Learner = OutageLearner | NoiseLearner
+LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
+"""The training of each type of network, by name.
 
-    epochs: int
-    batch: int
-    patience: int
-    start: Settings
-    """Settings of the first training; without a search, the only training."""
-    box: Mapping[str, tuple[float, float]]
-    """Bounds of the search, as logarithms to the base of 2."""
-
-    def lesson(self, settings: Settings, seed: int) -> Lesson:
-        """Prepare the input of `fit`."""
-        ...
-
-    def finish(
-        self, settings: Settings, weights: Mapping[str, Array]
-    ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Complete the best network; return its weights and further entries of the record."""
-        ...
-
-
-LEARNERS: Mapping[str, type[OutageLearner] | type[NoiseLearner]] = {
-    outage_lstm.NAME: OutageLearner,
-    noise_gru.NAME: NoiseLearner,
-}
+``start``: settings of the first training; without a search, the only training. ``box``: bounds of the search, as
+logarithms to the base of 2. ``lesson`` prepares the input of `fit`. ``finish`` completes the best network, and returns
+its weights and further entries of the record.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +136,7 @@ def learn(
         began, record = time.process_time(), config.record()
     folder = ResultFolder(out, record, resume=resume)
     shown, held_back = config.split()
-    learner: Learner = LEARNERS[config.kind](shown, held_back, config.parameters, config.seed)
+    learner = LEARNERS[config.kind](shown, held_back, config.parameters, config.seed)
     settings, found = _best_training(learner, folder, config, progress)
     weights, more = learner.finish(settings, found.weights)
     network = NetworkRecord(
@@ -210,10 +192,7 @@ class FinishedHistoryRecord(BaseModel):
 
 
 def _best_training(
-    learner: Learner,
-    folder: ResultFolder,
-    config: LearnConfig,
-    progress: Callable[[Progress], None] | None,
+    learner: Learner, folder: ResultFolder, config: LearnConfig, progress: Callable[[Progress], None] | None
 ) -> tuple[Settings, Fit]:
     """Train with the first settings and with settings from an optimizer; return the best."""
     found, total = list[tuple[float, Settings, Fit]](), (1 + config.search) * learner.epochs

@@ -16,21 +16,12 @@ from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
-from sigmaswarm.learned.noise_filter import (
-    Settings,
-    columns_of,
-    innovation_loss,
-    require_supported,
-    run,
-)
+from sigmaswarm.learned.noise_filter import Settings, columns_of, innovation_loss, require_supported, run
 from sigmaswarm.learned.noise_gru import FEATURES
 
 
 def segments_of(
-    drives: Sequence[Drive],
-    parameters: FilterParameters,
-    length: float,
-    validation: Sequence[Drive] = (),
+    drives: Sequence[Drive], parameters: FilterParameters, length: float, validation: Sequence[Drive] = ()
 ) -> Examples:
     """Cut drives into segments of ``length`` s; ``validation`` defaults to the last segments of each drive.
 

@@ -24,7 +24,7 @@ from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 from sigmaswarm.learned.fitting import HELD_BACK, Examples, Lesson
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, outputs_of, untrained
-from sigmaswarm.learned.outages import Windows, all_windows, outage_windows
+from sigmaswarm.learned.outages import Windows, features_at, outage_windows, pairs_of
 from sigmaswarm.learned.relative import body_displacement
 from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
@@ -101,7 +101,8 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[Replay, float]]:
 def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array, Array, Array]:
     """Return windows of a whole drive: their ends (k,), s, their features, and the displacements (k, 2), m."""
     line = track.ready.timeline()
-    begins, ends, features = all_windows(line, axes=axes, window=window, every=EVERY)
+    begins, ends = pairs_of(line.imu_time, line.start, np.inf, EVERY)
+    features = features_at(line, ends, axes=axes, window=window)
     return line.imu_time[ends], features, body_displacement(track.mean[begins], track.mean[ends])
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array, Imu
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 
@@ -63,7 +63,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
     none = np.empty(0, dtype=np.intp)
     begins, ends, firsts = [none], [none], [none]
     for fix, until in spans:
-        begin, end = _pairs(time, fix, until, HORIZON)
+        begin, end = pairs_of(time, fix, until, HORIZON)
         late = time[end] - fix >= OUTAGE_AFTER
         begins.append(begin[late])
         ends.append(end[late])
@@ -81,15 +81,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
     )
 
 
-def all_windows(
-    line: Timeline, *, axes: Sequence[str], window: float, every: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Make windows over a whole drive, one per ``every`` s: begin, end and features as in `Windows`."""
-    begin, end = _pairs(line.imu_time, line.start, np.inf, every)
-    return begin, end, features_at(line, end, axes=axes, window=window)
-
-
-def _pairs(
+def pairs_of(
     time: Array, after: float, until: float, every: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return indices of pairs of samples, `HORIZON` apart, between two times, (k,) each."""
@@ -108,15 +100,20 @@ def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], w
     For each step and axis, the inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which
     grows with the speed of a car.
     """
-    imu = line.drive.imu
+    time = line.drive.imu.time
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, STEPS + 1)
     means: list[Array] = []
     shakes: list[Array] = []
     for axis in axes:
-        values = _axis(imu, axis, line.drive.name)
+        values: Array | None = getattr(line.drive.imu, axis)
+        if values is None:
+            raise InputError(
+                f"{line.drive.name}: its imu.csv has no {axis}, an input of the network; train one on drives of this "
+                "car"
+            )
         values = values - (_GRAVITY if axis == "az" else 0.0)
-        mean = _means(imu.time, values, edges)
-        variance = _means(imu.time, values**2, edges) - mean**2
+        mean = _means(time, values, edges)
+        variance = _means(time, values**2, edges) - mean**2
         means.append(mean)
         quiet = _QUIET if axis.startswith("a") else 0.1 * _QUIET
         shakes.append(np.log(np.sqrt(np.maximum(variance, 0.0)) + quiet))
@@ -130,12 +127,3 @@ def _means(time: Array, values: Array, edges: Array) -> Array:
     length = np.diff(inside, axis=1)
     sums = np.diff(np.interp(inside, time, whole), axis=1)
     return np.where(length > 0.0, sums / np.where(length > 0.0, length, 1.0), values[0])
-
-
-def _axis(imu: Imu, axis: str, name: str) -> Array:
-    values = getattr(imu, axis)
-    if values is None:
-        raise InputError(
-            f"{name}: its imu.csv has no {axis}, an input of the network; train one on drives of this car"
-        )
-    return values

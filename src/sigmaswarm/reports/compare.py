@@ -27,9 +27,8 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
 def comparison_table(comparison: Comparison) -> Table:
     """Tabulate medians with intervals, worst runs and tests of each optimizer; to_markdown() formats the table."""
     same = all(c.config.objective == "truth-rmse" for c in comparison.contenders)
-    shown = [
-        m for m in comparison.measures if not (same and m == "held_out_cost")
-    ]  # this measure is the RMSE
+    # with this objective the cost is the RMSE
+    shown = [m for m in comparison.measures if not (same and m == "held_out_cost")]
     tested = comparison.seeds >= FEWEST_SEEDS
     digits = "{:.4g}".format
     columns = [Column("optimizer"), Column("scale")]
@@ -77,9 +76,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
             )
             spent = rows["full_evaluations"].to_numpy()
-            end = comparison.budget * (
-                comparison.frame["steps_share"][i] + 0.01
-            )  # just after the last evaluation
+            # just after the last evaluation
+            end = comparison.budget * (comparison.frame["steps_share"][i] + 0.01)
             costs = (rows[name].to_numpy() for name in ("median", "quartile_1", "quartile_3"))
             middle, low, high = (np.where(np.isfinite(c) & (spent <= end), c, np.nan) for c in costs)
             band(ax, spent, low, high, Look(look.color, opacity=0.12))

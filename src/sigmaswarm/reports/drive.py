@@ -6,12 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.reports.style import BLUE, GREY, PURPLE, VERMILION
 
-Array = NDArray[np.float64]
 Gaps = list[tuple[float, float]]
 """Start and end of each interval without fixes, s."""
 
@@ -25,9 +23,8 @@ def drive_figure(drive: Drive) -> Figure:
     after = np.flatnonzero(steps > 2.5 * np.median(steps)) if len(time) > 2 else []
     gaps: Gaps = [(float(time[i]), float(time[i + 1])) for i in after]
     first = float(imu.time[0])
-    origin = (
-        first if abs(first) > 1000 else 0.0
-    )  # large time stamps (seconds of a week, an epoch) count from the start of the drive
+    # large time stamps (seconds of a week, an epoch) count from the start of the drive
+    origin = first if abs(first) > 1000 else 0.0
     _draw_path(figure.add_subplot(grid[:3, 0]), drive, gaps)
     _draw_figures(figure.add_subplot(grid[3, 0]), drive)
     top = figure.add_subplot(grid[0, 1])
@@ -117,11 +114,7 @@ def _draw_figures(axes: Axes, drive: Drive) -> None:
     axes.axis("off")
     tables: list[Any] = [drive.metadata.get(key) for key in ("target", "achieved")]
     target, achieved = (
-        {
-            str(k): float(v)
-            for k, v in (table if isinstance(table, dict) else {}).items()
-            if isinstance(v, int | float)
-        }
+        {str(k): v for k, v in table.items() if isinstance(v, int | float)} if isinstance(table, dict) else {}
         for table in tables
     )
     if not achieved:

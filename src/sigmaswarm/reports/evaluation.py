@@ -201,9 +201,8 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
         corners = half * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
         curve(ax, x + corners[0], y + corners[1], Look(CHARCOAL, 0.8))
         low, high = picture.frame
-        margin = 0.08 * float(
-            (high - low).max()
-        )  # the range of the fixes: a diverged filter must not set the scale
+        # the range of the fixes: a diverged filter must not set the scale
+        margin = 0.08 * float((high - low).max())
         as_map(ax, *zip(low - margin, high + margin, strict=True))
 
     def close(ax: Axes) -> None:

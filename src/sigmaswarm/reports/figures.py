@@ -148,9 +148,8 @@ def save(figure: Figure, path: Path) -> Path:
     """Write a PNG file that is identical in each run."""
     _plain(figure)
     with whole_file(path) as file, warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", message="Glyph"
-        )  # a name may have letters that are missing in the font
+        # a name may have letters that are missing in the font
+        warnings.filterwarnings("ignore", message="Glyph")
         figure.dpi = 130  # `savefig` would draw the figure twice: drawing includes the layout
         FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})
     return path

@@ -27,17 +27,7 @@ from sigmaswarm.reports.figures import (
     short_number,
 )
 from sigmaswarm.reports.study_tables import AWAY, curve_points
-from sigmaswarm.reports.style import (
-    CHARCOAL,
-    GREEN,
-    LOOKS,
-    MIST,
-    NO_LINE,
-    ORANGE,
-    SLATE,
-    STUDY_LOOKS,
-    Look,
-)
+from sigmaswarm.reports.style import CHARCOAL, GREEN, LOOKS, MIST, NO_LINE, ORANGE, SLATE, STUDY_LOOKS, Look
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.tracks import CLOSE_UP, NIS, Columns, Picture
 
@@ -243,9 +233,8 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
             band(ax, time, -sigma if signed else np.zeros(len(time)), sigma, Look(MIST))
             curve(ax, time, error, look)
             known = np.abs(error[np.isfinite(error)])
-            reach = (
-                1.5 * float(known.max()) + 1e-3 if len(known) else 1.5
-            )  # the error sets the scale, not the band
+            # the error sets the scale, not the band
+            reach = 1.5 * float(known.max()) + 1e-3 if len(known) else 1.5
             ax.set(xlabel="time, s" if last else "", ylabel=f"{what}, {'deg' if signed else 'm'}")
             ax.set_ylim(-reach if signed else 0.0, reach)
 

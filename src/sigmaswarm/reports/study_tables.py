@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from statistics import median
 from typing import Any
 
@@ -63,14 +62,13 @@ TIMES = (
 Row = tuple[Cell, ...]
 
 
-def _decimals(digits: int, value: float) -> str:
-    """Format a number as in the paper: decimals only below 100."""
-    return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
-
-
 def _figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """Make a column of numbers in the format of the paper."""
-    return Column(title, printed=partial(_decimals, digits), **more)
+    """Make a column of numbers in the format of the paper: decimals only below 100."""
+
+    def printed(value: float) -> str:
+        return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
+
+    return Column(title, printed=printed, **more)
 
 
 def _digits(title: str, digits: int) -> Column:

@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
@@ -103,38 +104,29 @@ class Outages:
     ) -> None:
         """Run one placement; a separate function, so that its memory is freed before the next placement."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
+        ends = self._ends[self.seeds.index(seed)]
         if watched:
-            sums = joined([self._recorded(m, outages, p).sums for m, p in filters.items()], axis=1)
+            sums = joined([self._recorded(m, outages, p, ends).sums for m, p in filters.items()], axis=1)
         else:
             sums = run_replays([outages], [*filters.values()])
         scores = scores_of({"outages": [outages]}, {"outages": sums})
         for i, method in enumerate(filters):
             self._add(method, scores[i, 0].outage_drift, failed=scores[i, 0].failed)
         for method, make in also.items():
-            run, ends = make(outages), self._ends[len(self._each.get(method, ()))]
-            places = [np.empty((0, 2))]
-            for piece in run:
-                here = ends[
-                    (ends >= piece.time[0]) & (ends <= piece.time[-1])
-                ]  # each end is the time of a sample
-                places.append(piece.mean[np.searchsorted(piece.time, here), :2])
+            run = make(outages)
+            places = [np.empty((0, 2)), *(piece.mean[_rows_at(ends, piece), :2] for piece in run)]
             self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
 
-    def _recorded(self, method: str, outages: Replay, parameters: FilterParameters) -> Recording:
+    def _recorded(self, method: str, outages: Replay, parameters: FilterParameters, ends: Array) -> Recording:
         """Run a filter; for the tuned filter, store variances and errors at the ends of the outages."""
         recording = Recording(outages, parameters, recover=True)
         if method != "tuned":
             return recording.finished()
-        ends = self._ends[len(self._each.get(method, ()))]
-        reference = drift_reference(self._ready)
         for piece in recording:
-            here = ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])]
-            rows = np.searchsorted(piece.time, here)
-            true = [np.interp(here, reference.time, column) for column in (reference.x, reference.y)]
-            off = np.hypot(*(piece.mean[rows, :2].T - true))
-            self._stated.append(
-                np.vstack([here, piece.covariance[rows][:, [0, 1], [0, 1]].mean(axis=1), off])
-            )
+            rows = _rows_at(ends, piece)
+            off = np.hypot(*_errors(self._ready, piece.time[rows], piece.mean[rows, :2]).T)
+            variance = piece.covariance[rows][:, [0, 1], [0, 1]].mean(axis=1)
+            self._stated.append(np.vstack([piece.time[rows], variance, off]))
         return recording
 
     def _add(self, method: str, drift: float, *, failed: bool) -> None:
@@ -164,7 +156,14 @@ def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: Array) -> 
 
 def _drift(ready: PreparedDrive, ends: Array, places: Array) -> float:
     """Return the RMS error, m, of positions at the ends of outages, shape (k, 2)."""
+    return root_mean(np.square(_errors(ready, ends, places)).sum(axis=1), drift_weights(ready, ends))
+
+
+def _errors(ready: PreparedDrive, time: Array, places: Array) -> Array:
     reference = drift_reference(ready)
-    true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
-    squares = np.square(places - np.column_stack(true)).sum(axis=1)
-    return root_mean(squares, drift_weights(ready, ends))
+    return places - np.column_stack([np.interp(time, reference.time, c) for c in (reference.x, reference.y)])
+
+
+def _rows_at(ends: Array, piece: Piece) -> NDArray[np.intp]:
+    """Return the rows of a piece at those ends of outages that lie in it; each end is the time of a sample."""
+    return np.searchsorted(piece.time, ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])])

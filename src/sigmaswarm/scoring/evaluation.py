@@ -23,11 +23,11 @@ from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.replay import Replay, joined
-from sigmaswarm.filters.run import Estimate, Innovations, estimate_of, run_imu_only
+from sigmaswarm.filters.run import Innovations, run_imu_only
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import FIXES, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
+from sigmaswarm.scoring.drifts import FIXES, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs
 from sigmaswarm.scoring.measures import ALSO, DRIFTS, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.records import (
@@ -41,14 +41,7 @@ from sigmaswarm.scoring.records import (
 )
 from sigmaswarm.scoring.remarks import restarted, worse_than_raw, worse_than_untuned
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
-from sigmaswarm.scoring.targets import (
-    LONG_OUTAGE_LENGTH,
-    OUTAGE_LENGTH,
-    SHORT_OUTAGE_LENGTH,
-    outage_replay,
-    outage_windows,
-    tracking_replay,
-)
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH, tracking_replay
 from sigmaswarm.scoring.tracks import (
     NOTHING_STATED,
     TRACKS_FILE,
@@ -385,7 +378,7 @@ def _evaluated(
     """Run every method over a drive; return the drive's name, the results and, if ``marked``, its landmarks."""
     marks = landmarks(drive) if marked else None
     own = {} if options.against is None else {OWN: options.against}
-    filters, further = compared(drive, parameters) | own, options.further(parameters)
+    filters = compared(drive, parameters) | own
     ready = PreparedDrive(drive, as_recorded=options.as_recorded)
     tracker = Tracker(ready, picture=True)
     lengths = dict(zip(DRIFTS, (SHORT_OUTAGE_LENGTH, options.outage_length, LONG_OUTAGE_LENGTH), strict=True))
@@ -397,9 +390,9 @@ def _evaluated(
         of.add_estimate("imu_only", imu_only)
     scores = {"imu_only": replace(score_estimate(drive, imu_only), failed=False)}
     del imu_only
-    passed = _tracked(ready, tracker, filters, further, options.fixes_alone)
+    passed, further = _tracked(ready, tracker, filters, options)
     for of in outages.values():
-        of.run(filters, passed.further)
+        of.run(filters, further)
 
     for method, score in {**scores, **passed.scores}.items():
         drifts = {measure.removesuffix("_m"): of.drift(method) for measure, of in outages.items()}
@@ -407,15 +400,14 @@ def _evaluated(
         scores[method] = replace(score, **drifts, failed=failed)
     scores["raw_gps"] = score_raw_gps(drive, ready.initial)
     tuned, start, end = scores["tuned"], ready.initial.time, float(drive.imu.time[-1])
-    innovations, sigma = passed.innovations, tracker.own_sigma["tuned"]
-    radii = {
-        TRACKING: passed.radius,
-        **{m: _radius(drive, parameters, of.stated) for m, of in outages.items()},
-    }
-    found = Evaluated(
+    consistency = None
+    if passed.innovations is not None and not tuned.failed:
+        consistency = consistency_of(passed.innovations, tuned.mean_nees, tracker.own_sigma["tuned"])
+    radii = {m: _radius(drive, parameters, of.stated) for m, of in outages.items()}
+    found = replace(
+        passed,
         scores={method: scores[method] for method in (OWN, "tuned", *ALSO, *METHODS) if method in scores},
-        consistency=None if tuned.failed else consistency_of(innovations, tuned.mean_nees, sigma),
-        innovations=innovations,
+        consistency=consistency,
         tracks=tracker.tracks(drive.name),
         picture=tracker.picture(drive.name),
         record=DriveRecord(
@@ -423,12 +415,11 @@ def _evaluated(
             scored_from_s=round(start - float(drive.imu.time[0]), 3),
             truth_share=share_known(drive.truth, start, end),
         ),
-        restarts=passed.restarts,
         frozen=int(ready.frozen.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
         findings=findings_of(drive),
         truth_offset=truth_offset(drive),
-        radius={where: one for where, one in radii.items() if one},
+        radius={**passed.radius, **{measure: one for measure, one in radii.items() if one}},
     )
     return drive.name, found, marks
 
@@ -442,27 +433,16 @@ def _radius(
     return radius_record(variance, lasting, None if drive.truth is None else error)
 
 
-@dataclass(frozen=True, eq=False)
-class _Passed:
-    """Results of the pass over all fixes; ``further`` are the methods other than single filters."""
-
-    scores: Mapping[str, Score]
-    restarts: Mapping[str, tuple[float, ...]]
-    innovations: Innovations
-    further: Runs
-    radius: RadiusRecord | None
-
-
 def _tracked(
-    ready: PreparedDrive,
-    tracker: Tracker,
-    filters: Mapping[str, FilterParameters],
-    further: Runs,
-    noise: MotionNoise | None,
-) -> _Passed:
-    """Run every method over all fixes; a separate function, so that its memory is freed before the next pass."""
+    ready: PreparedDrive, tracker: Tracker, filters: Mapping[str, FilterParameters], options: Options
+) -> tuple[Evaluated, Runs]:
+    """Run every method over all fixes; return the results, and the methods other than single filters.
+
+    It is a separate function, so that its memory is freed before the next pass.
+    """
     replay = tracking_replay(ready)
-    further = {**further, FIXES: partial(FixesAlone, noise=noise or fit_noise(replay))}
+    further = options.further(filters["tuned"])
+    further[FIXES] = partial(FixesAlone, noise=options.fixes_alone or fit_noise(replay))
     recorded = {m: tracker.record(m, replay, p, recover=True) for m, p in filters.items()}
     restarts = {m: tuple(recording.restarts) for m, recording in recorded.items()}
     sums = joined([recording.sums for recording in recorded.values()], axis=1)
@@ -479,20 +459,5 @@ def _tracked(
             restarts[method] = tuple(run.restarts)
     radius = _radius(ready.drive, filters["tuned"], tracker.stated)
     tracker.stated = NOTHING_STATED  # frees three arrays of the length of truth
-    return _Passed(scores, restarts, recorded["tuned"].innovations, further, radius)
-
-
-def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:
-    """Score dead reckoning from the common start: errors against truth, and drift at the ends of the outages."""
-    windows = outage_windows(ready.drive, estimate.initial, length=length, seed=seed)
-    drift = rms_drift(ready, estimate, windows[:, 1])
-    return replace(score_estimate(ready.drive, estimate), outage_drift=drift, failed=False)
-
-
-def score_fixes_alone(ready: PreparedDrive, noise: MotionNoise, length: float, seed: int) -> Score:
-    """Score the filter that uses only the fixes: errors against truth, and drift at the ends of the outages."""
-    whole = estimate_of(FixesAlone(tracking_replay(ready), noise), recover=False)
-    windows = outage_windows(ready.drive, whole.initial, length=length, seed=seed)
-    hidden = estimate_of(FixesAlone(outage_replay(ready, length=length, seed=seed), noise), recover=False)
-    drift = rms_drift(ready, hidden, windows[:, 1])
-    return replace(score_estimate(ready.drive, whole), outage_drift=drift, failed=False)
+    innovations, radii = recorded["tuned"].innovations, {TRACKING: radius} if radius else {}
+    return Evaluated(scores, innovations=innovations, restarts=restarts, radius=radii), further

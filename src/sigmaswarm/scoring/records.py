@@ -77,12 +77,9 @@ class ScoresRecord(BaseModel):
     def known(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
         """Return the methods and measures with any value; without truth there are no errors and no raw GPS."""
         methods, measures = [*methods], [*measures]
-
-        def any_value(methods: Iterable[str], measures: Iterable[str]) -> bool:
-            return any(self.mean_of(method, m) is not None for method in methods for m in measures)
-
-        known = [m for m in measures if any_value(methods, [m])] or measures
-        return [m for m in methods if m != "raw_gps" or any_value([m], known)], known
+        known = [m for m in measures if any(self.mean_of(method, m) is not None for method in methods)]
+        raw = any(self.mean_of("raw_gps", m) is not None for m in known)
+        return [m for m in methods if m != "raw_gps" or raw], known or measures
 
 
 class AgainstRecord(BaseModel):

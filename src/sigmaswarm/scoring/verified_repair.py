@@ -46,12 +46,6 @@ def checking_filter(drive: Drive) -> FilterParameters:
     )
 
 
-def _default_filter(drive: Drive, mended: Drive) -> FilterParameters:
-    """Return the baseline of the repaired drive's default filter, which also verifies repairs of clocks."""
-    model = "tilted12" if has_attitude(mended) else "planar8"
-    return baseline_of(drive, model, ("lateral", "standstill", "robust"))
-
-
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all repairable faults repaired, except repairs that make forecasts worse.
 
@@ -80,13 +74,14 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
         If a repair was withheld.
     """
     if only is not None:
-        findings = tuple(f if f.code in only else replace(f, repair=None) for f in diagnosis.findings)
-        diagnosis = replace(diagnosis, findings=findings)
+        diagnosis = _without(diagnosis, {f.code for f in diagnosis.findings}.difference(only))
     kept = diagnosis
     doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
     judges = [checking_filter(drive)] if doubtful else []
     if any(f.repair and f.repair.action in CLOCKS for f in diagnosis.findings):
-        judges.append(_default_filter(drive, repairs.repair(drive, diagnosis)))
+        # the baseline of the repaired drive's default filter
+        model = "tilted12" if has_attitude(repairs.repair(drive, diagnosis)) else "planar8"
+        judges.append(baseline_of(drive, model, ("lateral", "standstill", "robust")))
     before = _forecasts(drive, judges)
     withheld: list[str] = []
     while doubtful and np.isfinite(before).any():
@@ -96,10 +91,10 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
         # The responsible repair is the one without which the forecasts are best.
         errors: dict[str, float] = {}
         for code in sorted(doubtful):
-            found = _forecasts(repairs.repair(drive, _without(kept, code)), judges)
+            found = _forecasts(repairs.repair(drive, _without(kept, {code})), judges)
             errors[code] = float(np.nan_to_num(np.prod(found[np.isfinite(before)]), nan=np.inf))
         code = min(errors, key=lambda code: errors[code])
-        kept, doubtful = _without(kept, code), doubtful - {code}
+        kept, doubtful = _without(kept, {code}), doubtful - {code}
         withheld.append(code)
     mended = repairs.repair(drive, kept)
     if not withheld:
@@ -110,9 +105,9 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     return replace(mended, metadata={**mended.metadata, "withheld": withheld})
 
 
-def _without(diagnosis: Diagnosis, code: str) -> Diagnosis:
-    """Return a copy of the diagnosis without the repair of one finding."""
-    findings = tuple(replace(f, repair=None) if f.code == code else f for f in diagnosis.findings)
+def _without(diagnosis: Diagnosis, codes: Collection[str]) -> Diagnosis:
+    """Return a copy of the diagnosis without the repairs of some findings."""
+    findings = tuple(replace(f, repair=None) if f.code in codes else f for f in diagnosis.findings)
     return replace(diagnosis, findings=findings)
 
 

@@ -9,7 +9,7 @@ from sigmaswarm.scoring.consistency import FORECASTS, Consistency, size_of, verd
 from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import DRIFTS, HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
 from sigmaswarm.scoring.radius import DOF, LEVELS, LOW, TRACKING, RadiusRecord, factor_of
-from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     how_far,
     partly_scored,
@@ -20,9 +20,6 @@ from sigmaswarm.scoring.remarks import (
 )
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
-
-_Row = tuple[str, str, Mapping[str, float | None]]
-"""Row of a table: drive, method, and scores by measure."""
 
 LATE = 5.0
 """Time, s, from the start of a drive to the start of its scores above which this start is reported."""
@@ -63,34 +60,28 @@ class EvaluationView:
 
     def mean_table(self) -> Table:
         """Return the table of means over the drives."""
-        means = {m: ("mean", self.names[m], of) for m, of in self.scores.mean.items()}
-        return self._table("Mean over drives", lambda methods: [means[m] for m in methods if m in means])
+        means = self.scores.mean
+        return self._table("Mean over drives", [("mean", m, "", means[m]) for m in self.names if m in means])
 
     def drive_table(self) -> Table:
         """Return the table of scores on each drive."""
-
-        def label(drive: str, method: str) -> str:
-            failed = method in self.scores.failed.get(drive, ())
-            return f"{self.names[method]} (failed)" if failed else self.names[method]
-
-        def rows(methods: Sequence[str]) -> list[_Row]:
-            return [
-                (drive, label(drive, m), found[m])
-                for drive, found in self.scores.drives.items()
-                for m in methods
-                if m in found
-            ]
-
+        failed = self.scores.failed
+        rows = [
+            (drive, m, " (failed)" * (m in failed.get(drive, ())), found[m])
+            for drive, found in self.scores.drives.items()
+            for m in self.names
+            if m in found
+        ]
         return self._table("Each drive", rows)
 
-    def _table(self, caption: str, rows_of: Callable[[Sequence[str]], list[_Row]]) -> Table:
-        """Return a table of all known scores, with the rows of the tuned filter emphasized."""
+    def _table(self, caption: str, rows: Sequence[tuple[str, str, str, Measured]]) -> Table:
+        """Return a table of all known scores (drive, method, remark, scores); the tuned filter's are emphasized."""
         methods, known = self.scores.known(self.names, self.measures)
-        rows, tuned = rows_of(methods), self.names["tuned"]
+        rows = [row for row in rows if row[1] in methods]
         columns = Column("drive"), Column("method"), *(_column(self.measures[m]) for m in known)
-        strong = {i for i, (_, name, _) in enumerate(rows) if name.removesuffix(" (failed)") == tuned}
-        cells = tuple((drive, name, *(of.get(m) for m in known)) for drive, name, of in rows)
-        return Table(caption, columns, cells, frozenset(strong))
+        strong = frozenset(i for i, row in enumerate(rows) if row[1] == "tuned")
+        cells = tuple((drive, self.names[m] + remark, *map(of.get, known)) for drive, m, remark, of in rows)
+        return Table(caption, columns, cells, strong)
 
     def drift_table(self) -> Table:
         """Return the table of drifts, with the number of outages and the range of drifts of single placements."""

@@ -4,15 +4,13 @@ import os
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.datasets.cluster import Cluster
-from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.simulation.environments import ENVIRONMENTS, named
-from sigmaswarm.simulation.maneuvers import MANEUVERS, find_maneuver
+from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
 
 if TYPE_CHECKING:
@@ -22,12 +20,8 @@ PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
 """The five maneuvers of the paper."""
 
 
-def simulated_source(maneuver: str, environment: str, run: int, **options: Any) -> Source:
-    """Make the source of a drive that a worker of a cluster simulates."""
-    return partial(_simulated, maneuver, environment, run=run, **options)
-
-
-def _simulated(*what: Any, **options: Any) -> tuple[Drive, list[SigmaswarmWarning]]:
+def simulated_source(*what: Any, **options: Any) -> tuple[Drive, list[SigmaswarmWarning]]:
+    """Simulate a drive as the `Source` of a worker of a cluster."""
     return simulate(*what, **options), []
 
 
@@ -79,7 +73,7 @@ def simulate_many(
     duration = options.pop("duration", None)
     # Checks the names that only later drives use; the first drive checks everything else.
     for maneuver in maneuvers:
-        find_maneuver(maneuver)
+        named(maneuver, MANEUVERS, "maneuver")
     for environment in environments:
         named(environment, ENVIRONMENTS, "environment")
     if runs < 1:

@@ -9,15 +9,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
-
-Array = NDArray[np.float64]
 
 EARTH_RADIUS = 6378137.0
 METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0

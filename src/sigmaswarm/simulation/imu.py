@@ -10,14 +10,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sigmaswarm.drives.drive import Imu
+from sigmaswarm.drives.drive import Array, Imu
 from sigmaswarm.simulation.dynamics import GRAVITY
 from sigmaswarm.simulation.motion import Motion
-
-Array = NDArray[np.float64]
 
 _DEG = math.pi / 180
 _G = 9.80665  # m/s2, the standard gravity of datasheets

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.simulation.dynamics import (
     AX,
     AY,
@@ -22,11 +22,9 @@ from sigmaswarm.simulation.dynamics import (
     run_closed_loop,
     start_state,
 )
-from sigmaswarm.simulation.environments import Environment
-from sigmaswarm.simulation.maneuvers import KMH, Maneuver, Road, find_maneuver, urban
+from sigmaswarm.simulation.environments import Environment, named
+from sigmaswarm.simulation.maneuvers import KMH, MANEUVERS, Maneuver, Road, urban
 from sigmaswarm.simulation.planning import LOOK, SPACING, draw_sway, lay_path, plan_speed
-
-Array = NDArray[np.float64]
 
 STAND = 1.0
 """Duration of the standstill at the beginning, s."""
@@ -56,7 +54,7 @@ def take_journey(
     """Draw a maneuver and drive it; for the parameters see `simulate`."""
     road = Road(where.friction)
     seconds = URBAN_DURATION if duration is None else duration
-    drawn = urban(road, rng, seconds) if name == "urban" else find_maneuver(name)(road, rng)
+    drawn = urban(road, rng, seconds) if name == "urban" else named(name, MANEUVERS, "maneuver")(road, rng)
     heading, sway = float(rng.uniform(-np.pi, np.pi)), draw_sway(rng)
     legs, first = (drawn.legs, drawn.first) if warm_up else (drawn.legs[drawn.first :], 0)
     path = lay_path(legs, heading, sway)

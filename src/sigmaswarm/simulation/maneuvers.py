@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import GRAVITY
 from sigmaswarm.simulation.planning import Leg
 
@@ -44,15 +43,14 @@ class Maneuver:
 
     legs: list[Leg]
     target: dict[str, float]  # the paper's figures, units in the names
-    outages: list[
-        tuple[float, float]
-    ]  # (start, end), s after the maneuver's own start, when there are no fixes
+    # (start, end), s after the maneuver's own start, when there are no fixes
+    outages: list[tuple[float, float]]
     first: int = 0  # index of the first leg of the maneuver itself; a filter starts on the legs before it
 
 
-def straight(road: Road, length: float, kmh: float, wait: float = 0.0) -> Leg:
+def straight(road: Road, length: float, kmh: float) -> Leg:
     """Drive a straight leg with everyday accelerations."""
-    return Leg(length, kmh * KMH, road.easy(2.5), road.easy(2.5), wait=wait)
+    return Leg(length, kmh * KMH, road.easy(2.5), road.easy(2.5))
 
 
 def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) -> list[Leg]:
@@ -187,10 +185,3 @@ MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
     "urban": urban,
 }
 """Maneuvers by name, in the order of the paper, which has the first five."""
-
-
-def find_maneuver(name: str) -> Callable[[Road, np.random.Generator], Maneuver]:
-    """Return a maneuver's function; raise InputError for an unknown name."""
-    if name not in MANEUVERS:
-        raise InputError(f"no maneuver is called {name!r}; choose from {', '.join(MANEUVERS)}")
-    return MANEUVERS[name]

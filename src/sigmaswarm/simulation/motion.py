@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.simulation.dynamics import (
     AX,
     AY,
@@ -36,7 +36,6 @@ from sigmaswarm.simulation.dynamics import (
     Y,
 )
 
-Array = NDArray[np.float64]
 LeverArm = tuple[float, float, float]
 
 # Vibration: white-noise densities of two public recordings of real cars, from differences of neighboring samples at 5

@@ -7,12 +7,9 @@ the speed of the pulses in a window before it. The control unit assumes a slight
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Odometer
+from sigmaswarm.drives.drive import Array, Odometer
 from sigmaswarm.simulation.dynamics import REAR_SPIN, STEP, Vehicle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 from sigmaswarm.compilation import cached
-
-Array = NDArray[np.float64]
+from sigmaswarm.drives.drive import Array
 
 SPACING = 0.1
 """Distance between two points of a path, m."""
@@ -22,6 +20,8 @@ LOOK = 0.01
 """Interval of the driver's control, s."""
 RUN_OUT = 60.0
 """Length of straight road beyond the last leg, m, for the driver's preview and for longer stops."""
+SWAY_OFFSET, SWAY_SPEED = 0.10, 0.006
+"""Amplitudes of a driver's sway: m from the ideal line, and as a share of the speed."""
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,14 @@ class Leg:
     lateral: float = 3.0  # m/s2, the largest that the driver plans in a bend
     wait: float = 0.0  # s, standstill at the leg's end; 0 drives on
     ease: float = 1.0  # s, over which accelerations build up and fade
-    fading: float = (
-        0.02  # s/m, decrease of the acceleration per m/s: drivers accelerate less near the desired speed
-    )
+    # s/m, decrease of the acceleration per m/s: drivers accelerate less near the desired speed
+    fading: float = 0.02
 
 
 @dataclass(frozen=True)
 class Sway:
     """Deviation of a human driver from the ideal line and speed: sums of three sine waves along the path."""
 
-    offset: float  # m
-    speed: float  # share of the speed
     phases: Array  # (2, 3) rad
     wavelengths: Array  # (3,) m
 
@@ -56,11 +53,9 @@ class Sway:
         return np.sin(2 * np.pi * way / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(3)
 
 
-def draw_sway(rng: np.random.Generator, offset: float = 0.10, speed: float = 0.006) -> Sway:
+def draw_sway(rng: np.random.Generator) -> Sway:
     """Draw a driver's sway: random phases, wavelengths of 110 to 260 m."""
-    return Sway(
-        offset, speed, rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform([110, 150, 200], [150, 200, 260])
-    )
+    return Sway(rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform([110, 150, 200], [150, 200, 260]))
 
 
 def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
@@ -76,7 +71,7 @@ def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
         curvature[on] = leg.curvature + (leg.curvature_end - leg.curvature) * (way[on] - start) / leg.length
     # An offset A sin(k s) bends the path by its second derivative.
     wave_numbers = 2 * np.pi / sway.wavelengths
-    curvature -= sway.offset * wave_numbers**2 @ sway.waves(way, 0)
+    curvature -= SWAY_OFFSET * wave_numbers**2 @ sway.waves(way, 0)
     turned = np.cumsum((curvature[1:] + curvature[:-1]) / 2) * SPACING
     yaw = heading + np.concatenate([[0.0], turned])
     middle = (yaw[1:] + yaw[:-1]) / 2
@@ -110,7 +105,7 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     part = (way - ends[leg_of]) / each("length")
     curvature = each("curvature") + (each("curvature_end") - each("curvature")) * part
     limit = np.minimum(each("speed"), np.sqrt(each("lateral") / np.maximum(np.abs(curvature), 1e-6)))
-    squared = (limit * (1 + sway.speed * sway.waves(way, 1).sum(axis=0))) ** 2
+    squared = (limit * (1 + SWAY_SPEED * sway.waves(way, 1).sum(axis=0))) ** 2
     waits = np.zeros(len(way))
     for leg, end in zip(legs, ends[1:], strict=True):
         if leg.wait > 0:

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Drive, Truth
+from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import STEP, Vehicle
 from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, named
@@ -31,8 +30,6 @@ from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample, vi
 from sigmaswarm.simulation.odometer import ODOMETER_GRADES, OdometerGrade, measure_odometer
 from sigmaswarm.simulation.terrain import HEIGHT, ROAD_PITCH, ROAD_ROLL, TERRAINS, Terrain, drive_on, lay_road
 from sigmaswarm.simulation.vehicle import find_vehicle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

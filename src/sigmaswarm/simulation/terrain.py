@@ -23,11 +23,11 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import cont2discrete, lfilter, ss2tf
 
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.simulation.dynamics import (
     AX,
     AY,
@@ -46,8 +46,6 @@ from sigmaswarm.simulation.dynamics import (
     Vehicle,
 )
 from sigmaswarm.simulation.planning import SPACING
-
-Array = NDArray[np.float64]
 
 # Columns after those that the car records: the road's roll and pitch (rad) with two derivatives, and the height.
 ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL = range(RECORDED, RECORDED + 3)

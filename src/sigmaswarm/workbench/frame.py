@@ -58,10 +58,6 @@ class Frame:
         app.get("/report/{kind}/{name}")(self._report)
         app.get("/download/{kind}/{name}")(self._download)
 
-    def close(self) -> None:
-        """Stop the tunings; each can be resumed."""
-        self.runs.stop_all()
-
     def _first(self) -> str:
         """Return the step to continue with: the last one with content."""
         if self.bench.log or not self.bench.drives:

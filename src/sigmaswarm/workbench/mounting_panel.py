@@ -1,7 +1,6 @@
 """Mounting of the IMU in the vehicle: three angles, and a sketch that rotates with them."""
 
-import math
-from functools import cache, partial
+from functools import partial
 from importlib.resources import files
 
 import numpy as np
@@ -10,6 +9,7 @@ from nicegui.events import GenericEventArguments
 
 from sigmaswarm import parse_mount
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.reports.style import BLUE, GREEN, VERMILION
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.parts import button, card, line, message, text
@@ -88,7 +88,7 @@ class MountingPanel:
             self.shown = True, field.value
             self._choose("mount", field.value)
 
-        for number, (name, angle) in enumerate(zip(ANGLES, _degrees(rotation), strict=True)):
+        for number, (name, angle) in enumerate(zip(ANGLES, roll_pitch_yaw(rotation), strict=True)):
             with line():
                 label = ui.label().style("width: 92px")
                 slider = ui.slider(min=-180, max=180, step=1, value=angle).classes("grow")
@@ -118,14 +118,6 @@ class MountingPanel:
         part.on("change", lambda: self._choose("part", int(part.value) if part.value else None))
 
 
-def _degrees(r: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation, whole degrees."""
-    pitch = -math.asin(float(np.clip(r[2, 0], -1, 1)))
-    angles = math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
-    roll, pitch, yaw = (float(round(math.degrees(angle))) + 0.0 for angle in angles)
-    return roll, pitch, yaw
-
-
 def sketch(rotation: Array) -> str:
     """Draw the vehicle and the sensor's axes.
 
@@ -141,13 +133,9 @@ def sketch(rotation: Array) -> str:
         name, color = AXES[k]
         parts.append(_arrow(MOUNTED, MOUNTED + 1.35 * rotation[:, k], color, name))
     said = ", ".join(f"{name} {_direction(rotation[:, k])}" for k, (name, _) in enumerate(AXES))
-    labeled = _car().replace('aria-label=""', f'aria-label="The IMU in the vehicle: {said}"')
+    car = files("sigmaswarm.workbench").joinpath("car.svg").read_text()
+    labeled = car.replace('aria-label=""', f'aria-label="The IMU in the vehicle: {said}"')
     return labeled.replace("</svg>", "".join([*parts, "</svg>"]))
-
-
-@cache
-def _car() -> str:
-    return files("sigmaswarm.workbench").joinpath("car.svg").read_text()
 
 
 def _place(points: Array) -> Array:

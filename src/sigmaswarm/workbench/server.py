@@ -112,4 +112,4 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
     try:
         uvicorn.Server(config).run(sockets=[listening])
     finally:
-        frame.close()
+        frame.runs.stop_all()

@@ -3,6 +3,7 @@
 from functools import partial
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from sigmaswarm import Glance, Look, Range
@@ -103,7 +104,8 @@ class ColumnRow:
                 ui.label(about.column).classes("column-name")
                 span = f"{number(about.low)} to {number(about.high)}"
                 ui.label(span if about.low is not None else about.example[:40] or "empty").classes("range")
-            ui.html(self._spark(), sanitize=False)
+            values = np.empty(0) if about.low is None else self.panel.look.numbers(table_, about.column)
+            ui.html(sparkline(values), sanitize=False)
             choose = partial(page.assign, table_, about.column)
             use = select(f"Use of {about.column}", TARGETS, target, choose, with_input=True)
             use.classes("field").props("dense options-dense")
@@ -127,11 +129,6 @@ class ColumnRow:
         pick.classes("field").props("dense options-dense")
         field = ui.input("Expression", value=expression).classes("field").props("dense")
         field.on("change", lambda: page.express(target, field.value or ""))
-
-    def _spark(self) -> str:
-        if self.about.low is None:
-            return ""
-        return sparkline(self.panel.look.numbers(self.panel.glance.table, self.about.column))
 
     def _faults(self, target: str) -> list[str]:
         """Sentences about the column: reasons not to read it as guessed, and an error that names it."""

@@ -8,15 +8,7 @@ import numpy as np
 from nicegui import ui
 
 import sigmaswarm
-from sigmaswarm import (
-    Drive,
-    FilterParameters,
-    Option,
-    TuneConfig,
-    Tuning,
-    explain_tuning,
-    saved_history,
-)
+from sigmaswarm import Drive, FilterParameters, Option, TuneConfig, Tuning, explain_tuning, saved_history
 from sigmaswarm.wording import counted
 from sigmaswarm.workbench.parts import Page, button, card, line, link, message, number, select, table, text
 from sigmaswarm.workbench.plots import lines, map_lines, redraw, show_map, show_plot

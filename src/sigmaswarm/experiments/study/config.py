@@ -228,11 +228,8 @@ class StudyConfig(BaseModel):
     def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out None, which TOML does not have, and in a study without rivals their options."""
         values: dict[str, Any] = dump(self)
-        left_out = {
-            *(() if self.rivals else RIVALS_OPTIONS),
-            *(() if self.racing is not None else ("racing",)),
-        }
-        return {name: value for name, value in values.items() if name not in left_out}
+        left_out = () if self.rivals else RIVALS_OPTIONS
+        return {name: value for name, value in values.items() if value is not None and name not in left_out}
 
     def to_toml(self) -> str:
         """Return the text of study.toml."""

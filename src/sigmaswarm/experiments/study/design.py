@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,13 +14,13 @@ import numpy as np
 
 from sigmaswarm.datasets.cluster import Cluster
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
-from sigmaswarm.datasets.remote import RemoteDataset, remote_dataset, source_of
+from sigmaswarm.datasets.remote import RemoteDataset, remote_datasets
 from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.overlap import Landmarks, landmarks, overlap_of
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.reader import all_drive_locations, read_drive
+from sigmaswarm.drives.reader import Location, all_drive_locations, read_drive
 from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
@@ -205,7 +205,7 @@ def make_design(
     remote: RemoteDataset | None = None
     drives: Sequence[Drive | Sensors]
     if cluster is not None:
-        remote, warned = remote_dataset(Cluster(cluster), _sources(config))
+        (remote,), warned = remote_datasets(Cluster(cluster), [_sources(config)])
         for warning in warned:
             warnings.warn(warning, stacklevel=2)
         drives = remote.map(sensors_of)
@@ -255,12 +255,12 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
     return designs
 
 
-def _sources(config: StudyConfig) -> list[Source]:
+def _sources(config: StudyConfig) -> Sequence[Location | Source]:
     """Return the sources from which a cluster's workers read or simulate the drives."""
     if config.drives:
-        return [source_of(location) for location in all_drive_locations(config.drives)]
+        return all_drive_locations(config.drives)
     names = product(config.maneuvers, config.environments, range(config.runs))
-    return [simulated_source(*name, **config.simulated) for name in names]
+    return [partial(simulated_source, m, e, run=run, **config.simulated) for m, e, run in names]
 
 
 def _simulated(config: StudyConfig, executor: Executor | None, runs: int, **other: Any) -> list[Drive]:

@@ -16,7 +16,6 @@ results.json contains (unknown numbers are null):
     rivals         `RivalResults`, only in a study with rivals
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +26,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import ALL, UNTUNED, Protocol, StudyConfig
-from sigmaswarm.files import write_json
+from sigmaswarm.files import finite, write_json
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.tracks import Tracks, load_tracks
 from sigmaswarm.tuning.box import TouchedBound
@@ -36,11 +35,7 @@ Variant = tuple[str, str]
 """Protocol and method."""
 
 
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-Figure = Annotated[float | None, BeforeValidator(_finite)]
+Figure = Annotated[float | None, BeforeValidator(finite)]
 """A number; None in place of NaN and infinity, which JSON does not have."""
 Interval = tuple[Figure, Figure]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.experiments.statistics import (
-    Known,
+    Draws,
     bootstrap,
     corrected_interval,
     crossed_bootstrap,
@@ -51,7 +51,7 @@ def results_of(
     rivals: RivalResults | None = None,
 ) -> Results:
     """Return the content of results.json."""
-    design, known = scores.design, Known()
+    design, draws = scores.design, Draws(scores.design.config.seed)
     return Results(
         config=design.config,
         drives=DriveCount(
@@ -60,8 +60,8 @@ def results_of(
         protocols=PROTOCOLS,
         methods={name: method.label for name, method in design.config.methods.items()},
         measures=design.config.measures,
-        summary=list(_summaries(scores, known)),
-        comparisons=list(_comparisons(scores, known)),
+        summary=list(_summaries(scores, draws)),
+        comparisons=list(_comparisons(scores, draws)),
         tunings=[
             TrialTuning(
                 **vars(task),
@@ -80,12 +80,7 @@ def results_of(
     )
 
 
-def _rng(design: Design) -> np.random.Generator:
-    """Return a new generator for the bootstrap; each result uses the same seed and so is independent of the others."""
-    return np.random.default_rng(design.config.seed)
-
-
-def _summaries(scores: ScoreTable, known: Known) -> Iterator[VariantSummary]:
+def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
     """Yield the summary of every variant and measure, over all conditions and in each."""
     design, everywhere = scores.design, (ALL, ALL)
     train, test = design.split(0)
@@ -94,19 +89,13 @@ def _summaries(scores: ScoreTable, known: Known) -> Iterator[VariantSummary]:
         for place in (everywhere, *each):
             chosen = [i for i, c in enumerate(design.conditions) if place in (everywhere, c)]
             strata = [design.strata[i] for i in chosen]
-            found = summarize(values[:, chosen], strata, len(test) / len(train), _rng(design), known)
+            found = summarize(values[:, chosen], strata, len(test) / len(train), draws)
             if found.n_drives:
                 of = {"protocol": protocol, "method": method, "measure": measure}
                 yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(found))
 
 
-def summarize(
-    values: Array,
-    strata: Sequence[str],
-    test_per_train: float,
-    rng: np.random.Generator,
-    known: Known | None = None,
-) -> ScoreStatistics:
+def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws: Draws) -> ScoreStatistics:
     """Compute mean, SD and intervals of scores, shape (trials, drives); ``test_per_train`` is a ratio of drives."""
     each = trial_means(values)
     each = each[~np.isnan(each)]
@@ -115,18 +104,18 @@ def summarize(
         sd=spread(each),
         trial_interval=trial_interval(each),
         corrected_t_interval=corrected_interval(each, test_per_train),
-        bootstrap_interval=crossed_bootstrap(values, strata, rng, known),
+        bootstrap_interval=crossed_bootstrap(values, strata, draws),
         n_trials=len(each),
         n_drives=int(np.count_nonzero(~np.isnan(drive_means(values)))),
     )
 
 
-def _comparisons(scores: ScoreTable, known: Known) -> Iterator[PairedComparison]:
+def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
     """Compare the PSO-UKF of each protocol with every method without tuning or tuned under the same protocol."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
         for measure in _compared(scores):
-            yield from _against(scores, (protocol, MAIN), measure, others, known)
+            yield from _against(scores, (protocol, MAIN), measure, others, draws)
 
 
 def _compared(scores: ScoreTable) -> list[str]:
@@ -135,11 +124,7 @@ def _compared(scores: ScoreTable) -> list[str]:
 
 
 def _against(
-    scores: ScoreTable,
-    variant: Variant,
-    measure: str,
-    others: Sequence[Variant],
-    known: Known | None = None,
+    scores: ScoreTable, variant: Variant, measure: str, others: Sequence[Variant], draws: Draws
 ) -> Iterator[PairedComparison]:
     """Compare a variant with others; ``holm_p`` is corrected over these."""
     design, (protocol, method) = scores.design, variant
@@ -148,7 +133,7 @@ def _against(
     for other in others:
         theirs = scores.values[other].get(measure)
         if theirs is not None and np.any(np.isfinite(theirs)):
-            found[other[1]] = compare_paired(own, theirs, design.strata, _rng(design), known)
+            found[other[1]] = compare_paired(own, theirs, design.strata, draws)
     corrected = holm([row.p for row in found.values()])
     for (other, row), p in zip(found.items(), corrected, strict=True):
         yield PairedComparison(
@@ -156,24 +141,18 @@ def _against(
         )
 
 
-def compare_paired(
-    method: Array,
-    other: Array,
-    strata: Sequence[str],
-    rng: np.random.Generator,
-    known: Known | None = None,
-) -> PairedStatistics:
+def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Draws) -> PairedStatistics:
     """Compare the scores of two methods, shape (trials, drives), on the drives where both have values."""
     a, b = drive_means(method), drive_means(other)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
     return PairedStatistics(
         mean_difference=float(np.mean(a - b)) if len(a) else None,
-        interval=bootstrap(np.asarray, [a - b], kept, rng, known),
+        interval=bootstrap(np.asarray, [a - b], kept, draws),
         p=signed_rank(a, b),
         rank_biserial=rank_biserial(a - b),
         improvement=float(improvement(a.mean(), b.mean())) if len(a) else None,
-        improvement_interval=bootstrap(improvement, [a, b], kept, rng, known),
+        improvement_interval=bootstrap(improvement, [a, b], kept, draws),
         n_drives=len(a),
     )
 
@@ -210,11 +189,12 @@ def rival_results(
     ``less``: the networks trained on less data, for the learning curves. ``curve``: their scores by measure, shape
     (networks, drives).
     """
+    draws = Draws(scores.design.config.seed)
     return RivalResults(
         efforts=list(_efforts(scores.design, trials, networks)),
-        gains=list(_gains(scores, networks)),
-        elsewhere=list(_elsewhere(elsewhere, scores.design)),
-        curve=list(_curve(scores, networks, less, curve)),
+        gains=list(_gains(scores, networks, draws)),
+        elsewhere=list(_elsewhere(elsewhere, scores.design, draws)),
+        curve=list(_curve(scores, networks, less, curve, draws)),
     )
 
 
@@ -242,22 +222,22 @@ def _efforts(
         )
 
 
-def _gains(scores: ScoreTable, networks: Iterable[Task]) -> Iterator[PairedComparison]:
+def _gains(scores: ScoreTable, networks: Iterable[Task], draws: Draws) -> Iterator[PairedComparison]:
     """Compare each network with its filter alone, drive by drive, in the measures that the network changes."""
     for protocol, method in dict.fromkeys(task.variant for task in networks):
         for measure in _compared(scores):
             own, alone = (scores.values[protocol, m].get(measure) for m in (method, HELPED))
             if own is None or alone is None or np.allclose(own, alone, rtol=1e-9, atol=0.0, equal_nan=True):
                 continue
-            yield from _against(scores, (protocol, method), measure, [(protocol, HELPED)])
+            yield from _against(scores, (protocol, method), measure, [(protocol, HELPED)], draws)
 
 
-def _elsewhere(tables: Mapping[str, ScoreTable], home: Design) -> Iterator[ElsewhereSummary]:
+def _elsewhere(tables: Mapping[str, ScoreTable], home: Design, draws: Draws) -> Iterator[ElsewhereSummary]:
     """Summarize every variant and measure over all drives of each place."""
     for place, scores in tables.items():
         ratio = len(scores.design.drives) / len(home.split(0)[0])
         for protocol, method, measure, values in scores.columns():
-            found = summarize(values, scores.design.strata, ratio, _rng(home))
+            found = summarize(values, scores.design.strata, ratio, draws)
             if found.n_drives:
                 of = {"place": place, "protocol": protocol, "method": method, "measure": measure}
                 yield ElsewhereSummary(**of, maneuver=ALL, environment=ALL, **dict(found))
@@ -268,6 +248,7 @@ def _curve(
     networks: Mapping[Task, Trained],
     less: Mapping[Training, Trained],
     curve: Mapping[str, Array],
+    draws: Draws,
 ) -> Iterator[CurvePoint]:
     """Yield the learning curves of the first trial: without a network, with parts of its data, and with all data."""
     for task, whole in networks.items():
@@ -291,6 +272,6 @@ def _curve(
                     minutes=round(driven / 60.0, 3),
                     measure=measure,
                     mean=float(np.mean(values[known])) if len(known) else None,
-                    interval=bootstrap(np.asarray, [values[known]], strata, _rng(scores.design)),
+                    interval=bootstrap(np.asarray, [values[known]], strata, draws),
                     n_drives=len(known),
                 )

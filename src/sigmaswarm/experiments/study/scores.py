@@ -17,15 +17,16 @@ from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Trained, score_networks
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
-from sigmaswarm.filters.fixes_alone import MotionNoise, noise_of
+from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, noise_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
-from sigmaswarm.filters.run import run_imu_only
+from sigmaswarm.filters.run import estimate_of, run_imu_only
 from sigmaswarm.scoring.batch import Replayer, Scores
-from sigmaswarm.scoring.evaluation import score_fixes_alone, score_imu_only
+from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.remote import Replays
-from sigmaswarm.scoring.score import score_raw_gps
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
+from sigmaswarm.scoring.score import score_estimate, score_raw_gps
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.truth import root_mean
 
 TAKEN: dict[str, Callable[[Scores], Array]] = {
     "position_rmse_m": lambda s: s.position_rmse,
@@ -184,41 +185,34 @@ def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     The filter of the fixes alone uses the medians of the noise parameters fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
-    if method == "fixes-alone":
-        noise = MotionNoise.typical(design.of_each(noise_of))
-        each = design.of_each(partial(_score_alone, noise=noise, lengths=lengths, seed=seed))
-    else:
-        each = design.of_each(partial(_score_unfiltered, method=method, lengths=lengths, seed=seed))
+    noise = MotionNoise.typical(design.of_each(noise_of)) if method == "fixes-alone" else None
+    each = design.of_each(partial(_score_unfiltered, method=method, noise=noise, lengths=lengths, seed=seed))
     return {measure: np.array([[scores[measure] for scores in each]]) for measure in each[0]}
 
 
-def _score_alone(
-    ready: PreparedDrive, noise: MotionNoise, lengths: Mapping[str, float], seed: int
-) -> dict[str, float]:
-    """Score the filter of the fixes alone on a drive."""
-    scores = {measure: score_fixes_alone(ready, noise, s, seed) for measure, s in lengths.items()}
-    first = scores["outage_drift_m"]
-    drifts = {measure: score.outage_drift for measure, score in scores.items()}
-    heading = float(np.degrees(first.heading_rmse))
-    return {"position_rmse_m": first.position_rmse, "heading_rmse_deg": heading, **drifts}
-
-
 def _score_unfiltered(
-    ready: PreparedDrive, method: str, lengths: Mapping[str, float], seed: int
+    ready: PreparedDrive, method: str, noise: MotionNoise | None, lengths: Mapping[str, float], seed: int
 ) -> dict[str, float]:
-    """Score the raw fixes or the IMU alone on a drive."""
-    drive = ready.drive
+    """Score the raw fixes, the IMU alone or, with ``noise``, the fixes alone on a drive."""
+    drive, start = ready.drive, ready.initial
+    residual, drifts = np.nan, dict.fromkeys(lengths, np.nan)
     if method == "raw-gps":
-        residual, score = 0.0, score_raw_gps(drive, ready.initial)  # equation 4 compares with the fixes
-        drifts = dict.fromkeys(lengths, score.outage_drift)
+        residual, score = 0.0, score_raw_gps(drive, start)  # equation 4 compares with the fixes
     else:
-        estimate = run_imu_only(ready)
-        gps = drive.gps.select((drive.gps.time > ready.initial.time) & (drive.gps.time <= estimate.time[-1]))
-        x, y = (np.interp(gps.time, estimate.time, estimate.mean[:, i]) for i in range(2))
-        residual = float(np.sqrt(np.mean((x - gps.x) ** 2 + (y - gps.y) ** 2))) if len(gps) else float("nan")
-        scores = {measure: score_imu_only(ready, estimate, s, seed) for measure, s in lengths.items()}
-        score = scores["outage_drift_m"]
-        drifts = {measure: one.outage_drift for measure, one in scores.items()}
+        whole = run_imu_only(ready)
+        if noise is not None:
+            whole = estimate_of(FixesAlone(tracking_replay(ready), noise), recover=False)
+        score = score_estimate(drive, whole)
+        for measure, length in lengths.items():
+            ends, hidden = outage_windows(drive, start, length=length, seed=seed)[:, 1], whole
+            if noise is not None:
+                outages = outage_replay(ready, length=length, seed=seed)
+                hidden = estimate_of(FixesAlone(outages, noise), recover=False)
+            drifts[measure] = rms_drift(ready, hidden, ends)
+        if method == "imu-only":
+            gps = drive.gps.select((drive.gps.time > start.time) & (drive.gps.time <= whole.time[-1]))
+            x, y = (np.interp(gps.time, whole.time, whole.mean[:, i]) for i in range(2))
+            residual = root_mean((x - gps.x) ** 2 + (y - gps.y) ** 2)
     return {
         "position_rmse_m": score.position_rmse,
         "gps_rmse_m": residual,

@@ -57,10 +57,7 @@ def kept_time(file: Path) -> Generator[None]:
 
 
 def rival_times(
-    out: Path,
-    design: Design,
-    parameters: Mapping[Task, FilterParameters],
-    networks: Mapping[Task, Trained],
+    out: Path, design: Design, parameters: Mapping[Task, FilterParameters], networks: Mapping[Task, Trained]
 ) -> dict[str, dict[str, float]]:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
