@@ -633,6 +633,32 @@ def test_rows_of_several_kinds_are_refused_with_the_way(tmp_path: Path, end: str
         imported(tmp_path / "log.csv")
 
 
+def test_folders_of_days_are_not_mixed(tmp_path: Path):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    tables = {
+        "day1": {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz},
+        "day2": {"t": gps.time, "x": gps.x},
+    }
+    for day, table in tables.items():
+        (tmp_path / day).mkdir()
+        pl.DataFrame(table).write_csv(tmp_path / day / "data.csv")
+    with pytest.raises(InputError, match=r"day1/data.csv and day2/data.csv\); import one"):
+        imported(tmp_path)
+
+
+def test_a_row_without_a_fix_is_no_kind_of_its_own(tmp_path: Path):
+    gps = [
+        f"A,{t:.2f},{lat:.9f},{lon:.9f}"
+        for t, lat, lon in zip(DRIVE.gps.time, DRIVE.gps.lat, DRIVE.gps.lon, strict=True)
+    ]
+    (tmp_path / "gps.csv").write_text("\n".join([*gps[:3], "V,0.5,,", *gps[3:]]) + "\n")
+    imu = pl.DataFrame({a: getattr(DRIVE.imu, a) for a in ("time", "ax", "ay", "gz")})
+    imu.write_csv(tmp_path / "imu.csv")
+    maps = ["gps.t=c2", "gps.lat=c3", "gps.lon=c4"]
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps)
+    assert_close(got.drive.gps, DRIVE.gps, "lat lon", 1e-8)
+
+
 def test_a_log_without_a_gyro_is_named(tmp_path: Path):
     imu = DRIVE.imu
     pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "az": imu.az}).write_csv(tmp_path / "log.csv")

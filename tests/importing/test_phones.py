@@ -149,12 +149,33 @@ def test_phyphox_in_other_languages(tmp_path: Path, language: str, form: str):
         head, *rows = text.replace("Gyroscope x", "Gyro x").replace(".", ",").split("\n")
         (folder / f"{name}.csv").unlink()
         (folder / f"{other}.csv").write_text("\n".join([head, *rows]), "utf-8")
+    tilt = "\n".join([f"{time} (s);N (°);R (°)", "0;10,5;5,5", "1;10,5;5,5", ""])
+    (folder / "B.csv").write_text(tilt, "utf-8")  # it comes before the location
     linear = [f"{t!r};{x!r};{x!r};0.1".replace(".", ",") for t, x in enumerate(PHONE["x"].tolist())]
     head = f"{time} (s);{words[0]} x (m/s^2);{words[0]} y (m/s^2);{words[0]} z (m/s^2)"
     (folder / "A.csv").write_text("\n".join([head, *linear]), "utf-8")
     got = imported(zipped(folder) if form == "zip" else folder).drive
     assert_close(got.imu, IMU, "time ax ay az gx gy gz", 1e-9)
     assert_close(got.gps, GPS, "time lat lon alt std_x speed course", 1e-9)
+
+
+def test_phyphox_with_other_units_and_tables_of_another_logger(tmp_path: Path):
+    folder = phyphox(tmp_path / "export")
+    for name, old, new in (("Accelerometer", "m/s^2", "ms^-2"), ("Location", "°", "deg")):
+        text = (folder / f"{name}.csv").read_text("utf-8")
+        (folder / f"{name}.csv").write_text(text.replace(old, new), "utf-8")
+    got = imported(folder).drive
+    assert_close(got.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.gps, GPS, "time lat lon alt std_x speed course", 1e-9)
+    other = tmp_path / "other"
+    (other / "meta").mkdir(parents=True)
+    for name in ("time", "device"):
+        (other / "meta" / f"{name}.csv").write_text("a,b\n1,2\n")
+    pl.DataFrame(
+        {"t": IMU.time, **{a: getattr(IMU, a) for a in ("ax", "ay", "az", "gx", "gy", "gz")}}
+    ).write_csv(other / "imu.csv")
+    pl.DataFrame({"t": GPS.time, "lat": GPS.lat, "lon": GPS.lon}).write_csv(other / "gps.csv")
+    assert_close(imported(other).drive.imu, IMU, "time ax gz", 1e-9)
 
 
 def gnss_logger(path: Path, old: bool = False) -> Path:

@@ -36,9 +36,11 @@ def _files(path: Path) -> list[Path]:
 
 
 def below(folder: Path) -> list[Path]:
-    """List the tables of a folder like EuRoC's, mav0/imu0/data.csv or imu0/data.csv."""
-    found = (*folder.glob("*/data.csv"), *folder.glob("mav0/*/data.csv"))
-    return sorted(file for file in found if file.is_file() and file.stat().st_size)
+    """List the tables of a folder like EuRoC's: imu0/data.csv, also in mav0."""
+    found = [*folder.glob("*/data.csv"), *folder.glob("mav0/*/data.csv")]
+    names = "imu|gps|gnss|rtk|cam|leica|vicon|baro|mag|odom|wheel|state_groundtruth_estimate"
+    sensors = [file for file in found if re.fullmatch(rf"(?:{names})\d", file.parent.name)]
+    return sorted(file for file in sensors if file.is_file() and file.stat().st_size)
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:

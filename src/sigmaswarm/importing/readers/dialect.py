@@ -122,7 +122,9 @@ def _of_message(row: Sequence[str]) -> list[str]:
 
 def _require_one_kind(rows: Rows, shown_as: Path) -> None:
     """Refuse rows that begin with the name of their kind, if the kinds differ in the number of cells."""
-    kinds = {(row[0].strip(), max(k for k, cell in enumerate(row) if k == 0 or cell.strip())) for row in rows}
+    last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
+    # A row with a name and a time alone, as of a fix that is not valid, is no kind of its own.
+    kinds = {(row[0].strip(), end) for row, end in zip(rows, last, strict=True) if end > 1}
     names = sorted({name for name, _ in kinds})
     named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
     if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:

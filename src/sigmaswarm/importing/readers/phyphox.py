@@ -1,68 +1,125 @@
-"""phyphox: an experiment exported as CSV, a folder or zip with tables of accelerometer, gyroscope and location.
+"""phyphox: an experiment exported as CSV, a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
-Names of files and columns are in the language of the phone, so the tables are found by the units in their columns, in
-the order of the app (phyphox/phyphox-experiments): "Time (s)" since the start on one clock, "Acceleration x (m/s^2)"
-with gravity, "Gyroscope x (rad/s)", "Latitude (°)", "Longitude (°)", "Height (m)", "Velocity (m/s)", "Direction (°)"
-from north, "Horizontal Accuracy (m)". Android's axes on both systems.
+Column names carry their units: "Time (s)" since the start on one clock, "Acceleration x (m/s^2)" with gravity,
+"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. Android's axes on both systems.
+In other languages files and columns have other names. Their tables are found by the units, in the order of the app
+(phyphox/phyphox-experiments).
 """
 
 import re
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
 import polars as pl
 
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files
-from sigmaswarm.importing.source import Guess, Limits, Log, Role, first_bytes, roles_of
-from sigmaswarm.importing.times import median_of, written
+from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role, first_bytes
+from sigmaswarm.importing.times import median_of
 
 FILES = ("Accelerometer.csv", "Gyroscope.csv", "Location.csv")
-_PLACE = ["s", "°", "°", "m", "m/s", "°"]
-"""Units of the first columns of the location: time, latitude, longitude, height, velocity, direction."""
+_AXES = {"t": "time", "x": "x", "y": "y", "z": "z"}
+_PLAIN = r"\s*\(.*\)\s*$|^(?:acceleration|gyroscope) (?=[xyz])"
+_COLUMNS: tuple[tuple[Role, str, dict[str, str], dict[str, str]], ...] = (
+    ("imu", FILES[0], _AXES, {"t": "{t}", "ax": "{y}", "ay": "-{x}", "az": "{z}"}),
+    ("imu", FILES[1], _AXES, {"t": "{t}", "gx": "{y}", "gy": "-{x}", "gz": "{z}"}),
+    (
+        "gps",
+        FILES[2],
+        {
+            **{"t": "time", "lat": "latitude", "lon": "longitude", "alt": "height|altitude"},
+            **{"speed": "velocity|speed", "course": "direction", "accuracy": "horizontal accuracy"},
+        },
+        {
+            **{name: f"{{{name}}}" for name in ("t", "lat", "lon", "alt", "speed")},
+            **{"course": "radians(90 - {course})"},
+            **dict.fromkeys(("std_x", "std_y"), f"{{accuracy}}/{RADIUS_68}"),
+        },
+    ),
+)
+"""The plain names of columns, and the expressions over them, by role and file."""
+_REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
+
+
+_PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
+"""The first columns of the location, and their units."""
 _META = {"time.csv", "device.csv"}
 LEAST_GRAVITY = 5.0
 """Smallest median of an acceleration with gravity, m/s2; the linear acceleration has the same columns."""
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a zip or folder with phyphox's files; those in a folder begin with "Time (s)"."""
+    """Return True for a zip or folder with phyphox's files; in a folder, the headers of the tables must fit."""
     names = names_in(path)
+    english = {*FILES[:2]} <= names
     if path.is_file():
-        return {*FILES[:2]} <= names or names >= _META
-    begin = first_bytes(path / FILES[0], 100).decode("utf-8-sig", "replace").strip('" ').lower()
-    named = {*FILES[:2]} <= names and begin.startswith("time (s)")
-    return named or all((path / "meta" / name).is_file() for name in _META)
+        return english or names >= _META
+    if english:
+        return _header(path / FILES[0]).lower().startswith("time (s)")
+    meta = all((path / "meta" / name).is_file() for name in _META)
+    tables = (_header(file) for file in path.glob("*.csv")) if meta else ()
+    return any(_is_place(re.split('[,;\t]"?', header)) for header in tables)
+
+
+def _header(file: Path) -> str:
+    return first_bytes(file, 1000).decode("utf-8-sig", "replace").strip('" ').partition("\n")[0]
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open an export."""
     names = names_in(path)
-    wanted = [n for n in FILES if n in names] if {*FILES[:2]} <= names else sorted(names)
-    log = phone_files(path, [name for name in wanted if name.endswith(".csv")], limits, stack)
-    found: dict[str, tuple[Role, str, dict[str, str]]] = {}
-    for table, columns in ((name, its.columns) for name, its in log.tables.items()):
-        units = [u[1].replace("²", "^2") if (u := re.search(r"\(([^()]*)\)$", c)) else "" for c in columns]
-        t, *rest = map(written, columns)
-        for letter, unit in (("a", "m/s^2"), ("g", "rad/s")):
-            axes = {
-                c.lower().split("(")[0].split()[-1]: c
-                for c, u in zip(columns, units, strict=True)
-                if u == unit
+    english = {*FILES[:2]} <= names
+    log = phone_files(
+        path, FILES if english else sorted(n for n in names if n.endswith(".csv")), limits, stack
+    )
+    if english:
+        tables = {
+            file: (file, {re.sub(_PLAIN, "", c.strip().lower()).strip(): c for c in log.tables[file].columns})
+            for file in FILES
+            if file in log.tables
+        }
+    else:
+        tables = _by_units(log)
+    roles: dict[Role, tuple[Part, ...]] = {}
+    for role, file, wanted, expressions in _COLUMNS:
+        table, columns = tables.get(file, ("", {}))
+        found: dict[str, str] = {}
+        for plain, column in columns.items():
+            for what, pattern in wanted.items():
+                if re.fullmatch(pattern, plain):
+                    found.setdefault(what, f"`{column}`")
+        if found.keys() >= _REQUIRED[role]:
+            fitting = {
+                n: e for n, e in expressions.items() if set(re.findall(r"\{(\w+)\}", e)) <= found.keys()
             }
-            if axes.keys() >= {*"xyz"} and (letter == "g" or _has_gravity(log, table, axes)):
-                x, y, z = (written(axes[i]) for i in "xyz")
-                rotated = {"t": t, f"{letter}x": y, f"{letter}y": f"-{x}", f"{letter}z": z}
-                found.setdefault(letter, ("imu", table, rotated))
-        if units[:3] == _PLACE[:3]:
-            place = {"t": t, "lat": rest[0], "lon": rest[1]}
-            if units[: len(_PLACE)] == _PLACE:
-                place |= {"alt": rest[2], "speed": rest[3], "course": f"radians(90 - {rest[4]})"}
-                radius = [r for r, unit in zip(rest[5:], units[6:], strict=True) if unit == "m"]
-                place |= dict.fromkeys(("std_x", "std_y"), f"{radius[0]}/{RADIUS_68}") if radius else {}
-            found.setdefault("place", ("gps", table, place))
-    parts = [part for name, part in found.items() if name == "place" or {"a", "g"} <= found.keys()]
-    tables = {name: its.columns for name, its in log.tables.items()}
-    return log.guessed(Guess(roles_of(parts, tables), (FLAT,)))
+            part = Part(table, {name: text.format(**found) for name, text in fitting.items()})
+            roles[role] = (*roles.get(role, ()), part)
+    if len(roles.get("imu", ())) < 2:
+        roles.pop("imu", None)
+    return log.guessed(Guess(roles, (FLAT,)))
+
+
+def _unit(column: str) -> str:
+    found = re.search(r"\(([^()]*)\)\W*$", column)
+    return found[1].replace("²", "^2") if found else ""
+
+
+def _is_place(columns: Sequence[str]) -> bool:
+    return [_unit(c) for c in columns[: len(_PLACE)]] == [*_PLACE.values()]
+
+
+def _by_units(log: Log) -> dict[str, tuple[str, dict[str, str]]]:
+    """Return the table for each of `FILES` in an export in another language, and its columns by plain English names."""
+    found: dict[str, tuple[str, dict[str, str]]] = {}
+    for table, columns in ((name, its.columns) for name, its in log.tables.items()):
+        for file, unit in zip(FILES[:2], ("m/s^2", "rad/s"), strict=True):
+            axes = {c.lower().split("(")[0].split()[-1]: c for c in columns if _unit(c) == unit}
+            if axes.keys() >= {*"xyz"} and (file == FILES[1] or _has_gravity(log, table, axes)):
+                found.setdefault(file, (table, {"time": columns[0], **axes}))
+        if _is_place(columns):
+            names = (*_PLACE, "horizontal accuracy")
+            found.setdefault(FILES[2], (table, dict(zip(names, columns, strict=False))))
+    return found
 
 
 def _has_gravity(log: Log, table: str, axes: dict[str, str]) -> bool:
