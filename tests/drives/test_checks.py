@@ -105,7 +105,7 @@ def test_exchanged_axes(level: str, sign: int, has_az: bool):
         f"imu.csv: column {level} has median {sign * GRAVITY:.2f} m/s2: this is gravity, which az must contain"
         in messages[0]
     )
-    assert "x is forward, y left, z up" in messages[0]
+    assert "to x forward, y left, z up: import with --mount auto" in messages[0]
 
 
 @pytest.mark.parametrize(

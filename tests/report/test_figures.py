@@ -186,7 +186,7 @@ def test_comparison_has_bars_for_every_method(evaluation: Evaluation):
         values = [m[measure] for m in said.values()]
         known = [(n, v) for n, v in zip(names, values, strict=True) if v is not None]
         assert [t.get_text() for t in ax.get_yticklabels()] == [n for n, _ in known]
-        longest = max(v for n, v in known if n not in ("IMU only", "fixes alone"))
+        longest = 1.25 * max(v for n, v in known if n not in ("IMU only", "fixes alone"))
         beyond = [" →" * (v > longest) for _, v in known]
         assert [patch.get_width() for patch in ax.patches] == [min(v, longest) for _, v in known]
         assert [t.get_text().strip() for t in ax.texts] == [

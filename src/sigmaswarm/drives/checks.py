@@ -153,7 +153,9 @@ def gravity_on(imu: Imu) -> Remark | None:
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
     what = f"column {axis} has median {median[axis]:.2f} m/s2: this is gravity, which az must contain"
-    remedy = "exchange the axes of accelerometer and gyro until x is forward, y left, z up"
+    remedy = (
+        "turn the axes to x forward, y left, z up: import with --mount auto (six axes), or exchange columns"
+    )
     return Remark("gravity-axis", "imu.csv", axis, what, remedy)
 
 

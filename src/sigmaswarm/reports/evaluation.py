@@ -117,12 +117,14 @@ def comparison(evaluation: Evaluation) -> Figure:
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
     """Draw bars of the means over the drives, a chart for each measure that any method has.
 
-    The scale does not depend on IMU only and fixes alone: their bars end at the longest other bar, with an arrow at the
+    The scale does not depend on IMU only and fixes alone. A bar that would leave it ends there, with an arrow at the
     text. ``titled``: the measure is the title, not the label of the axis.
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
-        longest = max([v for m, v in values.items() if m not in ("imu_only", FIXES)] or values.values())
+        longest = 1.25 * max(
+            [v for m, v in values.items() if m not in ("imu_only", FIXES)] or values.values()
+        )
 
         def draw(ax: Axes) -> None:
             shown = [min(v, longest) for v in values.values()]
@@ -130,7 +132,7 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
             for i, value in enumerate(values.values()):
                 text = f" {short_number(value)}{' →' * (value > longest)}"
                 ax.annotate(text, (shown[i], i), va="center", fontsize=8)
-            ax.set(xlabel="" if titled else measure.heading, xlim=(0.0, 1.3 * longest))
+            ax.set(xlabel="" if titled else measure.heading, xlim=(0.0, 1.2 * longest))
             name_rows(ax, [view.names[m] for m in values])
 
         title = measure.heading if titled else f"{measure.title}, mean over drives"
