@@ -451,20 +451,37 @@ def test_columns_of_other_quantities_stay_unused(tmp_path: Path):
         imported(tmp_path / "log.csv")
 
 
-@pytest.mark.parametrize("prefix", ["Car.", "vehicle/imu/", "imu_", "log 3: ", "a_b_"])
-def test_a_prefix_that_all_names_share_means_nothing(tmp_path: Path, prefix: str):
-    table = pl.DataFrame(slow_and_fast())
-    table.rename({name: prefix + name for name in table.columns}).write_csv(tmp_path / "log.csv")
-    got = imported(tmp_path / "log.csv").drive
+def write_two(folder: Path, imu: dict[str, Any], gps: dict[str, Any]) -> None:
+    pl.DataFrame(imu).write_csv(folder / "imu.csv")
+    pl.DataFrame(gps).write_csv(folder / "ublox.csv")
+
+
+AXES: dict[str, Any] = {
+    "t": DRIVE.imu.time,
+    **{n: getattr(DRIVE.imu, n) for n in ["ax", "ay", "az", "gx", "gy", "gz"]},
+}
+FIXES: dict[str, Any] = {"t": DRIVE.gps.time, "lat": DRIVE.gps.lat, "lon": DRIVE.gps.lon}
+
+
+@pytest.mark.parametrize("prefix", ["Car.", "vehicle/imu/", "imu_", "log 3: "])
+def test_a_devices_name_that_all_columns_share_means_nothing(tmp_path: Path, prefix: str):
+    write_two(
+        tmp_path, {prefix + n: v for n, v in AXES.items()}, {"gnss/1/" + n: v for n, v in FIXES.items()}
+    )
+    got = imported(tmp_path).drive
     assert_close(got.imu, DRIVE.imu, "time ax ay az gx gy gz", 1e-9)
-    assert_close(got.gps, DRIVE.gps, "lat lon", 1e-12)
+    assert_close(got.gps, DRIVE.gps, "time lat lon", 1e-12)
 
 
 @pytest.mark.parametrize(
-    ("prefix", "time"), [("Car.", "time"), ("target_", "target_t"), ("imu.bias.", "imu.bias.t"), ("x", "xt")]
+    ("prefix", "time"),
+    [
+        *(("Car.", "time"), ("target_", "target_t"), ("imu.bias.", "imu.bias.t"), ("x", "xt")),
+        *((f"{p}.", f"{p}.t") for p in ("est", "cam", "v", "a_b", "gps")),
+    ],
 )
 def test_other_prefixes_are_no_sensor(tmp_path: Path, prefix: str, time: str):
-    """Only some names have the prefix, or it states another quantity, or is no word of its own."""
+    """Only some names have the prefix, or it may state another quantity, or is no word of its own."""
     table = pl.DataFrame(slow_and_fast())
     names = {name: time if name == "t" else prefix + name for name in table.columns}
     table.rename(names).write_csv(tmp_path / "log.csv")
@@ -472,9 +489,110 @@ def test_other_prefixes_are_no_sensor(tmp_path: Path, prefix: str, time: str):
         imported(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize(
+    "prefix", ["ekf.", "wp_", "acc_", "vel_", "P.", "Car.", "sensor/", "gt_", "compass_", "delta_", "v."]
+)
+@pytest.mark.parametrize("names", ["lat lon", "x y"])
+def test_places_need_a_receivers_prefix(tmp_path: Path, prefix: str, names: str):
+    """Accelerations, estimates, variances, way points and steps have such names, too."""
+    columns = dict(zip(("t", *names.split()), FIXES.values(), strict=True))
+    write_two(tmp_path, AXES, {prefix + n: v for n, v in columns.items()})
+    with pytest.raises(InputError, match="no position fixes found"):
+        imported(tmp_path)
+
+
+ONES = dict.fromkeys("xyz", np.ones(len(DRIVE.imu)))
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["{}_acc", "{}Acc", "gps_a{}", "fix_a{}", "imu2_a{}", "{}_acc [G]", "ac_{}", "GForce{}", "accSmooth_{}"],
+)
+def test_established_names_go_before_others(tmp_path: Path, form: str):
+    """Of accuracies, a receiver's acceleration, a second IMU, a motor's currents, and another app's axes."""
+    others = {form.format(i): v for i, v in list(ONES.items())[:2]}
+    write_two(tmp_path, others | AXES, FIXES)
+    assert_close(imported(tmp_path).drive.imu, DRIVE.imu, "ax ay az gx gy gz", 1e-9)
+    write_two(tmp_path, AXES | others, FIXES)
+    assert_close(imported(tmp_path).drive.imu, DRIVE.imu, "ax ay az gx gy gz", 1e-9)
+
+
+def test_axes_come_from_one_family_of_names(tmp_path: Path):
+    """The prefix imu1 has two axes only, and a plain name of another axis has no prefix."""
+    renamed = {f"imu1_{n}": AXES[n] for n in ("ax", "ay", "gx", "gy", "gz")}
+    write_two(tmp_path, {"t": AXES["t"], **renamed, **{f"imu2_a{i}": v for i, v in ONES.items()}}, FIXES)
+    got = imported(tmp_path).drive.imu
+    assert_close(got, DRIVE.imu, "ax ay gx gy gz", 1e-9)
+    assert got.az is None
+    plain = {n: AXES[n] for n in ("t", "ax", "ay", "gx", "gy", "gz")}
+    write_two(tmp_path, {"imu_az": ONES["z"], **plain}, FIXES)
+    assert imported(tmp_path).drive.imu.az is None
+
+
+@pytest.mark.parametrize(
+    ("force", "rate"),
+    [
+        *(("{}acc", "{}gyro"), ("RAW_IMU.{}acc", "RAW_IMU.{}gyro"), ("accSmooth[{}]", "gyroADC[{}]")),
+        *(("Ac{}", "w{}"), ("ac_{}", "gyro_{}"), ("GForce{}", "w{}"), ("{}_acc", "gyro{}")),
+    ],
+)
+def test_names_of_counts_and_of_accuracies_need_a_unit(tmp_path: Path, force: str, rate: str):
+    def form(text: str, k: int) -> str:
+        return text.format(k if "[" in text else "xyz"[k])
+
+    columns = {form(f, k): AXES[s + "xyz"[k]] for f, s in ((force, "a"), (rate, "g")) for k in range(3)}
+    write_two(tmp_path, {"t": AXES["t"], **columns}, FIXES)
+    with pytest.raises(InputError, match="no IMU samples found"):
+        imported(tmp_path)
+
+
+def test_all_six_names_of_an_mpu6050_are_its_counts(tmp_path: Path):
+    counts = {f"Ac{i}": np.round(AXES[f"a{i}"] / G * 16384) for i in "xyz"}
+    counts |= {f"Gy{i}": np.round(np.degrees(AXES[f"g{i}"]) * 131) for i in "xyz"}
+    write_two(tmp_path, {"t": AXES["t"], **counts}, FIXES)
+    with pytest.raises(InputError, match=r"'Acz' contain raw counts.*Acx\*9.80665/16384"):
+        imported(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"), [("vitesse (km/h)", True), ("vitesse", False), ("Geschwindigkeit", False)]
+)
+def test_a_speed_in_another_language_needs_a_unit(tmp_path: Path, name: str, read: bool):
+    write_two(tmp_path, AXES, FIXES | {name: DRIVE.gps.speed * 3.6})
+    got = imported(tmp_path).drive.gps
+    assert (got.speed is not None) == read
+    if read:
+        assert_close(got, DRIVE.gps, "speed", 1e-9)
+
+
+def test_derivatives_are_no_positions(tmp_path: Path):
+    others = {"ẋ": DRIVE.gps.x * 0.1, "ÿ": DRIVE.gps.y * 0.1}
+    write_two(tmp_path, AXES, {"t": DRIVE.gps.time, **others, "x": DRIVE.gps.x, "y": DRIVE.gps.y})
+    got = imported(tmp_path).drive.gps
+    np.testing.assert_allclose(np.diff(got.x), np.diff(DRIVE.gps.x), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["temps", "Chip Time"])
+def test_temperatures_and_unset_clocks_are_no_times(tmp_path: Path, name: str):
+    write_two(tmp_path, {name: 30 + 0.01 * np.arange(len(DRIVE.imu)), **AXES}, FIXES)
+    assert_close(imported(tmp_path).drive.imu, DRIVE.imu, "time", 1e-9)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e7])
+def test_the_size_of_places_of_mavlink_decides_on_the_unit(tmp_path: Path, scale: float):
+    """Some tools convert them to degrees, and then the altitudes and speeds beside them, too."""
+    places = {f"GPS_RAW_INT.{n}": np.round(FIXES[n] * scale, 9) for n in ("lat", "lon")}
+    gps = {"t": FIXES["t"], **places, "GPS_RAW_INT.alt": DRIVE.gps.alt, "GPS_RAW_INT.vel": DRIVE.gps.speed}
+    write_two(tmp_path, AXES, gps)
+    got = imported(tmp_path).drive.gps
+    assert_close(got, DRIVE.gps, "lat lon", 1e-7)
+    assert got.alt is None
+    assert got.speed is None
+
+
 NAMED = {
     "MAVLink": (
-        "RAW_IMU.{}acc;RAW_IMU.{}gyro;GPS_RAW_INT.lat;GPS_RAW_INT.lon",
+        "SCALED_IMU2.{}acc;SCALED_IMU2.{}gyro;GPS_RAW_INT.lat;GPS_RAW_INT.lon",
         (1000 / G, 1000.0, 1e7, 1e7),
     ),
     "Physics Toolbox": ("gF{};w{};Latitude;Longitude", (1 / G, 1.0, 1.0, 1.0)),
@@ -499,7 +617,8 @@ def test_more_names_of_columns(tmp_path: Path, kind: str):
             axis = k if "[{}]" in form else i
             columns[form.format(axis)] = table[f"{letter}{i}"] * scale
     places = {forms[2]: np.round(table["lat"] * lat, 8), forms[3]: np.round(table["lon"] * lon, 8)}
-    later = dict.fromkeys(("ax", "ay", "az", "imu2_ax", "imu2_gz"), 0.0 * table["ax"])
+    linear = ("ax", "ay", "az") if kind == "Physics Toolbox" else ()
+    later = dict.fromkeys((*linear, "imu2_ax", "imu2_gz"), 0.0 * table["ax"])
     pl.DataFrame({"Zeit": table["t"], **columns, **places, **later}).write_csv(tmp_path / "log.csv")
     got = imported(tmp_path / "log.csv")
     assert_close(got.drive.imu, DRIVE.imu, "time ax ay az gx gy gz", 1e-9)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 
-from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, parse_unit
+from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Dimension, Unit, parse_unit
 
 LONGEST_NAME = 200
 """Characters of a name that can mean something."""
 
 TIME = (
-    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|chip_?time|utime|epoch|unix_?time|utc|"
+    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc|"
     "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
@@ -30,18 +30,18 @@ TIME_OF_WEEK = (
 )
 
 _ACCELERATION = (
-    "a|ac|acc|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|"
-    "specific_force|f|f_?b|gf|g_?force|a_rs_s|linear|accsmooth"
+    "a|acc|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
+    "f|f_?b|a_rs_s|linear"
 )
 _RATE = (
-    "g|gy|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|"
-    "rate|w_?b|w_rs_s|angular|gyroadc"
+    "g|w|gyr|gyro|gyroscope|gyro_rotation|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
+    "w_?b|w_rs_s|angular"
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
 NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),
-    *((f"a{i}", f"(?:{_ACCELERATION})_?{i}|{i}_?acc(?:el(?:eration)?)?") for i in "xyz"),
-    *((f"g{i}", f"(?:{_RATE})_?{i}|{i}_?gyro|{i}_rate_of_rotation") for i in "xyz"),
+    *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
+    *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
     ("gz", "yaw_?rate"),
     ("lat", "lat|latitude"),
     ("lon", "lon|lng|long|longitude"),
@@ -67,29 +67,36 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("theta", "theta|yaw"),
 )
 """Columns of a drive, and their plain names as regular expressions."""
+_AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+_TOTAL = {"gfx", "gfy", "gfz"}
+"""Physics Toolbox's accelerations in g."""
+_MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
+"""The names in the usual sketches for an MPU-6050."""
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
-_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...|[agw][xyz]$)")
-"""Prefixes of names in tables of messages and of loggers."""
-_NOT_MEASURED = (
-    "bias|cmd|cov|desired|err|error|home|lin|linear|mag|ref|setpoint|sigma|sim|std|target|truth|var"
+_STATED: tuple[tuple[Dimension, str, str], ...] = (
+    ("time", "t", "temps"),
+    *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
+    *(("rate", f"g{i}", f"{i}_?gyro|{i}_rate_of_rotation|gyroadc_{i}") for i in "xyz"),
+    ("speed", "speed", "geschwindigkeit|vitesse|velocidade?|velocita|snelheid"),
 )
-"""Words of a prefix whose columns are not those of the sensor."""
+"""Names that mean a column only with a unit of this dimension: "x_acc" may be an accuracy or in mg."""
+_SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
+_PREFIXES = re.compile(rf"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...)|{_SHORT}")
+"""Prefixes of names in tables of messages and of loggers."""
+_FIXES = r"gps\d?|gnss\d?|fix|position|location"
+_CONTAINERS = rf"car|vehicle|imu\d?|data|fields?|msg|sensors?|log|logger|\d{{1,3}}|{_FIXES}"
+"""Words of a shared prefix that leave the meaning of a name; others may state an estimate or another quantity."""
 _MAVLINK = {
-    **{f"{kind}_imu_{i}acc": (f"acc_{i}", "mg") for kind in ("raw", "scaled") for i in "xyz"},
-    **{f"{kind}_imu_{i}gyro": (f"gyro_{i}", "mrad/s") for kind in ("raw", "scaled") for i in "xyz"},
-    **{
-        "gps_raw_int_lat": ("lat", "dege7"),
-        "gps_raw_int_lon": ("lon", "dege7"),
-        "gps_raw_int_alt": ("alt", "mm"),
-    },
-    **{"gps_raw_int_vel": ("speed", "cm/s"), "gps_raw_int_cog": ("course", "cdeg")},
-    "gps_raw_int_fix_type": ("fix_type", ""),
-}
-"""Fields of MAVLink's messages, whose units the protocol states."""
+    f"scaled_imu{n}_{i}{name}": (f"{name}_{i}", unit)
+    for n in ("", 2, 3)
+    for i in "xyz"
+    for name, unit in (("acc", "mg"), ("gyro", "mrad/s"))
+} | {f"gps_raw_int_{name}": (name, "") for name in ("lat", "lon", "fix_type")}
+"""Fields of MAVLink's messages, with the units that the protocol states; RAW_IMU has counts."""
 _TRANSLATED = {
     word: name
     for name, words in {
-        "time": "zeit temps tiempo tijd czas",
+        "time": "zeit tiempo tijd czas",
         "acceleration": "beschleunigung aceleracion aceleracao accelerazione versnelling przyspieszenie",
         "accelerometer": "beschleunigungssensor accelerometre acelerometro accelerometro akcelerometr",
         "gyroscope": "gyroskop giroscopio gyroscoop zyroskop",
@@ -97,7 +104,6 @@ _TRANSLATED = {
         "latitude": "breitengrad latitud latitudine breedtegraad",
         "longitude": "langengrad laengengrad longitud longitudine lengtegraad",
         "height": "hohe hoehe hauteur altura altezza hoogte",
-        "speed": "geschwindigkeit vitesse velocidad velocidade velocita snelheid",
     }.items()
     for word in words.split()
 }
@@ -117,7 +123,7 @@ class Name:
         """The drive's column of the name, else None. Roll, pitch and yaw per second are rates."""
         if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
             return TURNS[self.plain]
-        return meaning_of_plain(self.plain)
+        return _stated(self.plain, self.unit) or meaning_of_plain(self.plain)
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -131,9 +137,17 @@ class Name:
 
 def plain_words(text: str) -> list[str]:
     """Split a name into words in lower case, in English."""
-    bare = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFD", text[:LONGEST_NAME].lower()))
+    marked = unicodedata.normalize("NFD", text[:LONGEST_NAME].lower())
+    # a single letter with a mark is a derivative or an estimate
+    marked = re.sub(r"(?<![a-z\u0300-\u036f])([a-z])[\u0300-\u036f]+(?![a-z\u0300-\u036f])", r"\1dot", marked)
+    bare = re.sub("[\u0300-\u036f]", "", marked)
     words: list[str] = re.findall(r"[a-z0-9]+", bare)
     return [_TRANSLATED.get(word, word) for word in words]
+
+
+def _stated(plain: str, unit: Unit | None) -> str | None:
+    dimension = None if unit is None else unit.dimension
+    return next((w for d, w, pattern in _STATED if d == dimension and re.fullmatch(pattern, plain)), None)
 
 
 def meaning_of_plain(plain: str) -> str | None:
@@ -149,14 +163,47 @@ def meaning_of_plain(plain: str) -> str | None:
 
 
 def read_names(columns: Sequence[str]) -> list[Name]:
-    """Read the names of a table's columns, without a prefix that all of them share: "Car.ax", "vehicle/imu/ax"."""
+    """Read the names of a table's columns, without a device's name that all of them share: "Car.ax", "vehicle/imu/ax".
+
+    Places and speeds then need a prefix of a receiver, accelerations and rates one of another device.
+    """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
     prefix = re.sub(r"[A-Za-z0-9]*$", "", shared) if len(columns) > 1 else ""
-    if any(re.fullmatch(_NOT_MEASURED, word) for word in plain_words(prefix)):
-        prefix = ""
-    names = [(read_name(c), replace(read_name(c[len(prefix) :]), column=c)) for c in columns]
-    return [bare if whole.meaning is None else whole for whole, bare in names]
+    words = plain_words(prefix)
+    prefix = prefix if all(re.fullmatch(_CONTAINERS, word) for word in words) else ""
+    fixes = any(re.fullmatch(_FIXES, word) for word in words)
+    names: list[Name] = []
+    for column in columns:
+        whole, bare = read_name(column), replace(read_name(column[len(prefix) :]), column=column)
+        fits = bare.meaning in (None, "t") or fixes != (bare.meaning in _AXES)
+        names.append(bare if whole.meaning is None and fits else whole)
+    return _one_sensor(names)
+
+
+def _one_sensor(names: list[Name]) -> list[Name]:
+    """Take the axes of a vector from one family of names; some names have a meaning only together."""
+    plains = {n.plain for n in names}
+    forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
+    if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # its ax, ay, az are without gravity
+        g = parse_unit("g")
+        kept = [n if n.plain not in forces else replace(n, plain="") for n in names]
+        names = [Name(n.column, f"acc_{n.plain[-1]}", n.unit or g) if n.plain in _TOTAL else n for n in kept]
+    if plains >= _MPU.keys() and not any(n.meaning in _AXES for n in names):
+        names = [n if n.plain not in _MPU else replace(n, plain=_MPU[n.plain]) for n in names]
+    for axes in (_AXES[:3], _AXES[3:]):
+        families = [_family(n) if n.meaning in axes else None for n in names]
+        first = min((f for f in families if f is not None), key=bool, default=None)
+        names = [
+            n if f in (None, first) else replace(n, plain="") for n, f in zip(names, families, strict=True)
+        ]
+    return names
+
+
+def _family(name: Name) -> str:
+    """Return the name without its axis if other names go before it, else ""."""
+    weak = re.match(_SHORT, name.plain) or _stated(name.plain, name.unit)
+    return re.sub("^[xyz]|[xyz]$", "", name.plain) if weak else ""
 
 
 def read_name(column: str) -> Name:
@@ -200,7 +247,8 @@ def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
         rest = "_".join([*words[:-count], *axis])
         counts = not axis and {*words[-1:]} & {*COUNTS} - {"raw"}
         timed = not axis and re.fullmatch(f"{CLOCK}|{TIME_OF_WEEK}|{STAMP}", rest)
-        if unit is not None and (unit.known or counts) and (meaning_of_plain(rest) or timed):
+        known = timed or meaning_of_plain(rest) or _stated(rest, unit)
+        if unit is not None and (unit.known or counts) and known:
             return Name(column, rest, unit)
     return Name(column, "_".join([*words, *axis]))
 
