@@ -484,7 +484,10 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
         lambda f: (f / "scores.json").write_text('{"a": 1}'),
         "scores.json: drives: Field required",
     ),
-    "a list": (lambda f: (f / "scores.json").write_text("[1]"), "scores.json: the file:"),
+    "a list": (
+        lambda f: (f / "scores.json").write_text("[1]"),
+        "scores.json: the file should be a table of keys",
+    ),
     "a word for a number": (
         lambda f: (f / "tuning.toml").write_text(
             '[filter]\nalpha = 1\n[result]\ncost = "x"\nobjective = "o"'

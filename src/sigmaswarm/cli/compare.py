@@ -53,8 +53,7 @@ def compare(
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        Names of optimizers, with settings after a colon, such as pso:polish=300. All must have the same budget. The
-        others are compared with the first one.
+        Names, with settings after a colon, such as pso:polish=300; with equal budgets. All are compared with the first.
     scales
         Scales of the search space: log10 (the default), linear or both.
     seeds

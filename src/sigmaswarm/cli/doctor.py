@@ -45,8 +45,7 @@ def doctor(
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm for all drives. --fix writes each axis whose 95% interval is at most this many meters to
-        each side.
+        Estimate one lever arm for all drives; --fix writes axes whose 95% interval is at most +- this many meters.
     """
     read = _read(drives)
     if fix is not None:

@@ -35,8 +35,7 @@ class EvaluateOptions:
     Attributes
     ----------
     against
-        Second filter of the comparison: a tuning, a TOML file with your parameters in a table [filter], or an ekf.yaml
-        of robot_localization.
+        Second filter: a tuning, a TOML file with your parameters in [filter], or an ekf.yaml of robot_localization.
     out
         Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     outage_length

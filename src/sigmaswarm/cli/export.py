@@ -25,15 +25,15 @@ class ExportOptions:
     Attributes
     ----------
     to
-        filterpy: a Python script. c99: a C library. robot_localization: a parameter file, which is only a start unless
-        the tuning used --model robot-localization.
+        filterpy: a Python script. c99: a C library. robot_localization: parameters, only a start unless tuned with
+        --model robot-localization.
     out
         Folder to write to; created if missing.
     replay
         c99: drive that is written as the input of the replay program.
     check
-        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives on which the errors in
-        the exported README.md are measured.
+        c99: drives on which C and `sigmaswarm run` are compared. robot-localization: drives for the errors in the
+        exported README.md.
     against
         robot-localization, with --check: a second tuning to compare in README.md.
     lanes

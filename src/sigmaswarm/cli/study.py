@@ -42,8 +42,7 @@ class StudyOptions:
     per_condition
         Tune one filter for each condition instead of one for all.
     racing
-        Evaluate the worse candidates on a few drives only, which takes a fifth of the time. --no-racing: as in the
-        paper.
+        Evaluate the worse candidates on a few drives only, in a fifth of the time. --no-racing: as in the paper.
     rivals
         Compare with fuzzy rules, Bayesian optimization and two networks, also on other sensors and another car.
     learn_minutes

@@ -66,8 +66,8 @@ def tune(
     start
         Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization, whose inputs --use selects.
     paper
-        Use the paper's settings: optimizer pso, 30 particles, 50 generations, scale linear, objective gps-rmse, model
-        planar5, kind ukf. Contradicting options are refused.
+        The paper's settings: optimizer pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf;
+        contradicting options are refused.
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """

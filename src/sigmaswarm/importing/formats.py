@@ -40,7 +40,7 @@ _LINES_OF_ROW, _TITLES = 10, 1000
 """Largest number of lines of a mixed text per row of a table, and of lines above the rows."""
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
-    ".tlog": "a MAVLink telemetry log; run: mavlogdump.py --format csv --types RAW_IMU,GPS_RAW_INT, or take the .bin",
+    ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or take the .bin",
     ".bbl .bfl": "a blackbox log; run: blackbox_decode --merge-gps --unit-acceleration m/s2 --unit-rotation deg/s, and "
     "import the .csv with --map 'gps.lat=`GPS_coord[0]`' 'gps.lon=`GPS_coord[1]`'",
     ".mf4 .mdf": "a measurement file of ASAM; export it as CSV, as with asammdf",
