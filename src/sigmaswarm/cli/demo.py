@@ -17,8 +17,7 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
     Parameters
     ----------
     out
-        Folder for results, tables, figures and the page. An unfinished demo in this folder is continued; a finished
-        demo is shown again.
+        Folder for results, tables, figures and the page; an unfinished demo is continued, a finished demo shown again.
     seed
         Seed of the drives, the splits and the swarms.
     """
