@@ -228,7 +228,10 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
     values = [columns.numbers(what) for what in ("x", "y")]
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]
-    if all(float(v.max() or 0) - float(v.min() or 0) < 20 * s for v, s in zip(values, steps, strict=True)):  # pyright: ignore
+    ranges = [float(v.max() or 0) - float(v.min() or 0) for v in values]  # pyright: ignore[reportArgumentType]
+    if all(
+        far < 20 * step for far, step in zip(ranges, steps, strict=True)
+    ):  # the vehicle stands: steps are noise
         steps = [float(v.max() or 0) for v in changes]  # pyright: ignore[reportArgumentType]
     far = min(median_of(v.abs()) for v in values) > 0.5
     small = far and columns.largest("x") <= 180 and columns.largest("y") <= 90
