@@ -638,21 +638,64 @@ def test_the_sign_of_an_axis_without_gravity_means_nothing(tmp_path: Path):
 def test_rows_without_a_fix_are_left_out(tmp_path: Path, name: str):
     imu, gps = DRIVE.imu, DRIVE.gps
     pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")
-    lost = np.arange(len(gps)) < 7
+    lost = np.arange(len(gps)) < 5
     lat, kind = gps.lat + np.where(lost, 0.02, 0.0), np.where(lost, 0, 3)
     pl.DataFrame({"t": gps.time, "lat": lat, "lon": gps.lon, name: kind}).write_csv(tmp_path / "gps.csv")
     got = imported(tmp_path)
-    assert_close(got.drive.gps, gps.select(slice(7, None)), "time lat lon", 1e-12)
-    assert any("7 of" in note and "is not true" in note for note in got.notes)
-    mixed = np.arange(len(gps)) % 3
+    assert_close(got.drive.gps, gps.select(slice(5, None)), "time lat lon", 1e-12)
+    assert any("5 of" in note and "is not true" in note for note in got.notes)
+    tenth = np.arange(len(gps)) % 10
     for other, count in (
         (0 * kind, len(gps)),
-        (mixed + 1, len(gps)),
-        (mixed - 1, len(gps) - np.sum(mixed == 0)),
+        (tenth + 1, len(gps)),
+        (tenth - 1, len(gps) - np.sum(tenth == 0)),
     ):
         columns = {"t": gps.time, "lat": gps.lat, "lon": gps.lon, name: other}
         pl.DataFrame(columns).write_csv(tmp_path / "gps.csv")
         assert len(imported(tmp_path).drive.gps) == count
+
+
+@pytest.mark.parametrize("code", [1, 2])
+def test_flags_that_are_0_for_good_fixes_are_reported_with_the_way(tmp_path: Path, code: int):
+    """Some flags are 1 only for fixed ambiguities; in ROS 0 is a fix, and 2 one with corrections."""
+    imu, gps = DRIVE.imu, DRIVE.gps
+    pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")
+    best = np.arange(len(gps)) % 2 == 0
+    columns = {"t": gps.time, "lat": gps.lat, "lon": gps.lon, "fix": np.where(best, code, 0)}
+    pl.DataFrame(columns).write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path)
+    assert len(got.drive.gps) == len(gps)
+    (said,) = [note for note in got.notes if "fix > 0 is not true are used" in note]
+    assert len(imported(tmp_path, maps=[said.split('"')[1]]).drive.gps) == best.sum()
+
+
+@pytest.mark.parametrize("shift", [0, 1])
+def test_flags_in_rows_of_held_positions(tmp_path: Path, shift: int):
+    """Flags of new fixes drop the rows that repeat one, but not if they are in other rows than the fixes."""
+    imu, gps = DRIVE.imu, DRIVE.gps
+    row = np.searchsorted(gps.time, imu.time + 1e-9, side="right") - 1
+    new, known = np.diff(row, prepend=-1) > 0, row >= 0
+    place = {name: np.where(known, getattr(gps, name)[row], np.nan) for name in ("lat", "lon")}
+    columns = {
+        "t": imu.time,
+        "ax": imu.ax,
+        "ay": imu.ay,
+        "gz": imu.gz,
+        **place,
+        "fix": np.roll(new, shift) * 1,
+    }
+    pl.DataFrame(columns).with_columns(pl.col("lat", "lon").fill_nan(None)).write_csv(tmp_path / "log.csv")
+    got = imported(tmp_path / "log.csv").drive.gps
+    np.testing.assert_allclose(got.time, imu.time[new], atol=1e-9)
+
+
+def test_flags_in_rows_without_positions_select_nothing(tmp_path: Path):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    place = pl.DataFrame({"t": gps.time, "lat": gps.lat, "lon": gps.lon})
+    flags = pl.DataFrame({"t": gps.time + 0.003, "fix_type": np.where(gps.time < 2, 0, 3)})
+    moves = pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz})
+    pl.concat([moves, place, flags], how="diagonal").sort("t").write_csv(tmp_path / "log.csv")
+    assert len(imported(tmp_path / "log.csv").drive.gps) == len(gps)
 
 
 def test_messages_as_ros2_topic_echo_prints_them(tmp_path: Path):

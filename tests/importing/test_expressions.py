@@ -74,6 +74,32 @@ def test_means_what_it_says(text: str, wanted: list[object]):
     assert value(text) == pytest.approx(wanted)
 
 
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("48°12'00\"", 48.2),
+        ("48.2 s", -48.2),
+        ("w 11.6", -11.6),
+        ("48d12m36sS", -48.21),
+        ("48d12m36s", 48.21),
+        ("48°12'36s", None),
+        ("11.6 O", None),
+        ("S 11.6 E", None),
+        ("4812.0 N", 48.2),
+        ("00012.0 W", -0.2),
+        ("0012.0°", None),
+        ("012.0 N", None),
+        ("116.5 E", 116.5),
+        ("48 75 N", None),
+    ],
+)
+def test_degrees_and_minutes_in_a_text(text: str, wanted: float | None):
+    """Null where a text may be two places: other letters, three digits of a latitude, s as seconds or south."""
+    frame = pl.DataFrame({"place": [text]})
+    got = frame.select(compile_expression("dms(place)", frame.columns).polars.alias("out"))["out"][0]
+    assert got == (None if wanted is None else pytest.approx(wanted))
+
+
 def test_text_is_a_number_or_nothing():
     first, second = value("`a b (m/s^2)` * 2")
     assert first == 6.0

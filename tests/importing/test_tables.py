@@ -344,6 +344,17 @@ PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = 
     ),
     "small letters and signs": ("t,lat,N/S,lon,E/W", lambda a: f"{a!r},n", lambda b: f"{b!r},w"),
     "letters in columns of any name": ("t,lat,q,lon,r", lambda a: f"{a!r},N", lambda b: f"{abs(b)!r},W"),
+    "letters of several spellings": (
+        "t,lat,N/S,lon,E/W",
+        lambda a: f"{a!r},N",
+        lambda b: f"{abs(b)!r},{('W', 'w', 'West')[round(abs(b) * 1e9) % 3]}",
+    ),
+    "degrees, minutes, seconds and letters": (
+        "t,lat,lat_dir,lon,lon_dir",
+        lambda a: f"{dms(a, '')},N",
+        lambda b: f"{dms(b, '')},W",
+    ),
+    "ddmm.mmmm with letters": ("t,lat,lon", lambda a: f"{ddmm(a)} N", lambda b: f"{ddmm(abs(b))} W"),
     "letters in the cell": ("t,lat,lon", lambda a: f"{a:.9f}N", lambda b: f"W {abs(b):.9f}"),
     "degrees, minutes, seconds": ("t,lat,lon", lambda a: dms(a, "N"), lambda b: dms(b, "W")),
     "degrees and minutes": (
@@ -365,14 +376,40 @@ def test_forms_of_places(tmp_path: Path, form: str):
     np.testing.assert_allclose(got.lon, west, atol=1e-7)
 
 
-def test_flags_after_the_coordinates_change_no_sign(tmp_path: Path):
-    """N for "none" and several letters are no hemispheres of signed coordinates."""
+@pytest.mark.parametrize(
+    ("sign", "flags"),
+    [
+        (-1, ("N", "N E S W")),
+        (1, ("S SSE", "W WSW")),
+        (1, ("N", "W WSW")),
+        (1, ("OK S", "W")),
+        (1, ("", "W")),
+        (-1, ("N", "E")),
+    ],
+)
+def test_flags_after_the_coordinates_change_no_sign(tmp_path: Path, sign: int, flags: tuple[str, str]):
+    """Letters are hemispheres only if both coordinates have them, and no sign and no other text."""
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
-    south = [f"{-a!r},N" for a in GPS.lat.tolist()]
-    west = [f"{-b!r},{'NESW'[k % 4]}" for k, b in enumerate(GPS.lon.tolist())]
-    write_fixes(tmp_path, south, west, "t,lat,status,lon,wind")
+    lat, lon = (
+        [
+            f"{sign * a!r},{(all_of.split() or [''])[k % len(all_of.split() or [''])]}"
+            for k, a in enumerate(values)
+        ]
+        for values, all_of in zip((GPS.lat.tolist(), GPS.lon.tolist()), flags, strict=True)
+    )
+    write_fixes(tmp_path, lat, lon, "t,lat,status,lon,wind")
     got = imported(tmp_path).drive.gps
-    np.testing.assert_allclose([got.lat, got.lon], [-GPS.lat, -GPS.lon])
+    np.testing.assert_allclose([got.lat, got.lon], [sign * GPS.lat, sign * GPS.lon])
+
+
+def test_letters_of_other_languages_are_refused_and_the_remedy_helps(tmp_path: Path):
+    """O is west in Spanish and French, and east in German."""
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, None, [f"{ddmm(b)},O" for b in GPS.lon.tolist()], "t,lat,lon [dddmm.mmmm],lon_dir")
+    with pytest.raises(InputError, match="'O' is not east or west; if it is west, write") as caught:
+        imported(tmp_path)
+    got = imported(tmp_path, maps=maps_in(str(caught.value))).drive.gps
+    np.testing.assert_allclose([got.lat, got.lon], [GPS.lat, -GPS.lon], atol=1e-7)
 
 
 @pytest.mark.parametrize("scale", [1e3, 100.0])
@@ -383,6 +420,7 @@ def test_an_altitude_in_another_unit_is_left_out_and_the_remedy_helps(tmp_path: 
     got = imported(tmp_path)
     (said,) = [note for note in got.notes if "is no altitude in m" in note]
     assert got.drive.gps.alt is None
+    assert said.endswith("for mm, with *1e-2 for cm")
     again = imported(tmp_path, maps=[maps_in(said)[0].replace("1e-3", repr(1 / scale))]).drive.gps
     np.testing.assert_allclose(again.alt, GPS.alt + 400)
 
@@ -402,6 +440,30 @@ def test_degrees_called_x_and_y_are_refused_and_the_remedy_helps(tmp_path: Path,
     assert np.ptp(got.x) > 10
     if role == "gps":
         assert_close(imported(tmp_path, maps=maps[2:]).drive.gps, replace(GPS, x=GPS.lon, y=GPS.lat), "x y")
+
+
+def test_a_truth_in_meters_that_stands_is_not_taken_for_degrees(tmp_path: Path):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    time = np.arange(0.0, GPS.time[-1], 0.01)
+    noise = np.random.default_rng(1).normal(0.0, 1e-4, (2, len(time)))
+    x, y = np.where(time < 20, 0, time - 20) + 30 + noise[0], 20 + noise[1]
+    rows = [f"{t!r},{a!r},{b!r}" for t, a, b in zip(time.tolist(), x.tolist(), y.tolist(), strict=True)]
+    (tmp_path / "truth.csv").write_text("\n".join(["t,x,y", *rows]))
+    np.testing.assert_allclose(np.ptp(imported(tmp_path).drive.truth.x), np.ptp(x))
+
+
+@pytest.mark.parametrize(("scale", "digits"), [(2000.0, 9), (60.0, 0)])
+def test_fast_and_whole_rates_are_refused_with_the_way_for_degrees(tmp_path: Path, scale: float, digits: int):
+    rows = [
+        [c if k < 4 else repr(round(float(c) * scale, digits)) for k, c in enumerate(row)] for row in ROWS
+    ]
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match=r"unknown unit: they reach .*deg/s: radians\(column\)"):
+        imported(tmp_path)
+    got = imported(tmp_path, maps=[f"{a}=radians({a})" for a in AXES[3:]]).drive.imu
+    np.testing.assert_allclose(got.gz, np.radians([float(row[-1]) for row in rows]), atol=1e-9)
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e3 * 180 / np.pi])

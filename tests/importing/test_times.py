@@ -256,6 +256,49 @@ def test_of_two_dates_and_times_the_finer_one_is_taken(tmp_path: Path, form: str
 
 
 @pytest.mark.parametrize(
+    ("head", "form"),
+    [
+        ("local_date,utc_date,utc_time", "2001-01-01,%Y-%m-%d,%H:%M:%S.%f"),
+        ("local_date,local_time,utc_date,utc_time", "2001-01-01,%H:%M:%S.%f,%Y-%m-%d,%H:%M:%S.%f"),
+        ("session_date,date,time", "2001-01-01,%Y-%m-%d,%H:%M:%S.%f"),
+        ("timestamp,time,last_update", "%Y-%m-%d %H:%M:%S.%f,01:%M:%S.%f,2001-01-01"),
+        ("timestamp,time,update", "%Y-%m-%d %H:%M:%S.%f,%H:%M:%S.%f,yes"),
+        ("timestamp,time,weekday", "%Y-%m-%d %H:%M:%S.%f,%H:%M:%S.%f,%a"),
+        ("timestamp,time,day", "%Y-%m-%d %H:%M:%S.%f,%H:%M:%S.%f,%a"),
+        ("log_date,log_time", "%Y-%m-%d,%H:%M:%S.%f"),
+    ],
+)
+def test_a_date_is_that_of_its_time(tmp_path: Path, head: str, form: str):
+    begin = BEFORE_A_MINUTE
+    write(tmp_path, head, lambda t: at(t, form, begin), "t", lambda t: repr(begin + t))
+    assert apart(tmp_path) < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("cells", "first"),
+    [
+        (
+            lambda t: f"{'' if t < 4 else '1:00:'}{(56 + t) % 60:09.6f}" if t >= 4 else f"59:{56 + t:09.6f}",
+            "59:56",
+        ),
+        (lambda t: f"{at(t, '%H:%M:%S')}:{round(t * 1e3) % 1000}", ":0'"),
+        (
+            lambda t: at(t, f"%m/%d/%Y %I:%M:%S.%f{' %p' if round(t * 100) % 7 else ''}"),
+            "11/14/2023 10:13:20",
+        ),
+        (lambda t: at(t, "%d/%m/2023 %H:%M:%S" if t else "13/03/2023 %H:%M:%S", 1_717_459_200), "may be two"),
+    ],
+)
+def test_times_in_two_formats_are_refused(tmp_path: Path, cells: Cells, first: str):
+    """Rows of another format than most were once left out without a question."""
+    write(tmp_path, "t", cells)
+    with pytest.raises(InputError, match=f"{first}.*(?:has another format than|different days)") as caught:
+        imported(tmp_path)
+    remedy = re.search('--time "([^"]+)"', str(caught.value))[1]
+    assert 0.6 * len(IMU) < len(imported(tmp_path, time=remedy).drive.imu) <= len(IMU)
+
+
+@pytest.mark.parametrize(
     ("cells", "said", "time"),
     [
         (lambda t: str(round(t * 2e4)), "steps of 200 have no likely unit", None),

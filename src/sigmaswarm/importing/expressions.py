@@ -49,12 +49,32 @@ def _ddmm(a: pl.Expr) -> pl.Expr:
     return (whole + (a.abs() - whole * 100) / 60) * a.sign()
 
 
+_PART = r"\d+(?:\.\d+)?"
+_DMS = rf"(?i)^(?:[NSEW] *)?[+-]? *{_PART}(?:[ °º:d'′’m]+{_PART}){{0,2}}[ °º'′’\"″”m]*[NSEW]?$"
+"""Form of degrees, minutes and seconds in a text."""
+
+
 def _dms(text: pl.Expr) -> pl.Expr:
-    """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees; those of S and W are negative."""
-    numbers = text.str.replace_all(",", ".").str.extract_all(r"\d+(?:\.\d+)?")
+    """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees; those of S and W are negative.
+
+    Four digits or more in the only number are degrees and minutes (4807.038 N). Null for other letters than N, S, E,
+    W, and where three digits may be degrees or degrees and minutes (012.5 N).
+    """
+    plain = text.str.strip_chars().str.replace_all(",", ".").str.replace(rf"(?i)(m *{_PART} *)s", "${1}")
+    numbers = plain.str.extract_all(_PART)
     parts = [numbers.list.get(k, null_on_oob=True).cast(pl.Float64) for k in range(3)]
-    degrees = parts[0] + parts[1].fill_null(0.0) / 60 + parts[2].fill_null(0.0) / 3600
-    return pl.when(text.str.contains("[SW]|^[^0-9]*-")).then(-degrees).otherwise(degrees)
+    digits = plain.str.extract(r"^\D*(\d+)").str.len_chars()
+    joined = (numbers.list.len() == 1) & (digits > 3)
+    apart = parts[0] + parts[1].fill_null(0.0) / 60 + parts[2].fill_null(0.0) / 3600
+    degrees = pl.when(joined).then(_ddmm(parts[0])).otherwise(apart)
+    minutes = pl.when(joined).then(parts[0] % 100).otherwise(parts[1])
+    single = numbers.list.len() == 1
+    marked, latitude = plain.str.contains("(?i)[°ºd]"), plain.str.contains("(?i)[NS]")
+    unsure = (joined & marked) | (single & (digits == 3) & latitude & ~marked)
+    unsure |= plain.str.contains(r"(?i)^[NSEW].*[NSEW]$|['′’:].*\d(?-i:s)$")  # s may be the unit of seconds
+    wrong = ~plain.str.contains(_DMS) | unsure | (minutes > 60) | (parts[2] > 60)
+    negative = plain.str.contains("(?i)[SW]|^[^0-9]*-")
+    return pl.when(wrong).then(None).when(negative).then(-degrees).otherwise(degrees)
 
 
 def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.names import read_names
-from sigmaswarm.importing.quantities import Columns, degrees_as_meters, heading, place, quantity
+from sigmaswarm.importing.quantities import PLACEHOLDERS, Columns, degrees_as_meters, heading, place, quantity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, written
 from sigmaswarm.wording import names_shown
@@ -25,6 +26,8 @@ _NO_PLACES = re.compile(
 """Tables whose x, y, z are neither a position nor the IMU's."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok)?|(?:gps|gnss)_?(?:quality|valid)"
 """Names of columns that are 0 without a fix, or -1 if 0 is a fix, as in ROS."""
+MOST_DROPPED = 0.2
+"""Largest share of likely fixes that are left out by their flags."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -132,10 +135,8 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
         yield "lat", Found("", fault=fault)
         located = True
-    flags = [n.column for n in read_names(columns.frame.columns) if role == "gps" and n.is_one(_FIXED)]
-    kinds = sorted({*numbers_of(columns.frame[flags[0]])} if flags else ())
-    if len(kinds) > 1 and kinds[0] in (-1, 0):
-        yield "keep", Found(f"{written(flags[0])} > {kinds[0]:g}")
+    if role == "gps" and (keep := _with_fix(columns)):
+        yield "keep", keep
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
     # "heading" is the course of a receiver with one antenna, unless there is another course or a deviation
     heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
@@ -154,6 +155,34 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
             yield what, Found(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             yield what.removeprefix("wheel_"), quantity(columns, what, role)
+
+
+def _with_fix(columns: Columns) -> Found | None:
+    """Select the rows with a fix by a column of flags, unless it would drop many rows that look like fixes.
+
+    Other codes have 0 for a fix without fixed ambiguities, or flags are in other rows than positions.
+    """
+    flag = next((n.column for n in read_names(columns.frame.columns) if n.is_one(_FIXED)), None)
+    both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
+    if flag is None or not columns.has(*both):
+        return None
+    names = [columns.names[what].column for what in both]
+    kinds = sorted({*numbers_of(columns.frame[flag])})
+    nested = any(columns.frame.schema[n].is_nested() for n in names)
+    if len(kinds) < 2 or kinds[0] not in (-1, 0) or nested:
+        return None
+    text = f"{written(flag)} > {kinds[0]:g}"
+    rows = columns.frame.with_columns(pl.selectors.float().fill_nan(None)).drop_nulls(names)
+    unset = [pl.col(n).cast(pl.Float64, strict=False).is_in([0.0, *PLACEHOLDERS]) for n in names]
+    held = [pl.col(n) == pl.col(n).shift() for n in names]
+    fixes = rows.filter(~(pl.all_horizontal(unset) | pl.all_horizontal(held)).fill_null(value=False))
+    kept = fixes.filter(compile_expression(text, fixes.columns).truth)
+    if not len(kept):
+        return None
+    if len(kept) >= (1 - MOST_DROPPED) * len(fixes):
+        return Found(text)
+    seen = f"{len(fixes) - len(kept)} of {len(fixes)} fixes where {text} is not true are used"
+    return Found("", note=f'{seen}; to leave them out, write --map "gps.keep={text}"')
 
 
 def _downward(imu: Columns) -> str:

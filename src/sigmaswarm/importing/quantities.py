@@ -32,7 +32,7 @@ HIGHEST = 9000.0
 _ACCELEROMETERS = "usual 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
     "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
-    "column*1e-3"
+    "column*1e-3; deg/s: radians(column)"
 )
 
 
@@ -77,7 +77,8 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
     if name.unit is None and what == "alt" and columns.largest(what) > HIGHEST:
         seen = f"{name.column} left out: {columns.largest(what):.6g} is no altitude in m"
-        return Found("", note=f"{seen}; map it, as {_maps(columns, role, ['alt'], '{}*1e-3')} for mm")
+        example = _maps(columns, role, ["alt"], "{}*1e-3")
+        return Found("", note=f"{seen}; map it, as {example} for mm, with *1e-2 for cm")
     if name.unit is None:
         return _without_unit(columns, what, role) if dimension in ("acceleration", "rate") else Found(text)
     if name.unit.dimension == dimension:
@@ -107,7 +108,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
         raw = max(usual[a] for a in axes) > 30 or largest > MOST_FORCE
         return Found("", fault=_raw_counts(columns, what, role)) if raw else Found(text)
     whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
-    if largest > FASTEST or (whole and largest > 100):
+    if largest > FASTEST or (whole and largest > 0):
         return Found("", fault=_raw_counts(columns, what, role))
     if largest > 5.0:
         return Found(f"radians({text})", "angular rates taken as deg/s, since they exceed 5")
@@ -142,10 +143,9 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
 def place(columns: Columns, role: Role) -> dict[str, Found]:
     """Convert latitude and longitude to degrees: from radians, 1e-7 degrees, or degrees and minutes; N, S, E, W."""
     both = ("lat", "lon")
-    if all(_is_dms(columns.frame[columns.names[what].column]) for what in both):
-        return {what: Found(f"dms({columns.text(what)})") for what in both}
-    forms: dict[str, str] = {}
-    for what in both:
+    dms = _are_dms(*(columns.frame[columns.names[what].column] for what in both))
+    forms = dict.fromkeys(both, "dms({})") if dms else dict[str, str]()
+    for what in () if dms else both:
         name = columns.names[what]
         if name.unit is None:
             continue
@@ -160,44 +160,79 @@ def place(columns: Columns, role: Role) -> dict[str, Found]:
     if found.fault:
         return dict.fromkeys(both, found)
     places: dict[str, Found] = {}
-    for what, letters in (("lat", "NS"), ("lon", "EW")):
+    hemispheres = _hemispheres(columns)
+    for what in both:
         text = forms.get(what, found.expression).format(columns.text(what))
-        if hemisphere := _hemisphere(columns, what, letters):
-            text = f"where({hemisphere}, -abs({text}), {text})"
-        places[what] = Found(text, found.note)
+        condition, fault = hemispheres.get(what, ("", ""))
+        text = f"where({condition}, -abs({text}), {text})" if condition else text
+        remedy = f'{fault}, write --map "{role}.{what}={text}"'
+        places[what] = Found("", fault=remedy) if fault else Found(text, found.note)
     return places
 
 
-def _is_dms(values: pl.Series) -> bool:
-    """Return True for texts with marks of degrees or letters of hemispheres: 48°07'02.3"N, 11 31.5 E, N48.12."""
-    if values.dtype != pl.String:
+def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
+    """Return True for texts with marks of degrees or letters of hemispheres: 48°07'02.3"N, 11 31.5 E, N48.12.
+
+    If degrees and minutes are one number in the latitudes, they must be so in the longitudes.
+    """
+    if lat.dtype != pl.String or lon.dtype != pl.String:
         return False
-    filled = values.str.strip_chars().replace("", None).drop_nulls()
+    both = [values.str.strip_chars().replace("", None).drop_nulls() for values in (lat, lon)]
     number = r"\d+(?:[.,]\d+)?"
     form = rf"^[NSEW]? *[+-]?{number}(?:[ °º:d'′’m]+{number}){{0,2}}[ °º'′’\"″”ms]*[NSEW]?$"
-    return len(filled) > 0 and bool((filled.str.contains(form) & filled.str.contains("[°ºNSEW]")).all())
+    fit = all(len(v) and (v.str.contains(form) & v.str.contains("[°ºNSEW]")).all() for v in both)
+    joined = [v.str.contains(r"^\D*\d{4}").any() for v in both]
+    return fit and joined[0] == joined[1]
 
 
-def _hemisphere(columns: Columns, what: str, letters: str) -> str:
-    """Return the condition of the southern or western hemisphere, by a column of that name, or the one after ``what``.
+def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
+    """Return the conditions of the southern and western hemisphere, by columns of these names, or those after both.
 
-    The latter must contain nothing but one of the letters.
+    The latter must contain nothing but the letters of both axes, and the coordinates must have no signs. The second
+    text is a fault of the letters.
     """
-    name, names = {"lat": "ns", "lon": "ew"}[what], columns.frame.columns
-    after = names.index(columns.names[what].column) + 1
-    for column in [columns.names[name].column] if name in columns else names[after : after + 1]:
-        values = columns.frame[column]
-        texts = values.str.strip_chars().unique().drop_nulls().to_list() if values.dtype == pl.String else []
-        seen = {t[0].upper(): t for t in texts if re.fullmatch("(?i)[nsew]|north|south|east|west", t)}
-        if seen.keys() <= {*letters} and ((name in columns and texts) or len(seen) == 1):
-            return f"{written(column)} == '{seen.get(letters[1], letters[1])}'"
-    return ""
+    frame, found, sure = columns.frame, dict[str, tuple[str, str]](), list[bool]()
+    for what, name, words in (("lat", "ns", "north|south"), ("lon", "ew", "east|west")):
+        place, named = columns.names[what].column, name in columns
+        after = frame.columns[frame.columns.index(place) + 1 :]
+        column = columns.names[name].column if named else (*after, place)[0]
+        rows = frame.filter(pl.col(place).is_not_null())
+        if (
+            column == place
+            or frame.schema[column] != pl.String
+            or frame.schema[place].is_nested()
+            or not len(rows)
+        ):
+            continue
+        cells = rows[column].fill_null("").unique(maintain_order=True).to_list()
+        texts = [cell for cell in cells if re.fullmatch(f"(?i) *(?:[{name}]|{words}) *", cell)]
+        numbers = rows[place].cast(pl.String).str.strip_chars()
+        filled = numbers.filter(
+            ~numbers.cast(pl.Float64, strict=False).is_in(PLACEHOLDERS).fill_null(value=False)
+        )
+        sure.append(named or (len(texts) == len(cells) and not filled.str.contains("^-|[NSEW]").any()))
+        unset = name[1] if any(text.islower() for text in texts) else name[1].upper()
+        negative = [text for text in texts if text.strip()[0].lower() == name[1]] or [unset]
+        fault = ""
+        if named and (other := [c for c in cells if re.fullmatch(" *[A-Za-z] *", c) and c not in texts]):
+            negative, (first, last) = other[:1], words.split("|")
+            fault = f"column {quoted(column)}: {quoted(other[0])} is not {first} or {last}; if it is {last}"
+        if named or texts:
+            found[what] = " or ".join(f"{written(column)} == '{text}'" for text in negative), fault
+    names = {"lat": "ns", "lon": "ew"}
+    return {what: one for what, one in found.items() if names[what] in columns or sure == [True, True]}
 
 
 def degrees_as_meters(columns: Columns, role: Role) -> str:
     """Describe x and y that are likely degrees, since they change by less than 1 mm from row to row; or return ""."""
     values = [columns.numbers(what) for what in ("x", "y")]
-    steps = [median_of(v.diff().abs().replace(0.0, None).drop_nulls()) for v in values]
+    changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
+    steps = [median_of(v) for v in changes]
+    ranges = [float(v.max() or 0) - float(v.min() or 0) for v in values]  # pyright: ignore[reportArgumentType]
+    if all(
+        far < 20 * step for far, step in zip(ranges, steps, strict=True)
+    ):  # the vehicle stands: steps are noise
+        steps = [float(v.max() or 0) for v in changes]  # pyright: ignore[reportArgumentType]
     far = min(median_of(v.abs()) for v in values) > 0.5
     small = far and columns.largest("x") <= 180 and columns.largest("y") <= 90
     if not small or columns.names["x"].unit or not 0 < min(steps) < 3e-4 or max(steps) > 1e-3:

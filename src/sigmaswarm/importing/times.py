@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import polars as pl
 
 from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, as_text, parse_dates
-from sigmaswarm.importing.names import CLOCK, STAMP, TIME_OF_WEEK, WEEK, Name, read_names
+from sigmaswarm.importing.names import CLOCK, STAMP, TIME_OF_WEEK, WEEK, Name, plain_words, read_names
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
@@ -39,6 +39,8 @@ DATE_FORMATS = (
     "%I:%M:%S%.f %p",
 )
 """Formats of dates in text, in the order of trial; the first is ISO 8601."""
+LEAST_FITTING = 0.99
+"""Least share of dates that their format fits; others are damaged."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
 _CALENDAR = {word: word for word in CALENDAR} | {
@@ -67,10 +69,18 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     """Find the time of a table by its columns' names and values; None if there is none."""
     names = read_names(frame.columns)
     several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
-    if found := several or _date_and_time(names, frame):
-        return found
+    pairs = [] if several else _dates_and_times(names, frame)
+    good = [pair for pair in pairs if not pair[2].fault]
+    if several or (good and good[0][1]):
+        return several or good[0][2]
     calendar, parts = _calendar(names, frame)
-    return _single([n for n in names if n not in parts], frame, role) or calendar
+    parts = [*parts, *(clock for clock, known, _ in pairs if known)]  # a time of day lacks its day
+    single = _single([n for n in names if n not in parts], frame, role) or calendar
+    lacking = single is None or single.fault
+    usable = [found for _, known, found in (*good, *pairs) if known or (lacking and not found.fault)]
+    if usable and (lacking or not usable[0].fault):
+        return usable[0]
+    return single or (pairs[0][2] if pairs else None)
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
@@ -178,20 +188,34 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week converted to UTC")
 
 
-def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Find a day in one column of text and the time of day in another; of several pairs, the finest that is read."""
+def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, Found]]:
+    """Read pairs of a day in one column of text and the time of day in another.
+
+    Return the clock, whether the names are the usual ones, and the time. A clock with half of the distinct times of
+    another one, or fewer, comes last.
+    """
+    texts = [n for n in names if frame.schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]
+    days, clocks = _prefixed(names, "date|day"), _prefixed(texts, "time|time_of_day|clock")
     pairs = [
-        (day.column, clock.column)
-        for day in names
-        if (begin := re.fullmatch("(.*?)_?(?:date|day)", day.plain))
-        for clock in names
-        if clock.is_one(f"(?:{begin[1]}_?|utc_|gps_)?(?:time|time_of_day|clock)")
-        and frame.schema[clock.column] == pl.String
-        and not len(numbers_of(frame[clock.column]))
+        (clock, known, day.column)
+        for day, of_day in days
+        for clock, of_clock in clocks
+        for known in [of_day in ("", "utc", "gps")]
+        if of_clock == of_day or (known and not of_clock) or (not of_day and of_clock in ("utc", "gps"))
     ]
-    pairs.sort(key=lambda pair: -frame[pair[1]].n_unique())
-    found = [_of_text(pair, frame) for pair in pairs]
-    return next((one for one in found if not one.fault), found[0]) if found else None
+    finest = max((frame[clock.column].n_unique() for clock, *_ in pairs), default=0)
+    pairs.sort(key=lambda pair: (frame[pair[0].column].n_unique() * 2 <= finest, not pair[1]))
+    return [(clock, known, _of_text([day, clock.column], frame)) for clock, known, day in pairs]
+
+
+def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
+    """Return the names that end in one of the words, and the words before: utc_date, rtcDate."""
+    found: list[tuple[Name, str]] = []
+    for name in names:
+        split = "_".join(plain_words(re.sub("(?<=[a-z])(?=[A-Z])", "_", name.column)))
+        fits = [fit for text in (name.plain, split) if (fit := re.fullmatch(f"(?:(.+)_)?(?:{words})", text))]
+        found += [(name, fits[0][1] or "")] if fits else []
+    return found
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
@@ -234,11 +258,14 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
-    """Read dates in text by the format that fits most; refuse dates that two formats read differently."""
+    """Read dates in text by the format that fits most; refuse those that two formats read, or that few fit."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d"))
-    read = {form: _read_by(texts, form) for form in DATE_FORMATS}
-    fitting = [form for form, count in read.items() if count and count == max(read.values())]
+    read = {form: _read_by(texts, form).count() for form in DATE_FORMATS}
+    most = max(read.values())
+    fitting = [
+        form for form in sorted(read, key=lambda f: -read[f]) if read[form] >= LEAST_FITTING * most > 0
+    ]
     called = ", ".join(map(written, columns))
     if not fitting:
         said = f"{quoted(texts[0])} is not a known date" if len(texts) else "has no dates"
@@ -247,22 +274,29 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
         )
         return Found("", fault=f"column {quoted(columns[0])}: {said}; write {option}")
     form = fitting[0]
-    if len(fitting) > 1 and form.startswith("%m/%d") and fitting[1].startswith("%d/%m"):
+    if most < LEAST_FITTING * len(texts):
+        left = texts.filter(_read_by(texts, form).is_null())[0]
+        whole = f"utc({called}, '{form}')" if form else f"utc({called})"
+        said = (
+            f"column {quoted(columns[0])}: {quoted(left)} has another format than {most} of {len(texts)} rows"
+        )
+        return Found("", fault=f'{said}; correct these rows, or leave them out with --time "{whole}"')
+    by_day, by_month = (next((f for f in fitting if f.startswith(begin)), "") for begin in ("%d/%m", "%m/%d"))
+    if by_day and by_month:
         option = (
-            f"--time \"utc({called}, '{fitting[1]}')\" if the day comes first, with {form} if the month does"
+            f"--time \"utc({called}, '{by_day}')\" if the day comes first, with {by_month} if the month does"
         )
-        return Found(
-            "",
-            fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two different days; write {option}",
-        )
+        fault = f"column {quoted(columns[0])}: {shown(texts[0])} may be two different days; write {option}"
+        return Found("", fault=fault)
     note = "" if not form or "%d" in form else "times of day without a date"
     return Found(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
 
-def _read_by(texts: pl.Series, form: str) -> int:
-    """Return the number of texts that a format reads."""
-    texts = texts if form else texts.filter(texts.str.contains(r"^\d{4}-\d"))
-    return texts.to_frame("date").select(parse_dates(pl.col("date"), form))["date"].count()
+def _read_by(texts: pl.Series, form: str) -> pl.Series:
+    """Return the times of texts in a format, null where it does not fit."""
+    dates = pl.col("date")
+    dates = dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates)
+    return texts.to_frame("date").select(parse_dates(dates, form).alias("date"))["date"]
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
