@@ -228,7 +228,10 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
         lambda f: (f / "scores.csv").write_text("protocol,method,measure,drive,value\na,b,c,d,e\n"),
         "scores.csv: not readable",
     ),
-    "foreign timings": (lambda f: (f / "timings.json").write_text("[]"), "timings.json: the file should be a table of keys"),
+    "foreign timings": (
+        lambda f: (f / "timings.json").write_text("[]"),
+        "timings.json: the file should be a table of keys",
+    ),
     "damaged tracks": (lambda f: (f / "tracks.npz").write_bytes(b"PK\3\4"), "tracks.npz: not readable"),
 }
 
