@@ -17,6 +17,7 @@ from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.statistics import Draws
 from sigmaswarm.experiments.study import study
 from sigmaswarm.experiments.study.config import METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Task, designs_elsewhere, make_design
@@ -274,7 +275,7 @@ def test_what_a_network_leaves_as_it_is_is_not_told(whole: Study):
         ("honest", "outage-lstm"): {"position_rmse_m": position * (1 + 1e-15), "outage_drift_m": 0.9 * drift},
     }
     taught = dict.fromkeys(Task("honest", "outage-lstm", "all", trial) for trial in range(2))
-    (gain,) = _gains(ScoreTable(whole.design, values), taught)
+    (gain,) = _gains(ScoreTable(whole.design, values), taught, Draws(0))
     assert (gain.measure, gain.improvement) == ("outage_drift_m", pytest.approx(10.0))
 
 
