@@ -447,7 +447,7 @@ def test_what_the_objective_can_not_tell_is_named_once():
     assert "does not determine alpha:" in told
     assert "alpha at its lower" not in told
     assert "q_x at its lower bound" in told
-    assert "moving r_x alone lowers the cost by 16%" in told
+    assert "a change of r_x alone lowers the cost by 16%" in told
 
 
 def test_densities_are_those_of_continuous_noise():
