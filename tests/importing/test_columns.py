@@ -580,7 +580,7 @@ def test_temperatures_and_unset_clocks_are_no_times(tmp_path: Path, name: str):
 
 @pytest.mark.parametrize("scale", [1.0, 1e7])
 def test_the_size_of_places_of_mavlink_decides_on_the_unit(tmp_path: Path, scale: float):
-    """Some tools convert them to degrees, and then the altitudes and speeds beside them, too."""
+    """Some tools convert them to degrees, and then also convert the altitudes and speeds."""
     places = {f"GPS_RAW_INT.{n}": np.round(FIXES[n] * scale, 9) for n in ("lat", "lon")}
     gps = {"t": FIXES["t"], **places, "GPS_RAW_INT.alt": DRIVE.gps.alt, "GPS_RAW_INT.vel": DRIVE.gps.speed}
     write_two(tmp_path, AXES, gps)

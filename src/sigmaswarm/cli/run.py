@@ -30,7 +30,7 @@ class RunOptions:
     truth
         Also write the drive's truth, in the format given by the file extension.
     merge
-        With --out NAME.ros2: also copy the messages of this ROS 2 bag, the drive's source. Deprecated name: --beside.
+        With --out NAME.ros2: also copy the messages of the drive's ROS 2 bag. Deprecated name: --beside.
     before
         Also write the fixes before the filter's start to NAME.csv, .geojson, .gpx or .kml.
     as_recorded

@@ -64,11 +64,11 @@ def _dms(text: pl.Expr) -> pl.Expr:
     numbers = plain.str.extract_all(_PART)
     parts = [numbers.list.get(k, null_on_oob=True).cast(pl.Float64) for k in range(3)]
     digits = plain.str.extract(r"^\D*(\d+)").str.len_chars()
-    joined = (numbers.list.len() == 1) & (digits > 3)
+    single = numbers.list.len() == 1
+    joined = single & (digits > 3)
     apart = parts[0] + parts[1].fill_null(0.0) / 60 + parts[2].fill_null(0.0) / 3600
     degrees = pl.when(joined).then(_ddmm(parts[0])).otherwise(apart)
     minutes = pl.when(joined).then(parts[0] % 100).otherwise(parts[1])
-    single = numbers.list.len() == 1
     marked, latitude = plain.str.contains("(?i)[°ºd]"), plain.str.contains("(?i)[NS]")
     unsure = (joined & marked) | (single & (digits == 3) & latitude & ~marked)
     unsure |= plain.str.contains(r"(?i)^[NSEW].*[NSEW]$|['′’:].*\d(?-i:s)$")  # s may be the unit of seconds

@@ -60,9 +60,8 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
         # Two exchanged rows of a short log are no wrap: a wrap continues by about a usual step.
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), 5 * usual + 1e-3 * period)
         inside = int(time.min()) >= 0 and int(time.max()) <= 1.001 * period
-        if (
-            period == 86_400 * SECOND and wraps.any()
-        ):  # the date of the first row, with each row's time of day
+        # The times may have the date of the first row and the time of day of each row.
+        if period == 86_400 * SECOND and wraps.any():
             edge = np.abs((np.r_[time[1:][wraps], time[:-1][wraps]] + period // 2) % period - period // 2)
             inside |= int(np.ptp(time)) <= period and int(edge.max()) <= 60 * SECOND
         if wraps.any() and np.array_equal(wraps, wraps & near) and inside:

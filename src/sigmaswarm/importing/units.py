@@ -83,20 +83,8 @@ _WORDS: dict[str, tuple[Dimension, float]] = {
 }
 NONE = (
     "",
-    *(
-        "-",
-        "1",
-        "unitless",
-        "dimensionless",
-        "utc",
-        "gps",
-        "gnss",
-        "wgs84",
-        "enu",
-        "unix",
-        "unix time",
-        "epoch",
-    ),
+    *("-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu"),
+    *("unix", "unix time", "epoch"),
     *("local", "body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu"),
 )
 """Words in brackets that are not units."""
