@@ -66,9 +66,12 @@ class Drive:
         ----------
         imu : frame with columns t, ax, ay, gz and optionally az, gx, gy
             s; m/s2; rad/s, in the body frame: x forward, y left, z up.
-        gps : frame with columns t and x, y (m) or lat, lon (deg), optionally alt, std_x, std_y (m), speed, course,
-        heading truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional odometer : frame with
-        columns t, speed (m/s), optional name : str origin : (latitude deg, longitude deg, altitude m), optional
+        gps : frame with columns t and x, y (m) or lat, lon (deg)
+            Optionally alt, std_x, std_y (m), speed, course, heading.
+        truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional
+        odometer : frame with columns t, speed (m/s), optional
+        name : str
+        origin : (latitude deg, longitude deg, altitude m), optional
             Position of x = y = 0; by default the first fix that has lat and lon.
         columns : mapping, optional
             Names of your columns and the names above: ``{"acc_x": "ax"}``.

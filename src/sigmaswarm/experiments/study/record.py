@@ -60,10 +60,10 @@ class ScoreStatistics(_Part):
     Attributes
     ----------
     mean, sd : over trials, of the mean over each trial's test drives
-    trial_interval : mean +- 1.96 SD / sqrt(n); accounts for the variation due to optimizer and split, but not due to
-    new drives corrected_t_interval : corrected resampled t interval, for new drives bootstrap_interval : for new
-    drives, by resampling trials, and drives within conditions n_trials, n_drives : numbers of trials and drives with
-    values
+    trial_interval : mean +- 1.96 SD / sqrt(n); accounts for the variation by optimizer and split, not for new drives
+    corrected_t_interval : corrected resampled t interval, for new drives
+    bootstrap_interval : for new drives, by resampling trials, and drives within conditions
+    n_trials, n_drives : numbers of trials and drives with values
     """
 
     mean: Figure

@@ -260,8 +260,9 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     tape : (k, t) `tape.taped_rows` of each step
     start : (s,) the filter's state before the first one: its `state_rows`
     ends, started : (a,) int, (a, s) the steps after which the filter was reset, and its state then; steps before a
-    reset are smoothed without later ones sampled : (k,) bool: the steps whose ends are returned behind : (s,) changed:
-    at first the smoothed state after the last step, at the end the one before the first step out : (r, s) written: the
-    smoothed states at the chosen ends
+        reset are smoothed without later ones
+    sampled : (k,) bool: the steps whose ends are returned
+    behind : (s,) changed: at first the smoothed state after the last step, at the end the one before the first step
+    out : (r, s) written: the smoothed states at the chosen ends
     """
     _kernel_of(name)(tape, start, ends, started, sampled, behind, out)
