@@ -4,9 +4,9 @@ In windows of some seconds the path follows from the IMU, integrated from an unk
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
-and the fixes show it ``late`` s later. theta is known from course and gyro. M (2, 2) and ``late`` are the same in all
-windows; p0, v0 and b (tilt, slope, bias) differ between windows. b varies about a mean, which is also fitted. For a log
-without faults M is the identity.
+The fixes show this path ``late`` s later. Course and gyro give theta. M (2, 2) and ``late`` are common to all windows;
+p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. M is the identity for a log
+without faults.
 """
 
 from dataclasses import dataclass
@@ -21,25 +21,20 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0
-"""Length of a window, s: long enough for accelerations, short enough for constant tilt and slope."""
+"""Window length, s: long enough for accelerations, short enough for constant tilt and slope."""
 BIAS_SPREAD = (0.1, 0.5)
-"""Bounds of the standard deviation of tilt, slope and bias between windows, m/s2."""
+"""Bounds of the spread of tilt, slope and bias between windows, m/s2."""
 FEW = 8.0
-"""Number of windows for which the covariance is doubled; the factor is 1 + FEW / number."""
-LEAST_NOISE = 0.03
-"""Smallest assumed standard deviation of the IMU's path over some seconds, m."""
+"""With this number of windows the covariance is doubled."""
+LEAST_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over some seconds
 
-LATENESS = np.arange(-0.8, 0.81, 0.1)
-"""Delays of the fixes to try, s."""
+LATENESS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
 DRIFT_SPAN = 6.0
-BIN = 3.0
-"""Standard deviation of the Gaussian with which gyro and course are aligned, and length of the bins, s."""
+BIN = 3.0  # s, standard deviation of the Gaussian that aligns gyro and course, and bin length
 
 
 @dataclass(frozen=True, eq=False)
 class AccelerationFit:
-    """Result of the regression."""
-
     matrix: Array  # (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
     covariance: Array  # (5, 5), of M's rows, one after the other, and of `late`
     late: float  # s, by which the fixes are late
@@ -50,7 +45,7 @@ class AccelerationFit:
 
 
 def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[Array, Array]:
-    """Return the gyro's integral (n,), and the course of the moving car minus that integral, rad."""
+    """Return the gyro's integral (n,), and the course minus that integral where the car moves, rad."""
     turned = integral(time, rate)
     seen = course.moving
     return turned, course.angle[seen] - smoothed(time, turned, course.time[seen] - late, course.span)
@@ -59,11 +54,7 @@ def _off_course(time: Array, course: Course, rate: Array, late: float) -> tuple[
 def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
     """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course over some seconds.
 
-    Parameters
-    ----------
-    time : (n,) s, the IMU's
-    rate : (n,) rad/s, the yaw rate, with correct sign and unit
-    late : s, of the fixes
+    ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``late``: delay of the fixes, s.
     """
     turned, off = _off_course(time, course, rate + drift_of(time, course, rate, late), late)
     at, speed = course.time[course.moving], np.abs(course.velocity[course.moving])
@@ -78,10 +69,7 @@ def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
 
 
 def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
-    """Return the correction of the gyro's rate that the course requires, rad/s: the negative of its bias.
-
-    Parameters as in `heading_of`.
-    """
+    """Return the gyro's negative bias, rad/s, by the course."""
     _, off = _off_course(time, course, rate, late)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
@@ -119,7 +107,7 @@ def fit_acceleration(
 
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
-    """Return the fixes (w, n) of windows in which the car moves and the IMU, sampled at ``imu`` s, has no gap."""
+    """Return the fixes (w, n) of windows in which the car moves and the IMU times ``imu``, s, have no gap."""
     interval = float(np.median(np.diff(course.time)))
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
@@ -129,7 +117,7 @@ def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.int
 
 
 class _Fit:
-    """Regression at a given delay, with M and the spread of the windows' biases from the previous regression."""
+    """Regression at a given delay, with M and the biases' spread from the previous regression."""
 
     def __init__(self, drive: Drive, course: Course, rate: Array, rows: NDArray[np.intp]):
         self._drive, self._course, self._rate, self._rows = drive, course, rate, rows
@@ -140,7 +128,7 @@ class _Fit:
         self.bias = np.zeros((len(rows), 2))
 
     def at(self, late: float, rounds: int = 4) -> Regression:
-        """Solve for the shared unknowns: M, row by row, and the corrections of ``late`` and of the mean bias."""
+        """Solve for M, row by row, and the corrections of ``late`` and of the mean bias."""
         position, columns, own = self._terms(late)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
         # One more row per window draws its bias to the mean of all windows.
@@ -149,7 +137,7 @@ class _Fit:
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
     def learn(self, found: Regression, late: float) -> None:
-        """Store M, and the bias of each window, given M and ``late``."""
+        """Store M, and the bias of each window."""
         self._matrix = found.solution[:4].reshape(2, 2)
         self._usual = self._usual + found.solution[5:]
         position, columns, own = self._terms(late)
@@ -162,7 +150,7 @@ class _Fit:
         self._spread = float(np.clip(spread, *BIAS_SPREAD))
 
     def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
-        """Return the positions, and the columns of the shared and of each window's own unknowns, all (w, n)."""
+        """Return the positions, and the columns of the common unknowns and of each window's unknowns, all (w, n)."""
         imu, rows, course = self._drive.imu, self._rows, self._course
         direction = np.exp(1j * heading_of(imu.time, course, self._rate, late))
         at, usual = course.time - late, complex(*self._usual)

@@ -1,4 +1,4 @@
-"""Compare measured quantities of the IMU with the values that follow from the motion of the fixes, for plots."""
+"""Measured quantities of the IMU next to their values by the motion of the fixes, for plots."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,14 +11,10 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
 
-FEWEST = 8
-"""Smallest number of fixes for which a course is computed."""
-SLOWEST = 1.0
-"""Lowest speed at which a course is shown, m/s."""
-SPAN = 2.0
-"""Time over which the specific force is averaged, s, so that vibration does not hide gravity."""
-RATE = 10.0
-"""Rate of the smoothed specific force, Hz."""
+FEWEST = 8  # fixes, for a course
+SLOWEST = 1.0  # m/s, lowest speed at which a course is shown
+SPAN = 2.0  # s, average of the specific force: vibration would hide gravity
+RATE = 10.0  # Hz, of the smoothed specific force
 FINDINGS = {
     "timing": (
         *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),
@@ -31,7 +27,7 @@ FINDINGS = {
     "speed": ("speed", "velocity", "odometer"),
     "course": ("course",),
 }
-"""For each agreement, the beginnings of the codes of the findings that its plot shows."""
+"""Beginnings of the codes of the findings that each agreement's plot shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +37,7 @@ class Agreement:
     Attributes
     ----------
     key : str
-        A key of `FINDINGS`.
+        "timing", "turning", "gravity", "forward", "sideways", "speed" or "course".
     title, unit : str
     measured, expected : mapping of label to (time (n,) s, values (n,) in ``unit``)
     """
@@ -65,6 +61,11 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     ----------
     drive : Drive
         A drive; the truth is not used.
+
+    Returns
+    -------
+    tuple of Agreement
+        Those that need a moving vehicle are missing if no course can be computed.
     """
     steps = {
         name: (table.time[1:], np.diff(table.time))
@@ -86,7 +87,6 @@ def _gravity(drive: Drive) -> Agreement:
 
 
 def _of_motion(drive: Drive) -> Iterator[Agreement]:
-    """Return the agreements that need a moving vehicle."""
     imu, gps = drive.imu, drive.gps
     used = ~frozen_fixes(gps) & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     time, position = gps.time[used], gps.x[used] + 1j * gps.y[used]
@@ -126,10 +126,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """Compare the integral of gz with the course.
-
-    Each part between two stops is shifted by a constant, since only its shape is compared.
-    """
+    """Compare the integral of gz with the course; a constant shifts each part between two stops."""
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

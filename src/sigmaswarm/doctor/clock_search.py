@@ -1,4 +1,4 @@
-"""Search for a large offset between the clocks, at which the turns of the gyro match the turns of the course."""
+"""Search for a large clock offset at which the turns of the gyro match the turns of the course."""
 
 import numpy as np
 
@@ -8,26 +8,22 @@ from sigmaswarm.doctor.verdicts import DEGREE
 from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Drive
 
-WIDEST = 40.0
-"""Largest offset searched, s; GPS time minus UTC (18 s) and most receivers' start-up are shorter."""
+WIDEST = 40.0  # s; GPS time minus UTC (18 s) and most receivers' start-up are shorter
 STEP = 0.1
-NEAR = 4.0
-"""Largest distance of a lag from the peak that it belongs to, s."""
-SPAN = 5.0
-"""Interval over which turns are compared, s."""
+NEAR = 4.0  # s, largest distance of a lag from its peak
+SPAN = 5.0  # s, interval over which turns are compared
 LEAST, CLEARLY = 0.8, 0.15
-"""Share of the turns that an offset must explain, and smallest lead of this share over that of any other offset."""
+"""Share of the turns that an offset must explain, and its smallest lead over any other offset."""
 FEWER = 4.0
-"""Alternative to the lead: factor by which the unexplained share of the turns is larger at any other offset. Turns may
-repeat, so other offsets may explain a large share.
+"""Alternative to the lead: smallest ratio of the shares left unexplained. Repeated turns let other offsets explain a
+large share.
 """
 FEWEST = 20
-LEAST_TURN = 0.15
-"""RMS change of the course within `SPAN` below which no offset is searched, rad."""
+LEAST_TURN = 0.15  # rad, smallest RMS change of the course within `SPAN`
 
 
 def search_offset(drive: Drive, course: Course) -> float | None:
-    """Find the offset, s, by which the fixes are late, from -40 to 40 s; None if none is significant."""
+    """Find the offset, s, by which the fixes are late; None if none is significant."""
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
     if len(first) < FEWEST:

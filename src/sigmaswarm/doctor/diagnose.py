@@ -32,8 +32,7 @@ CHECKS = (
     check_use,
 )
 """Order of findings of equal severity."""
-KEPT = 32
-"""Largest number of diagnoses that are cached, since commands and pages use the diagnosis of a drive more than once."""
+KEPT = 32  # diagnoses that are cached: commands and pages ask several times
 _kept: dict[tuple[str, str], Diagnosis] = {}
 
 
@@ -68,7 +67,6 @@ def diagnose(drive: Drive) -> Diagnosis:
 
 
 def _diagnosed(drive: Drive) -> Diagnosis:
-    """Run all checks."""
     if spoiled := spoiled_times(drive.imu, drive.gps):  # no other check works on such a log
         ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
@@ -79,7 +77,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 
 
 def findings_of(drive: Drive) -> tuple[str, ...]:
-    """Return the serious findings and warnings about a drive, as sentences; none if it is too short for a diagnosis."""
+    """Return serious findings and warnings as sentences; none for a drive that is too short."""
     try:
         found = diagnose(drive).findings
     except DriveError:

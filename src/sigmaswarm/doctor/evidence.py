@@ -1,4 +1,4 @@
-"""The fits and masks that all checks use, computed once for a drive."""
+"""The fits and masks that all checks use."""
 
 from dataclasses import dataclass, replace
 
@@ -18,35 +18,29 @@ from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
 
 SEARCHED = 2.3
-"""Offset, s, above which the fit is not used, since the tried delays end at 2.5 s."""
-LEAST_SEARCHED = 0.3
-"""Smallest offset that the search finds, s; smaller offsets are found by the fits only."""
+"""Largest offset that the fit finds, s; the tried delays end at 2.5 s."""
+LEAST_SEARCHED = 0.3  # s, smallest offset that the search finds
 USUAL = 1.0
-"""Largest usual delay of a receiver, s. A larger offset is accepted only if the search finds no other offset."""
+"""Largest usual delay of a receiver, s; a larger one needs a search that finds no other offset."""
 AS_RECORDED = Yaw(known=True)
-"""The yaw rate as recorded. Another column, sign or unit is accepted only if no offset explains the data."""
-FEWEST = 20
-"""Number of fixes below which only the checks that need no motion run."""
+"""Another column, sign or unit is accepted only if no offset explains the data."""
+FEWEST = 20  # fixes, for the checks that need motion
 KEPT = 256
-"""Largest number of drives whose scatter is cached, since a tuning uses the scatter after the diagnosis and in each
-repetition.
-"""
+"""Drives with a cached scatter, which a tuning needs in each repetition."""
 _scatters: dict[str, float] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A drive and the quantities computed from it."""
-
     drive: Drive  # with its IMU turned by `mounting`, where that is needed; all fits are in these axes
     stale: Mask  # (n,), fixes that repeat an earlier fix
     outlying: Mask  # (n,), fixes far off the path
     used: NDArray[np.intp]  # (m,), indices of the fixes in `course`
     course: Course | None
     yaw_fit: YawFit | None  # the regression of the course on the gyro
-    yaw: Yaw  # its reading
+    yaw: Yaw  # interpretation of `yaw_fit`
     acceleration: AccelerationFit | None  # the regression of the path on the accelerometers
-    mount: Mount | None  # its reading
+    mount: Mount | None  # interpretation of `acceleration`
     clock: ClockOffset  # the fixes' delay
     noise: float  # m per axis, noise from each fix to the next
     scatter: float  # m per axis, of the fixes about the path over ten seconds
@@ -55,7 +49,7 @@ class Evidence:
 
     @property
     def mounted(self) -> bool:
-        """True if the IMU is turned relative to the vehicle by a known rotation."""
+        """True if a known rotation of the IMU is to be corrected."""
         return self.mounting is not None and self.mounting.needed
 
     @property
@@ -65,15 +59,14 @@ class Evidence:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Time from the first to the last IMU sample, s."""
+        """First and last time of the IMU, s."""
         return float(self.drive.imu.time[0]), float(self.drive.imu.time[-1])
 
 
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and interpret the fits.
 
-    If the gyro as recorded does not follow the course within a second, an offset of the clocks is searched first, up to
-    40 s. The times of the fixes are corrected by this offset before axes are checked.
+    If the gyro as recorded does not follow the course within a second, search an offset of the clocks up to 40 s first.
     """
     evidence = _read(drive)
     for old in list(_scatters)[: len(_scatters) + 1 - KEPT]:
@@ -83,7 +76,7 @@ def gather(drive: Drive) -> Evidence:
 
 
 def scatter_of(drive: Drive) -> float:
-    """Return the `scatter` of a drive's evidence, m per axis, from memory if it was computed before."""
+    """Return the `scatter` of a drive's evidence, m per axis, from memory if possible."""
     kept = _scatters.get(fingerprint(drive))
     return gather(drive).scatter if kept is None else kept
 
@@ -103,7 +96,7 @@ def _read(drive: Drive) -> Evidence:
     elif late is None:  # without a common clock no axis can be interpreted
         return replace(evidence, yaw=Yaw(), mount=None, clock=ClockOffset())
     rest = 0.0
-    for _ in range(2):  # the fits determine the rest
+    for _ in range(2):  # the fits determine the remaining offset
         evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - late)))
         rest = evidence.clock.late if np.isfinite(evidence.clock.std) else 0.0
         late += rest
@@ -147,12 +140,11 @@ def _gather(drive: Drive) -> Evidence:
 
 
 def _spread(v: Complex) -> float:
-    """Return the robust standard deviation per axis."""
     return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
 
 
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
-    """Return the indices, among the used fixes, of those far from the IMU's path in every window."""
+    """Return the indices of fixes that are far from the IMU's path in every window."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
     off = size > 0.2 + 4 * float(
         np.quantile(size, 0.9)

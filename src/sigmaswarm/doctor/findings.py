@@ -1,4 +1,4 @@
-"""Findings of the doctor, with place, confidence, remedy and, if possible, a repair."""
+"""Findings of the doctor, with place, confidence, remedy and repair."""
 
 import math
 from dataclasses import dataclass
@@ -8,20 +8,12 @@ from sigmaswarm.drives.checks import Remark
 
 Severity = Literal["note", "warning", "serious"]
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
-"""serious: filters tuned on the log adapt to the fault; warning: such filters are less accurate; note: information."""
+"""serious: tuned filters adapt to the fault; warning: tuned filters are less accurate; note: information."""
 
 
 @dataclass(frozen=True)
 class Repair:
-    """The repair of a finding, which `sigmaswarm.doctor.repairs` applies.
-
-    Attributes
-    ----------
-    action : str
-        A key of `sigmaswarm.doctor.repairs.ACTIONS`.
-    values : tuple of float
-        Parameters of the action.
-    """
+    """The repair of a finding: a key of `sigmaswarm.doctor.repairs.ACTIONS`, and its parameters."""
 
     action: str
     values: tuple[float, ...]
@@ -45,11 +37,10 @@ class Finding:
     confidence : float
         0 to 1.
     remedy : str
-        The remedy.
     repair : Repair or None
         The repair that ``repair`` applies; None if there is none.
     cut : float or None
-        Time at which to cut the log, s, so that the later part does not contain the fault.
+        Time at which to cut the log, s; the later part is free of the fault.
     """
 
     code: str
@@ -90,8 +81,7 @@ class Diagnosis:
         The drive's name.
     findings : tuple of Finding
     visible_clock_offset : float or None
-        Smallest offset between the clocks of IMU and GPS that would have been detected, s; None if no offset would have
-        been detected.
+        Smallest detectable offset between the clocks of IMU and GPS, s; None if no offset is detectable.
     """
 
     drive: str
@@ -100,7 +90,7 @@ class Diagnosis:
 
     @property
     def serious(self) -> bool:
-        """True if anything serious was found."""
+        """True if a finding is serious."""
         return any(finding.severity == "serious" for finding in self.findings)
 
     @property
@@ -119,11 +109,11 @@ class Diagnosis:
 
 
 _HIGHEST_CONFIDENCE = 0.999
-"""Largest confidence, below 1, since a log may have faults that no check considers."""
+"""Below 1, since a log may have faults that no check considers."""
 
 
 def confidence_of(deviations: float) -> float:
-    """Return the confidence, 0 to 1, that a value differs, from the difference in standard deviations."""
+    """Return the confidence, 0 to 1, in a difference of some standard deviations."""
     return round(min(math.erf(abs(deviations) / math.sqrt(2)), _HIGHEST_CONFIDENCE), 3)
 
 

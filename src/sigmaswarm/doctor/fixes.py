@@ -1,4 +1,4 @@
-"""Compute course and speed from the fixes alone, and find fixes that jump."""
+"""Course and speed from the fixes alone, and jumps of the fixes."""
 
 from dataclasses import dataclass
 
@@ -12,22 +12,18 @@ from sigmaswarm.drives.sensors import white_noise
 Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3
-"""Number of fixes on each side that predict the fix between them."""
-HARDEST = 8.0
-"""Largest acceleration of a car, m/s2; a displacement that it explains is not a jump."""
-SPAN = (3.0, 6.0)
-"""Shortest and longest duration of the fixes from which one velocity is computed, s."""
-SPEED_STD = 0.5
-"""Standard deviation of the velocity due to white noise of the fixes, m/s, for which the duration is chosen."""
-SLOWEST = 3.0
-"""Speed above which the course is used, m/s; at lower speeds the course is noise."""
+"""Fixes on each side that predict the fix between them."""
+HARDEST = 8.0  # m/s2, largest acceleration of a car
+SPAN = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
+SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
+SLOWEST = 3.0  # m/s; at lower speeds the course is noise
 USUAL_SHARE = 0.5
-"""Share of a slow vehicle's usual speed above which the course is used, if the fixes are accurate enough."""
+"""Share of a slow vehicle's usual speed above which accurate fixes give a course."""
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Velocity of the car from its fixes, at the fixes' times."""
+    """Velocity of the car from its fixes."""
 
     time: Array  # (n,) s
     position: Complex  # (n,) m, east + i north

@@ -1,9 +1,7 @@
 """Estimate the mounting of the IMU as one rotation, from gravity, turns and the direction of travel.
 
-Roll and pitch of the sensor follow from the direction of the specific force, minus the vehicle's own motion, and from
-the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. When yaw and
-pitch are known roughly, the direction of travel shows them more precisely. Each round rotates the recorded axes by the
-result of the previous round, until the rotation is zero.
+Roll and pitch follow from gravity and the axis of turning, yaw from the regression of the path on the levelled
+accelerations. The direction of travel refines yaw and pitch. Rounds rotate the axes until the rotation is zero.
 """
 
 import math
@@ -25,34 +23,33 @@ from sigmaswarm.drives.drive import Array, Drive, Imu
 from sigmaswarm.geodesy import roll_pitch_yaw
 
 ROUNDS = 12
-"""Largest number of rounds. A few logs need more than six; with only six rounds, their errors would be up to a degree.
-"""
+"""With six rounds, a few logs keep an error of up to a degree."""
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
-"""Largest total standard deviation, rad, of a mounting with confidence "sure", and with confidence "likely"."""
+"""Largest total standard deviation, rad, with confidence "sure", and with "likely"."""
 LEAST_SHARE = 0.5
-"""Smallest share of the course's changes that the levelled gyro must explain."""
+"""Share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
-"""Smallest lead in chi-square of a mounting over any mounting that is rotated by 90 degrees or more."""
-TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-"""Smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases), rad."""
+"""Lead in chi-square over any mounting that is rotated by 90 degrees or more."""
+TILT_FLOOR = (
+    math.radians(1.0),
+    math.radians(1.0),
+)  # rad: springs turn the axis of turning, roads and biases gravity
 YAW_FLOOR = math.radians(0.8)
-TRAVEL_FLOOR = math.radians(0.8)
-"""Smallest standard deviation of the direction of travel (slip, suspension), rad."""
+TRAVEL_FLOOR = math.radians(0.8)  # rad, of the direction of travel: slip, suspension
 ALIKE = 0.025
 """Tolerance of an entry of M, due to slip and to tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
-GYRO_WINDOW = 10.0
-"""Window over which the axis of turning is fitted, s."""
+GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
 LEANS = 0.5
 """Agreement of the body's leaning with springs, -1 to 1, above which accelerometers count as reversed.
 
-Below the opposite value, a mounting rotated by more than 90 degrees is refused: an axis is reversed.
+Below -LEANS, a mounting rotated by more than 90 degrees is refused: an axis is reversed.
 """
-WANDERS = math.radians(8.0)
-"""Change of gravity's direction between windows above which the mounting is not constant, rad."""
+WANDERS = math.radians(
+    8.0
+)  # rad, change of gravity's direction between windows of a mounting that is not constant
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
-"""Smallest tilt and smallest rotation about z that are corrected, rad, and smallest ratio of a rotation to its standard
-deviation."""
+"""Smallest corrected tilt and rotation about z, rad, and their smallest ratio to the standard deviation."""
 SERIOUS = math.radians(7.0)
 AXES = [
     m
@@ -65,7 +62,7 @@ Confidence = Literal["sure", "likely", "no"]
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """The rotation from the recorded axes of the IMU to the axes of the vehicle."""
+    """The rotation from the IMU's recorded axes to the vehicle's axes."""
 
     rotation: Array  # (3, 3)
     std: Array  # (3,) rad, of roll, pitch and yaw
@@ -74,15 +71,13 @@ class Mounting:
 
     @property
     def needed(self) -> bool:
-        """True if the rotation is known, and larger than a tolerance and a multiple of its standard deviation."""
+        """True if the rotation is known, and exceeds a tolerance and a multiple of its standard deviation."""
         return self.confidence != "no" and not np.array_equal(self.repair, np.eye(3))
 
     @property
     def repair(self) -> Array:
-        """Return the certain part of the rotation, (3, 3).
-
-        Exchanged axes are exchanged exactly. The remaining tilt and the rotation about the vertical are corrected only
-        if they are significant.
+        """The certain part of the rotation, (3, 3): exchanged axes, and significant tilt and rotation about the
+        vertical.
         """
         exchanged = max(AXES, key=lambda axes: float(np.trace(self.rotation @ axes.T)))
         rest, repair = self.rotation @ exchanged.T, exchanged
@@ -93,15 +88,15 @@ class Mounting:
 
     @property
     def degrees(self) -> tuple[float, float, float]:
-        """Return roll, pitch and yaw of `repair`, deg, in the order of ``import --mount``."""
+        """Roll, pitch and yaw of `repair`, deg, in the order of ``import --mount``."""
         return roll_pitch_yaw(self.repair, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """Result of one round on the rotated axes; angles in rad, margins in chi-square.
+    """Result of one round; angles in rad, leads in chi-square.
 
-    ``margin``: lead over axes turned by 90 degrees or more; ``mirrored``: lead of a mirror image of the accelerations.
+    ``margin``: lead over axes turned by 90 degrees or more; ``mirrored``: lead of mirrored accelerations.
     """
 
     yaw_fit: YawFit
@@ -116,12 +111,14 @@ class _Round:
 
 
 def angle_of(rotation: Array) -> float:
-    """Return the angle of a rotation (3, 3), rad."""
     return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
 def turned(imu: Imu, rotation: Array) -> Imu:
-    """Turn the IMU's six axes by a rotation (3, 3)."""
+    """The certain part of the rotation, (3, 3).
+
+    It contains an exchange of axes, and only significant parts of tilt and rotation about the vertical.
+    """
     columns: dict[str, Array] = {}
     for names in (("ax", "ay", "az"), ("gx", "gy", "gz")):
         rows = rotation @ np.array([getattr(imu, name) for name in names])
@@ -145,7 +142,7 @@ def about_z(angle: float) -> Array:
 
 
 def mounting_of(drive: Drive, course: Course) -> Mounting | None:
-    """Estimate the mounting; return None if the log lacks an axis, gravity, or a course."""
+    """Estimate the mounting; None if the log lacks an axis, gravity, or a course."""
     found = _in_si_units(drive, course)
     if found is None:
         return None
@@ -167,10 +164,10 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 
 
 def _leaning(imu: Imu) -> Array:
-    """Return how clearly the body leans outward in turns, and backward while the car gains speed, each from -1 to 1.
+    """Measure the leaning outward in turns, and backward at gains of speed: (2,), each from -1 to 1.
 
-    A body on springs does both. If an axis is reversed, one of the values is negative, although turns and accelerations
-    agree with the fixes.
+    On springs both are positive. A reversed axis makes one negative, although turns and accelerations agree with the
+    fixes.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
     if len(time) < 50:
@@ -187,7 +184,6 @@ def _leaning(imu: Imu) -> Array:
 
 
 def _scaled(imu: Imu, sensor: Literal["a", "g"], factor: float) -> Imu:
-    """Multiply all axes of the accelerometers or the gyro by a factor."""
     return replace(imu, **{f"{sensor}{axis}": factor * getattr(imu, f"{sensor}{axis}") for axis in "xyz"})
 
 
@@ -197,10 +193,7 @@ def level(imu: Imu) -> Array:
 
 
 def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
-    """Convert the IMU to m/s2 and rad/s, from the size of gravity and the turns of the course; None without six axes.
-
-    The second result is the fit of the levelled yaw rate.
-    """
+    """Convert the IMU to m/s2 and rad/s by gravity and the turns of the course; return also the fit of the yaw rate."""
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
         return None
@@ -218,10 +211,7 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
 def _converged(
     drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
 ) -> tuple[Array, _Round | None]:
-    """Rotate the levelled axes in rounds until the rotation is zero; return the rotation and the last round.
-
-    ``yaw_fit``: fit of the levelled yaw rate, if this fit is known.
-    """
+    """Rotate the levelled axes in rounds until the rotation is zero; return the rotation and the last round."""
     rotation, seen = level(imu), None
     for _ in range(ROUNDS):
         seen = _round(replace(drive, imu=turned(imu, rotation)), course, seen, None if seen else yaw_fit)
@@ -235,10 +225,7 @@ def _converged(
 
 
 def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | None) -> _Round | None:
-    """Run one round: yaw from the accelerations, then roll and pitch from the remaining gravity and from the turns.
-
-    The offset of the clocks is searched in the first round only.
-    """
+    """Run one round; only the first round searches the offset of the clocks."""
     tried = np.array([last.yaw_fit.late]) if last else YAW_LATENESS
     yaw_fit = yaw_fit or fit_column(drive, course, "gz", yaw_windows(course), tried)
     rate = drive.imu.gz if yaw_fit.gain >= 0 else -drive.imu.gz
@@ -286,9 +273,9 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
     """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, standard deviations, and the spread.
 
-    Gravity is the part of the accelerations that no motion explains; about the axis of turning, the integrals of gx and
-    gy follow that of gz. Both directions are vertical, with independent errors: the result is their mean, weighted by
-    the inverse variances.
+    Gravity is the part of the accelerations that no motion explains. About the axis of turning, the integrals of gx and
+    gy
+    follow that of gz. The result is the mean of the two directions, with inverse variances as weights.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)
@@ -301,10 +288,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
 
 
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
-    """Fit the slopes (2,) of the integrals of gx and gy on that of gz within windows, minus straight lines.
-
-    The second result contains the standard deviations of the slopes.
-    """
+    """Fit the slopes (2,) of the integrals of gx and gy on that of gz, and their standard deviations."""
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)
     rows = windows_of(time, np.ones(len(time), dtype=np.bool_), GYRO_WINDOW)
@@ -344,12 +328,10 @@ def _lateral(drive: Drive, course: Course, fit: AccelerationFit, rate: Array, ya
 
 
 def _follows(turns: YawFit) -> bool:
-    """Check that the course follows the gyro, with either sign."""
     return turns.share > LEAST_SHARE and 1 / FAMILIAR < abs(turns.gain) < FAMILIAR
 
 
 def _confidence(seen: _Round) -> tuple[Confidence, str]:
-    """Return the confidence in the mounting, and the reason if it is not "sure"."""
     lateral, total = seen.lateral, float(np.linalg.norm(seen.std))
     uncertain = f"its standard deviation is {math.degrees(total):.0f} deg"
     for fault, reason in (

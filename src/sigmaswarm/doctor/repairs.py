@@ -26,7 +26,6 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     drive : Drive
         The drive that was diagnosed.
     diagnosis : Diagnosis
-        The diagnosis of this drive.
 
     Returns
     -------
@@ -51,7 +50,6 @@ def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
 
 
 def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
-    """Add a constant, s, to a sensor's times."""
     table = getattr(drive, sensor)
     return _with(sensor, drive, time=table and table.time + seconds)
 
@@ -134,7 +132,6 @@ def _heading(drive: Drive, convention: float, offset: float) -> Drive:
 
 
 def _odometer(drive: Drive, factor: float) -> Drive:
-    """Multiply the odometer's speed by a factor."""
     return _with("odometer", drive, speed=drive.odometer and factor * drive.odometer.speed)
 
 
@@ -145,7 +142,7 @@ def _drop_readings(drive: Drive, *ends: float) -> Drive:
 
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
-    """Subtract the jump, s, from all times after a time, s."""
+    """Subtract the jump, s, from all times after ``moment``, s."""
     for sensor in ("imu", "gps", "truth", "odometer"):
         if table := getattr(drive, sensor):
             drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
@@ -171,6 +168,4 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-odometer": partial(_shift, "odometer"),
     "close-jump": _close_jump,
 }
-"""Actions in the order of their application. Rows are identified by their recorded times, fixes by their times after a
-correction of the clock.
-"""
+"""Actions in the order of their application; they identify rows by recorded times, fixes by corrected times."""

@@ -4,9 +4,8 @@ A car's velocity lies along its x axis e. In the axes that the IMU has at the st
 
     velocity = C (speed e + rate x lever) = v0 + g t + integral of C force
 
-C is the gyro's integral, to first order in roll and pitch; the speed is computed from the fixes. Each window has its
-own v0 and g (gravity, slope, bias). The components perpendicular to e do not contain errors of the speed, so they have
-the larger weight.
+C is the gyro's integral, to first order in roll and pitch; the fixes give the speed. Each window has unknown v0 and g
+(gravity, slope, bias). Components perpendicular to e have more weight, since the speed's errors do not affect them.
 """
 
 from typing import Any
@@ -20,18 +19,18 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
 WINDOW, DEGREE = 20.0, 2
-"""Duration of a window, s, and degree of its polynomial in time."""
+"""Duration, s, and degree of the polynomial in time of a window."""
 FORWARD = 4.0
-"""Ratio of the standard deviations of the velocity along and across the direction of travel."""
+"""Ratio of the velocity's noise along and across the direction of travel."""
 LEAST_STRAIGHT = 0.5
-"""Smallest assumed ratio of the mean velocity to the speed; sharper turns would have a smaller ratio."""
+"""Smallest assumed ratio of mean velocity to speed, which sharp turns lower."""
 
 
 def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
     """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
 
-    The IMU's axes must be nearly aligned with the vehicle. The result is None if no window is usable. ``late`` is the
-    delay of the fixes, s.
+    The IMU's axes must nearly agree with the vehicle's. ``late`` is the delay of the fixes, s. None without a usable
+    window.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:
@@ -43,7 +42,7 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     tilt = integral(time, heading * (imu.gx - imu.gx.mean() + 1j * (imu.gy - imu.gy.mean())))
 
     def since(values: Complex | Array) -> Complex:
-        """Return the change of values since the start of each window, (w, n)."""
+        """Return the change since the start of each window, (w, n)."""
         found: Any = np.interp(at, time, values)
         return found - found[:, :1]
 
@@ -59,7 +58,7 @@ def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, A
     back, zero = np.conj(turned), np.zeros(at.shape)
 
     def stack(across: Complex, up: Array) -> Complex:
-        """Stack the velocity along the direction of travel, to its left and up, (w, 3n)."""
+        """Stack the components along the direction of travel, to its left and up, (w, 3n)."""
         return np.hstack([across.real, across.imag, up]) + 0j
 
     powers = np.linspace(-1, 1, at.shape[1]) ** np.arange(DEGREE + 1)[:, None]

@@ -1,4 +1,4 @@
-"""Decisions from fits with covariances: units, signs, axes, mounting, and the clocks' offset."""
+"""Decisions from fits with covariances: units, signs, axes, mounting, and clock offset."""
 
 import math
 from dataclasses import dataclass
@@ -14,45 +14,42 @@ from sigmaswarm.drives.drive import Array
 
 DEGREE = math.pi / 180
 FAMILIAR = 1.35
-"""Largest ratio of a factor to a known factor (1, -1, deg/s), or inverse ratio, at which the factor counts as the known
-one."""
+"""Largest ratio to a known factor (1, -1, deg/s), or its inverse, at which a factor counts as known."""
 LEAST_SHARE = 0.2
-"""Smallest share of the course's changes that a gyro's column must explain, unless the gain is CERTAIN."""
+"""Share of the course's changes that a column must explain, unless the gain is CERTAIN."""
 LEAST_TURN = 0.05
 """RMS change of the course within 20 s above which the course shows the mounting, rad.
 
-Below this limit a yaw rate other than as recorded must be CERTAIN, or explain LARGE_SHARE of the course's changes: the
-course of a car that only sways is mostly noise.
+Below it the course is mostly noise, and only a CERTAIN yaw rate, or one with LARGE_SHARE, may differ from the recorded.
 """
 LARGE_SHARE = 0.5
 CERTAIN = 12.0
-"""Ratio of the gain to its standard deviation above which the gain is certain, even if it explains a small share of the
-course's changes: in a city, or with outliers, errors of the fixes cause most changes."""
+"""Ratio of the gain to its standard deviation above which a small share of the course's changes suffices: in a city,
+errors
+of the fixes cause most changes.
+"""
 CLEARLY = 16.0
-"""Smallest lead in chi-square of another interpretation over the log as recorded, and largest chi-square of a log in g.
+"""Lead in chi-square of another interpretation over the log as recorded, and largest chi-square of a log in g.
 
-In steady circles the forces barely exceed the noise of their windows, and do not show the unit. Logs in g have a
-chi-square of 4.
+In steady circles the forces barely exceed the noise, and do not show the unit. Logs in g have a chi-square of 4.
 """
 ALIKE = 0.05
-"""Tolerance of the entries of M off the diagonal, due to slip and to tilt in maneuvers."""
+"""Tolerance of M off the diagonal: slip, and tilt in maneuvers."""
 SCALE = 0.12
-"""Tolerance of the entries on the diagonal: roll and pitch of the body add 5 to 10% to the acceleration."""
+"""Tolerance on the diagonal: roll and pitch of the body add 5 to 10% to the acceleration."""
 SHOWN = 0.25
-"""Standard deviation of an entry of M below which the drive shows this entry."""
+"""Standard deviation below which the drive shows an entry of M."""
 LEAST_OFFSET = 0.1
-"""Offset between the clocks, s, below which no offset is reported, since the receiver's noise hides it."""
+"""Offset, s, below which the receiver's noise hides an offset."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
-"""Ratios of an offset to its standard deviation above which the offset is a note, is a warning with a repair, and is
-serious."""
-MOUNTED = math.radians(40)
-"""Rotation above which axes count as exchanged, rad."""
+"""Ratios to the standard deviation of an offset that is a note, a warning with a repair, or serious."""
+MOUNTED = math.radians(40)  # rad, rotation above which axes count as exchanged
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
 @dataclass(frozen=True)
 class Yaw:
-    """The yaw rate in rad/s as a column times a factor; ``known`` is true if the drive shows column and factor."""
+    """The yaw rate in rad/s as a column times a factor; ``known``: the drive shows both."""
 
     column: str = "gz"
     factor: float = 1.0
@@ -60,7 +57,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find the column, sign and unit of the gyro that agree with the course, else return those of the format."""
+    """Find the column, sign and unit of the gyro by the course; without evidence, those of the format."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()
@@ -73,8 +70,6 @@ def yaw_of(fit: YawFit | None) -> Yaw:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Interpretation of the accelerometers' columns."""
-
     axes: Array  # (2, 2), signed permutation of (ax, ay)
     unit: float  # 1, or m/s2 per g
     angle: float  # rad: the interpreted axes are turned about z by -angle relative to the car
@@ -87,12 +82,12 @@ class Mount:
 
     @property
     def matrix(self) -> Array:
-        """Return the unit times the axes, (2, 2)."""
+        """The unit times the axes, (2, 2)."""
         return self.unit * self.axes
 
 
 def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
-    """Return M (n, 4) for an interpretation of the columns at n angles, and the variances (4, 4) of its tolerances."""
+    """Return M (n, 4) of an interpretation at n angles, and its tolerances as variances (4, 4)."""
     c, s = np.cos(angles), np.sin(angles)
     slack = unit * np.where(axes != 0, SCALE, ALIKE).ravel()
     rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
@@ -100,7 +95,7 @@ def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
 
 
 def mount_of(fit: AccelerationFit) -> Mount:
-    """Return the simplest interpretation of the columns that agrees with the fit."""
+    """Return the simplest interpretation that agrees with the fit."""
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
 
@@ -145,7 +140,7 @@ def mount_of(fit: AccelerationFit) -> Mount:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """Delay of the fixes, s, its standard deviation, and the largest one searched."""
+    """Delay of the fixes, its standard deviation, and the largest delay searched, s."""
 
     late: float = 0.0
     std: float = math.inf
@@ -153,12 +148,12 @@ class ClockOffset:
 
     @property
     def least(self) -> float:
-        """The smallest estimate, s, that counts as an offset."""
+        """The smallest delay, s, that counts as an offset."""
         return max(LEAST_OFFSET, CLEAR_OFFSET[0] * self.std)
 
     @property
     def visible(self) -> float | None:
-        """Return the smallest offset, s, that would be detected with a probability of 95%; None if there is none."""
+        """The smallest offset, s, detected with a probability of 95%; None if there is none."""
         offset = self.least + 1.65 * self.std
         return offset if offset < self.searched else None
 

@@ -1,4 +1,4 @@
-"""Integrals, means, overlapping windows of fixes, and least squares with common and with separate unknowns."""
+"""Integrals, means, overlapping windows of fixes, and least squares with common and separate unknowns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 Values = TypeVar("Values", Array, Complex)
 
 FAR = 4.0
-"""Scale of the Cauchy weights, in units of the mean residual."""
+"""Scale of the Cauchy weights, in median residuals."""
 _NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
 _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
 
 def integral(time: Array, values: Values) -> Values:
-    """Integrate from the first sample by the trapezoidal rule, (n,)."""
+    """Integrate by the trapezoidal rule from the first sample, (n,)."""
     total: Any = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
     return total
 
@@ -32,9 +32,9 @@ def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
 
 
 def moving_mean(rows: Array, count: int) -> Array:
-    """Compute the moving mean over ``count`` samples of rows (r, n), mirrored at their ends.
+    """Compute the moving mean of rows (r, n), mirrored at their ends.
 
-    This function replaces `scipy.ndimage.uniform_filter1d`, whose import takes longer than all checks.
+    The import of `scipy.ndimage.uniform_filter1d` takes longer than all checks.
     """
     left = count // 2
     padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")
@@ -43,7 +43,7 @@ def moving_mean(rows: Array, count: int) -> Array:
 
 
 def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray[np.intp]:
-    """Return the indices (w, n) of the fixes of windows of about ``length`` s that overlap by half; none has a gap."""
+    """Return the indices (w, n) of windows of about ``length`` s that overlap by half; none has a gap."""
     index = np.flatnonzero(usable)
     interval = float(np.median(np.diff(time)))
     count = max(round(length / interval), 8)
@@ -60,13 +60,13 @@ class Regression:
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
     cost: float  # the mean magnitude of the residual
-    columns: Array  # (w, k, 2n), weighted, orthogonal to the window's own unknowns; real and imaginary parts in turn
+    columns: Array  # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts in turn
     left: Array  # (w, 2n), the residuals, in the same form
-    own: int  # number of a window's own unknowns
+    own: int  # number of the unknowns of each window
 
     @cached_property
     def covariance(self) -> Array:
-        """Return the covariance (k, k) of the solution, for overlapping windows and correlated residuals."""
+        """The covariance (k, k) of the solution, for overlapping windows and correlated residuals."""
         return _covariance(self.columns, self.left, self.own)
 
 
@@ -78,8 +78,8 @@ def regress(
     Parameters
     ----------
     y : (w, n) complex
-    columns : each (w, n); they share real factors over all windows
-    own : each (w, n); they have complex factors in each window
+    columns : each (w, n); their factors are real and common to all windows
+    own : each (w, n); their factors are complex and differ between windows
     weight : (w, n), one over the known part of the standard deviation, up to a factor
     rounds : 1 for plain least squares; more to downweight outliers
     """
@@ -94,10 +94,11 @@ def regress(
 def _solve(
     y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, robust: Array
 ) -> Regression:
-    """Project out the columns of each window (QR), then solve for the shared unknowns.
+    """Project out the columns of each window (QR), then solve for the common unknowns.
 
-    The normal equations of columns scaled to length 1 are accurate enough here. `numpy.linalg.lstsq` takes ten times as
-    long where BLAS has two threads, which wait for each other.
+    Normal equations of scaled columns are accurate enough here. `numpy.linalg.lstsq` takes ten times as long where BLAS
+    has
+    two threads, which wait for each other.
     """
     root = weight * np.sqrt(robust)
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
@@ -123,8 +124,9 @@ def pinv(gram: Array) -> Array:
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
-    The covariance is that for white residuals, but at least that of the disagreement between windows (the sandwich
-    estimate of White, 1980, with windows as clusters). The result is doubled, since each fix is in two windows.
+    It is that of white residuals, but at least that of the disagreement between windows (the sandwich estimate of
+    White,
+    1980, with windows as clusters), doubled, since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

@@ -11,24 +11,22 @@ from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, w
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 20.0
-"""Length of a window, s: long enough for turns, and short enough that the integral of a gyro's bias is a straight
-line."""
+"""Window length, s: long enough for turns, and so short that the integral of a bias is a straight line."""
 EXPLAINED = 0.7
-"""Share of the course's changes that gz must explain so that no other column is tried."""
+"""Share of the course's changes that makes gz the yaw rate without trial of other columns."""
 CLEARLY_BETTER = 0.3
-"""Share of the course's changes that another column must explain in addition to the share of gz."""
+"""Smallest lead in this share of another column over gz."""
 AHEAD = (0.8, 0.8)
-"""Mean and standard deviation of the distance of the antenna ahead of the rear axle, m.
+"""Mean and standard deviation of the antenna's distance ahead of the rear axle, m.
 
-The rear axle does not slide sideways. At the antenna the course turns before the car does, by this distance.
+The rear axle does not slide sideways. At the antenna the course turns earlier, by this distance.
 """
-LATENESS = np.arange(-2.5, 2.51, 0.1)
-"""Delays of the fixes to try, s."""
+LATENESS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 
 
 @dataclass(frozen=True, eq=False)
 class YawFit:
-    """Fit of the course to the integral of one of the gyro's columns: course = gain x turned, later by ``late``."""
+    """Fit of the course to the integral of a gyro's column: course = gain x turned, later by ``late``."""
 
     column: str
     gain: float  # 1 for the yaw rate of the car in rad/s
@@ -53,7 +51,7 @@ def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
 
 
 def yaw_windows(course: Course) -> NDArray[np.intp]:
-    """Return the indices (w, n) of the fixes of windows in which the car moves."""
+    """Return the indices (w, n) of windows in which the car moves."""
     interval = float(np.median(np.diff(course.time)))
     length = min(WINDOW, np.count_nonzero(course.moving) * interval - interval)
     return windows_of(course.time, course.moving, length)
@@ -91,7 +89,6 @@ def fit_column(
     seen = rest(course.angle[rows])
 
     def misfit(late: float) -> float:
-        """Return the mean residual of plain least squares."""
         column = rest(delayed(turned, late))
         return float(
             np.mean(np.abs(seen - np.vdot(column, seen) / max(np.vdot(column, column), 1e-300) * column))

@@ -1,1 +1,1 @@
-"""The checks: functions ``check_...`` that return findings from the evidence, with measures and thresholds."""
+"""The checks: functions ``check_...`` that return findings from the evidence."""

@@ -1,4 +1,4 @@
-"""Check the accelerometers: axes, signs, unit and scale of ax and ay, mounting angle, and gravity in ax and ay."""
+"""Check axes, signs, unit and scale of ax and ay, the mounting angle, gravity in ax and ay, and the size of az."""
 
 import math
 from collections.abc import Iterator
@@ -14,28 +14,22 @@ from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
-MOUNTING = (math.radians(5), math.radians(10))
-"""Limits of a rotation about z, rad: above the first the finding is a warning, above the second it is serious."""
+MOUNTING = (math.radians(5), math.radians(10))  # rad about z: warning, serious
 TILT = (0.5, 1.2)
-"""Limits of the residual of ax, ay, m/s2: above the first the finding is a warning, above the second it is serious.
-Roads and cheap sensors' biases stay below the second limit."""
+"""Residuals of ax, ay, m/s2: warning, serious. Roads and cheap sensors' biases stay below the second."""
 SIZE = (0.3, 1.0)
-"""Limits of the difference of the median specific force from gravity, m/s2: above the first the finding is a note,
-above the second a warning.
+"""Errors of the median specific force, m/s2: note, warning.
 
 Cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Limits of the ratio of a rotation to its standard deviation: above the first the finding is a note, above the second
-the rotation is repaired."""
+"""Ratios of a rotation to its standard deviation: note, repair."""
 WRONG_SCALE = 0.4
-LEAST_PUSH = 0.4
-"""Standard deviation of the acceleration below which the scale is unknown, m/s2."""
+LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that shows its scale
 WHERE = "imu.csv, ax, ay"
 
 
 def check_accelerometer(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of the accelerometers."""
     if wrong := gravity_on(evidence.drive.imu):
         yield finding_of(wrong, "serious", evidence.span, 0.999)
         return
@@ -47,7 +41,6 @@ def check_accelerometer(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
-    """Check the axes and the unit of ax and ay."""
     axes, az, span = mount.axes, evidence.drive.imu.az, evidence.span
     confidence = confidence_by_margin(mount.margin)
     if not np.array_equal(axes, np.eye(2)):
@@ -126,7 +119,7 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """The repair: rotate six axes level if a tilt explains the residual of ax and ay, else subtract constants."""
+    """Rotate six axes level if a tilt explains the residual of ax and ay; otherwise subtract constants."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):
@@ -169,7 +162,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
-    """Check that the median magnitude of the specific force, averaged over half a second, is gravity."""
+    """Check the median magnitude of the specific force, averaged over half a second."""
     imu = evidence.drive.imu
     count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
     force = unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)

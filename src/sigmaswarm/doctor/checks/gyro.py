@@ -1,8 +1,8 @@
 """Check the gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
 Within half a second the direction of the specific force, in body axes, rotates opposite to the body (g' = -w x g). The
-car's acceleration also rotates this direction, but the body on its springs leans accordingly: in a left turn the force
-points to the left and the left side rises. So flat roads also show the signs, but not the scales.
+car's acceleration rotates it too, but a body on springs leans accordingly: in a left turn the force points to the left
+and the left side rises. So flat roads also show the signs, but not the scales.
 """
 
 from collections.abc import Iterator
@@ -18,33 +18,27 @@ from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
-WRONG = 0.1
-"""Difference of a gain from 1 above which a finding is a warning."""
-LEAST_TURN = np.radians(1.0)
-"""Change of course within some seconds above which the car turns and does not only sway, rad."""
-BIAS = (np.radians(0.1), np.radians(1.0))
-"""Biases of the gyro, rad/s, above which a finding is a note, and is a warning."""
+WRONG = 0.1  # smallest reported difference of a gain from 1
+LEAST_TURN = np.radians(1.0)  # rad within some seconds; smaller changes of course are swaying
+BIAS = (np.radians(0.1), np.radians(1.0))  # rad/s: note, warning
 
 SMOOTHED, LAG = 0.3, 0.5
-"""Windows, s, over which the force is averaged, and over which its direction changes.
+"""Windows, s, for the mean of the force, and for the change of its direction.
 
-Longer windows contain more of the car's own acceleration, shorter windows more vibration. On seven recordings every
-correct sign is significant by 9.5 standard deviations or more.
+Longer windows contain more of the car's acceleration, shorter windows more vibration. On seven recordings every correct
+sign is significant by 9.5 standard deviations or more.
 """
 CLEAR = 7.0
-"""Number of standard deviations above which a sign is significant. Neighboring changes share samples, so these standard
-deviations are too small."""
+"""Standard deviations of a significant sign; many, since neighboring changes share samples."""
 CLEARER = 2.0
-"""Smallest ratio of a column's significance to that of the other column."""
-OUTLYING = 3.0
-"""Number of standard deviations above which a change is an outlier."""
+"""Smallest ratio of a column's significance to the other's."""
+OUTLYING = 3.0  # standard deviations of an outlier
 
 Follows = tuple[int, float, float]
 """Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations."""
 
 
 def check_gyro(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of the yaw rate."""
     yaw, fit, span = evidence.yaw, evidence.yaw_fit, evidence.span
     imu, course = evidence.drive.imu, evidence.course
     if fit is None or course is None or not yaw.known:
@@ -112,7 +106,7 @@ def _whole_gain(evidence: Evidence) -> float:
 
 
 def check_tilt(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of gx and gy; none if a column of the three axes is missing, or gravity is not in az."""
+    """Find faults of gx and gy; none if an axis is missing, or gravity is not in az."""
     follows = _tilt_rates(evidence)
     if not follows or upside_down(evidence):
         return
@@ -160,7 +154,7 @@ def upside_down(evidence: Evidence) -> bool:
 
 
 def _tilt_rates(evidence: Evidence) -> list[Follows | None]:
-    """Find the rates that roll and pitch follow, as in `_follows`; none if a column or gravity is missing."""
+    """Return `_follows`; empty if a column or gravity is missing."""
     read = _force_and_rates(evidence)
     return _follows(evidence.drive.imu.time, *read) if read else []
 
@@ -183,7 +177,7 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
 
 
 def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
-    """Find the rates that the roll and the pitch of the direction follow; None where unclear."""
+    """Find the rates that roll and pitch of the direction follow; None if unclear."""
     interval = float(np.median(np.diff(time)))
     count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
     first = np.arange(0, len(time) - lag, max(lag // 2, 1))
@@ -198,7 +192,7 @@ def _follows(time: Array, force: Array, rates: Array) -> list[Follows | None]:
 
 
 def _deviations(angle: Array, change: Array) -> Array:
-    """Fit the factors of the turns about x and y in the change by robust least squares, over their standard deviations.
+    """Return the factors of the turns about x and y in the change, in standard deviations, by robust least squares.
 
     The turn about z is also a regressor, since a tilted sensor and cornering contain a part of it.
     """

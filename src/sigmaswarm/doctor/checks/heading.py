@@ -20,22 +20,17 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from east": np.negative,
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
-"""Conventions of a heading; the first convention is that of a drive."""
-ALIKE = math.radians(15)
-"""Largest median difference from the course, apart from a constant, at which a heading follows the course, rad."""
-TURNED = math.radians(2), math.radians(10)
-"""Constant differences from the course, rad, above which a finding is a warning, and is serious."""
+"""The first convention is that of a drive."""
+ALIKE = math.radians(15)  # rad, largest median difference from the course, apart from a constant
+TURNED = math.radians(2), math.radians(10)  # rad, constant differences from the course: warning, serious
 LATE, WORSE = 0.15, 0.8
-"""Delay, s, above which a finding is a warning, and ratio of the misfits with and without the delay below which it is
-significant."""
-WINDOW = 5.0
-"""Time over which turns of the heading and of the gyro are compared, s."""
+"""Delay of a warning, s, and largest ratio of the misfits with and without it."""
+WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 FEWEST = 30
 WHERE = "gps.csv, heading"
 
 
 def check_heading(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of the heading: its convention, a constant offset, and a delay."""
     gps, course = evidence.drive.gps, evidence.course
     if gps.heading is None or course is None:
         return
@@ -56,14 +51,14 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _offset(off: Array) -> tuple[float, float]:
-    """Return the constant part of angles, and the median magnitude of the remainder, rad."""
+    """Return the constant part of angles, and the median magnitude of the rest, rad."""
     mean = float(np.angle(np.mean(np.exp(1j * off))))
     mean += float(np.median(wrap_angle(off - mean)))
     return wrap_angle(mean), float(np.median(np.abs(wrap_angle(off - mean))))
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """Return the convention with the smallest constant offset, of those that follow the course about equally well."""
+    """Among conventions that follow the course about equally well, return that with the smallest constant offset."""
     limit = min(ALIKE, min(rest for _, rest in offsets) + TURNED[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
@@ -90,7 +85,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
 
 
 def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
-    """Estimate the delay of the heading relative to the positions, s, from the gyro; 0 if no delay is significant."""
+    """Estimate the delay relative to the positions, s, from the gyro; 0 if it is not significant."""
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     assert course is not None
     if not yaw.known:

@@ -1,4 +1,4 @@
-"""The limits of a drive: quantities that its fixes do not show, and the measurements that a filter can use."""
+"""Quantities that the fixes of a drive do not show, and the measurements that a filter can use."""
 
 from collections.abc import Iterator
 
@@ -14,13 +14,12 @@ from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, s
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
-"""RMS change of the course within windows, in standard deviations, above which the car certainly turns."""
-LEAST_TURN = np.radians(5.0)
-"""RMS change of the course within windows above which the car does not only sway, rad."""
+"""RMS change of the course within windows, in standard deviations, that only turns cause."""
+LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows that swaying does not cause
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults that the motion of the fixes cannot show."""
+    """Report the faults that the motion of the fixes cannot show."""
     span = evidence.span
     start = find_start(evidence.drive)
     if isinstance(start, NoStart):
@@ -44,7 +43,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
-    """Return why a gyro can't be checked (no turn, or none that a column of the gyro follows), and the remedy."""
+    """Return why the course does not show the gyro's sign and unit, and the remedy."""
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving

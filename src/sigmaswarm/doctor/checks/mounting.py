@@ -1,4 +1,4 @@
-"""The mounting of an IMU with six axes, a change of it within the log, and a log that begins in reverse."""
+"""The mounting of an IMU with six axes, a change of it, and a log that begins in reverse."""
 
 import math
 from collections.abc import Iterator
@@ -13,23 +13,20 @@ from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.drive import Array, Drive
 
 MOVED, STANDS_OUT = math.radians(18.0), 4.0
-"""Change of gravity's direction above which the IMU was moved: in rad, and as a ratio to the typical error of a median.
+"""Change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median.
 
-In windows of fault-free drives, with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
+In fault-free drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 """
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
-STANDS = 1.0
-"""Speed below which a car may change between forward and reverse, m/s."""
-STEP = 2.0
-"""Interval over which changes of speed are compared with the integral of ax, s."""
+STANDS = 1.0  # m/s, speed below which a car may change between forward and reverse
+STEP = 2.0  # s, for changes of speed and the integral of ax
 CLEAR, LEAST = 3.0, 0.4
-"""Smallest slope in the regression of speed changes on the integral of ax that distinguishes forward from reverse: in
-standard deviations of the slope, and as an absolute value."""
+"""Smallest slope of speed changes on the integral of ax that shows the direction: in standard deviations, and absolute.
+"""
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of the mounting."""
     mounting = evidence.mounting
     if change := moved(evidence.drive):
         time, angle = change
@@ -54,10 +51,10 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 
 
 def moved(drive: Drive) -> tuple[float, float] | None:
-    """Find the time, s, at which the IMU was moved within a log, and the angle of gravity, rad; None if it was not.
+    """Find the time, s, at which the IMU was moved, and the angle of gravity, rad; None if it was not moved.
 
-    The directions of the specific force, averaged over 5 s, are split at the time at which they scatter least about the
-    medians of the two parts.
+    The directions of the specific force, averaged over 5 s, scatter least about the medians of the parts before and
+    after.
     """
     imu = drive.imu
     if imu.az is None:
@@ -115,7 +112,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Fit the slope of the changes of speed on the integral of ax, and its significance; None without such changes."""
+    """Fit the slope of speed changes on the integral of ax, and its limit of significance; None without changes."""
     step = max(round(STEP / float(np.median(np.diff(time)))), 1)
     if len(time) < step + 4:
         return None

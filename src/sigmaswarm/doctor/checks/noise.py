@@ -10,27 +10,23 @@ from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0
-"""Ratio of the observed noise to the stated noise above which the stated noise is too small."""
+"""Largest ratio of observed noise to stated noise."""
 LEAST_STATED = 0.003
-"""Standard deviation, m, that no receiver reaches in motion (RTK: 0.006 to 0.01 m by data sheets). A smaller one is
-compared with the noise from fix to fix, which contains some of the motion; the scatter about a path of 10 s also
-contains the IMU's errors."""
+"""Standard deviation, m, that no receiver reaches in motion (RTK: 0.006 to 0.01 m by data sheets).
+
+A smaller one is compared with the noise from fix to fix: the scatter about a path of 10 s contains the IMU's errors.
+"""
 TOO_LARGE = 6.5
-"""Ratio of the stated noise to the observed white noise above which the stated noise is too large. Smaller ratios are
-usual, since a receiver's slow errors are not observed."""
+"""Largest ratio of stated noise to observed white noise; high, since slow errors are not observed."""
 LASTS = 2.5
-"""Ratio of the stated standard deviation to the scatter about a path of 10 s, above which most of the error lasts
-longer than 10 s."""
-FAR_FIRST = 1000.0
-"""Distance from the first fix to the next good fix, m, above which the first fix, as the origin, displaces the
-drive."""
+"""Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer."""
+FAR_FIRST = 1000.0  # m; a first fix farther from the others displaces the whole drive, as its origin
 WHITE = 0.7
-"""Limit of the noise from fix to fix divided by the scatter about a path of 10 s; below it, errors are correlated.
-White noise has a ratio of 1."""
+"""Ratio of noise from fix to fix to the scatter about 10 s of path, below which errors are correlated; white: 1."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Find a stated standard deviation that the fixes contradict, correlated errors, and outliers."""
+    """Find a wrong stated standard deviation, correlated errors, and outliers."""
     yield from _stated(evidence)
     gps, off = evidence.drive.gps, evidence.outlying
     time = gps.time[off]

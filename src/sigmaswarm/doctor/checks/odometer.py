@@ -13,47 +13,37 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Array, Odometer
 
 SPAN = (6.0, 20.0)
-"""Bounds of the duration of the compared paths, s; within these bounds it is a tenth of the drive's duration. Longer
-paths are less sensitive to noise, and the gyro's bias matters little within 20 s."""
-SHORTEST = 15.0
-"""Shortest straight distance of a compared path, m."""
-FEWEST = 6
-"""Smallest number of compared paths."""
+"""Bounds of the duration of the compared paths, s, which is otherwise a tenth of the drive's duration.
+
+Longer paths are less sensitive to noise, and the gyro's bias matters little within 20 s.
+"""
+SHORTEST = 15.0  # m, shortest straight distance of a compared path
+FEWEST = 6  # smallest number of compared paths
 WRONG = 0.02
-"""Smallest error of the scale that is reported; the error must also be three times its standard deviation."""
+"""Smallest reported error of the scale; it must also exceed three standard deviations."""
 FAMILIAR = 1.25
-"""Ratio of the speeds, or its inverse, above which the unit is wrong, not the size of the tires."""
+"""Ratio of the speeds, or its inverse, at which the unit is wrong, not the size of the tires."""
 
-LATE = 0.15
-"""Delay above which a finding is a warning, s; the latency of a filter corrects smaller delays."""
-LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4
-"""Largest delay that is tried, the step, and the time over which both accelerations are averaged, s."""
-ALIKE = 0.6
-"""Smallest correlation of the two accelerations at which their delay is used."""
+LATE = 0.15  # s, delay of a warning; the latency of a filter corrects smaller delays
+LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4  # s: largest tried delay, step, average of both accelerations
+ALIKE = 0.6  # smallest correlation of the accelerations at a delay
 
-STUCK = 4.0
-"""Shortest constant reading that counts as stuck, if the fixes move at another speed, s."""
-APART = 2.5
-"""Smallest median difference between a stuck reading and the speed of the fixes that shows the fault, m/s."""
+STUCK = 4.0  # s, shortest constant reading that counts as stuck
+APART = 2.5  # m/s, smallest median difference of a stuck reading from the fixes
 
 JUMP = 2.5
-"""Change of the wheel speed within `WITHIN` without acceleration, m/s, above which the wheels spin or lock.
+"""Change of speed within `WITHIN` without acceleration, m/s, at which wheels spin or lock.
 
 A slope of 10% causes an apparent change of 1 m/s, a delay of 0.3 s a change of 2 m/s during full braking.
 """
-WITHIN, LASTS_AT_MOST = 1.0, 10.0
-"""Longest duration of a jump, and longest time until the wheels return from it, s."""
-AGREE = 0.5
-"""Largest median difference between the changes of speed of wheels and accelerometer at which the wheels can be
-checked, m/s."""
+WITHIN, LASTS_AT_MOST = 1.0, 10.0  # s: longest jump, longest time until the wheels return
+AGREE = 0.5  # m/s, largest median difference of speed changes; else slip cannot be checked
 
-Spans = list[tuple[float, float]]
-"""Start and end, s."""
+Spans = list[tuple[float, float]]  # start and end, s
 SPEED = "odometer.csv, speed"
 
 
 def check_odometer(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of odometer.csv."""
     odometer, course = evidence.drive.odometer, evidence.course
     if odometer is None or course is None or not course.moving.any() or len(odometer) < FEWEST:
         return
@@ -82,7 +72,6 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
 
 
 def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
-    """Return the readings outside the spans."""
     keep = np.ones(len(odometer), dtype=np.bool_)
     for first, last in spans:
         keep &= (odometer.time < first) | (odometer.time > last)
@@ -90,7 +79,7 @@ def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odomete
 
 
 def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
-    """Find constant readings that the fixes contradict for every sign, unit and scale; return their spans."""
+    """Return spans of constant readings that the fixes contradict for every sign, unit and scale."""
     time, speed, seen = odometer.time, np.abs(odometer.speed), np.abs(course.velocity)
     begins = np.flatnonzero(np.append(True, np.diff(odometer.speed) != 0))
     ends = np.append(begins[1:], len(time)) - 1
@@ -110,7 +99,7 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
 
 
 def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
-    """Find spans in which the wheels spin or lock: from a jump to the return, or around the jump."""
+    """Return spans in which the wheels spin or lock: from a jump to the return, or around the jump."""
     imu, time = evidence.drive.imu, odometer.time
     a, b = max(imu.time[0], time[0]) + WITHIN, min(imu.time[-1], time[-1]) - WITHIN
     at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
@@ -142,12 +131,11 @@ def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
 
 
 def _gain(time: Array, values: Array, at: Array, span: float) -> Array:
-    """Return the change of values (n,) over a span, s, around times."""
     return np.interp(at + span / 2, time, values) - np.interp(at - span / 2, time, values)
 
 
 def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[Finding]:
-    """Return the ratio of the distance of the wheels to that of the fixes, over nearly straight paths."""
+    """Check the distance of the wheels over nearly straight paths."""
     found, span = _ratios(odometer, course, evidence), evidence.span
     if len(found) < FEWEST:
         return
@@ -182,10 +170,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return the ratios of the displacements by odometer and by fixes, and the displacements by fixes, m.
-
-    The gyro gives the directions of the odometer's displacements.
-    """
+    """Return the ratios of the displacements by odometer and gyro and by fixes, and the latter, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
@@ -212,7 +197,6 @@ def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tupl
 
 
 def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
-    """Estimate the delay of the changes of speed relative to the forward acceleration."""
     imu = evidence.drive.imu
     a, b = max(imu.time[0], odometer.time[0]), min(imu.time[-1], odometer.time[-1])
     if b - a < 20.0 or b - a > 1e6:

@@ -1,4 +1,4 @@
-"""Check times: the offset between the clocks of IMU and GPS, rates, gaps, pauses, and repeated values."""
+"""Check clock offset, rates, gaps, pauses, and repeated values."""
 
 from collections.abc import Iterator
 
@@ -12,28 +12,23 @@ from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Array, Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
-GRAVE = 0.3
-"""Offset between the clocks above which errors are meters, s."""
-SLOW_IMU = 8.0
-"""Rate below which turns are lost between samples, Hz."""
+GRAVE = 0.3  # s, offset between the clocks above which errors are meters
+SLOW_IMU = 8.0  # Hz, rate below which turns are lost between samples
 UNEVEN = 0.5
-"""Range of the middle 90% of the intervals, as a share of the median interval, above which the intervals are uneven."""
+"""Largest range of the middle 90% of the intervals, as a share of their median."""
 HELD = 0.2
-"""Share of IMU samples that repeat the previous sample, above which a slower sensor was logged too often."""
-LONG_GAP = 0.5
-"""Time without IMU samples above which a filter's step is inaccurate, s."""
+"""Share of repeated IMU samples above which a slower sensor was logged too often."""
+LONG_GAP = 0.5  # s without IMU samples, above which a filter's step is inaccurate
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
-"""Smallest excess of an interval between fixes, in usual intervals, at which fixes are missing in a gap of the IMU."""
-AROUND = 2.0
-"""Time on each side of a gap in which the speed is measured, s."""
+"""Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes."""
+AROUND = 2.0  # s on each side of a gap in which the speed is measured
 SIGMAS = 3.0
-"""Number of standard deviations by which the estimated time must be nearer to a pause than to a jump of the clock, or
-nearer to a jump than to a pause."""
+"""Standard deviations that distinguish a pause from a jump of the clock."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
-    """Find an offset between the clocks, or report the smallest offset that would be visible."""
+    """Find a clock offset, or report the smallest visible offset."""
     late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
     move = f"subtract {size} from" if late > 0 else f"add {size} to"
@@ -77,7 +72,6 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
 
 
 def check_sampling(evidence: Evidence) -> Iterator[Finding]:
-    """Find slow or uneven rates, gaps, pauses and repeated values."""
     imu, gps = evidence.drive.imu, evidence.drive.gps
     yield _rate("imu", "samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
@@ -168,8 +162,9 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time, s, from fix j to the next, from the speed around them, and its standard deviation.
 
-    The speed is the slope of a line through the fixes of `AROUND` seconds on each side, since single fixes are too
-    noisy. If the two speeds differ, the car may have had any speed between them.
+    Lines through the fixes of `AROUND` seconds on each side give the speed, since single fixes are too noisy. If the
+    two
+    speeds differ, the car may have had any speed between them.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))

@@ -1,4 +1,4 @@
-"""The receiver's own speed and course compared with its positions: units, convention, delay."""
+"""The receiver's speed and course compared with its positions: units, convention, delay."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -20,8 +20,7 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
 }
 """Conventions of a course other than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
-LATE = 0.2
-"""Delay above which a finding is a warning, s."""
+LATE = 0.2  # s, delay above which a finding is a warning
 FEWEST = 30
 REMEDY = (
     "a filter assumes the same time for both: leave speed and course out, or give them their own times (in a recipe, a "
@@ -30,7 +29,6 @@ REMEDY = (
 
 
 def check_velocity(evidence: Evidence) -> Iterator[Finding]:
-    """Find faults of speed and course."""
     gps, course, span = evidence.drive.gps, evidence.course, evidence.span
     if gps.speed is None or gps.course is None or course is None:
         return
@@ -80,10 +78,7 @@ def agrees(evidence: Evidence) -> bool:
 
 
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
-    """Find the delay of speed and course relative to the positions, s, that fits best.
-
-    The second result is the ratio of the misfits with and without this delay.
-    """
+    """Find the best delay relative to the positions, s, and the ratio of the misfits with and without it."""
     course = evidence.course
     assert course is not None
     velocity = speed * np.exp(1j * angle[evidence.used])
