@@ -76,8 +76,9 @@ class Mounting:
 
     @property
     def repair(self) -> Array:
-        """The certain part of the rotation, (3, 3): exchanged axes, and significant tilt and rotation about the
-        vertical.
+        """The certain part of the rotation, (3, 3).
+
+        It exchanges axes exactly, and corrects tilt and rotation about the vertical only if they are significant.
         """
         exchanged = max(AXES, key=lambda axes: float(np.trace(self.rotation @ axes.T)))
         rest, repair = self.rotation @ exchanged.T, exchanged
@@ -111,14 +112,12 @@ class _Round:
 
 
 def angle_of(rotation: Array) -> float:
+    """Return the angle of a rotation (3, 3), rad."""
     return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
 def turned(imu: Imu, rotation: Array) -> Imu:
-    """The certain part of the rotation, (3, 3).
-
-    It contains an exchange of axes, and only significant parts of tilt and rotation about the vertical.
-    """
+    """Turn the IMU's six axes by a rotation (3, 3)."""
     columns: dict[str, Array] = {}
     for names in (("ax", "ay", "az"), ("gx", "gy", "gz")):
         rows = rotation @ np.array([getattr(imu, name) for name in names])
