@@ -17,10 +17,8 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     from distributed import Client
 
-ANSWER_TIMEOUT = 30.0
-"""Timeout of a request to the scheduler, s."""
-CONNECT_TIMEOUT = 10.0
-"""Timeout of the connection to the scheduler, s."""
+ANSWER_TIMEOUT = 30.0  # s, for a request to the scheduler
+CONNECT_TIMEOUT = 10.0  # s
 
 
 class ClusterError(SigmaswarmError):
@@ -29,12 +27,7 @@ class ClusterError(SigmaswarmError):
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """A Dask client, and the requests of this library to its cluster.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    """
+    """A Dask client, and the requests of this library to its cluster."""
 
     client: "Client"
 
@@ -44,18 +37,11 @@ class Cluster:
 
     @property
     def address(self) -> str:
-        """The address of the scheduler."""
         scheduler: Any = self.client.scheduler
         return str(scheduler.address if scheduler is not None else "?")
 
     def workers(self) -> dict[str, int]:
-        """Return the number of threads of each present worker, by address.
-
-        Raises
-        ------
-        ClusterError
-            If the scheduler does not answer.
-        """
+        """Return the number of threads of each present worker, by address."""
         if self.client.status != "running":
             raise self.lost_scheduler()
 
@@ -91,12 +77,10 @@ class Cluster:
         return found
 
     def require_same_versions(self) -> None:
-        """Raise the first error of `version_errors`, if any."""
         for error in self.version_errors(list(self.workers())).values():
             raise error
 
     def lost_scheduler(self) -> ClusterError:
-        """Return the error for a scheduler that does not answer."""
         return ClusterError(
             f"the scheduler at {self.address} no longer answers; with --out, results so far are saved: continue with "
             "--resume and another cluster"
@@ -107,18 +91,15 @@ class Cluster:
 def connected(address: str) -> Generator["Client"]:
     """Connect to the cluster at an address until the block ends.
 
-    Parameters
-    ----------
-    address : str
-        ``tcp://host:8786`` (or ws ...), the path of a scheduler file, or ``local:4`` for 4 processes of one thread on
-        this machine.
+    The address is ``tcp://host:8786`` (or ws ...), the path of a scheduler file, or ``local:4`` for 4 processes of one
+    thread on this machine.
 
     Raises
     ------
     InputError
-        If dask is not installed, or the address is invalid.
+        Dask is not installed, or the address is invalid.
     ClusterError
-        If no scheduler answers at the address.
+        No scheduler answers at the address.
     """
     try:
         import distributed
@@ -149,7 +130,7 @@ def connected(address: str) -> Generator["Client"]:
 
 
 def _scheduler(address: str) -> str:
-    """The address of a scheduler, also if a scheduler file is given."""
+    """Return the address of a scheduler, which a scheduler file may give."""
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(
@@ -172,7 +153,6 @@ def _scheduler(address: str) -> str:
 
 @contextmanager
 def _local(address: str, count: str) -> Generator[Any]:
-    """Start processes on this machine."""
     from tempfile import TemporaryDirectory
 
     import distributed

@@ -1,4 +1,4 @@
-"""A dataset: drives in this process or on the workers of a cluster, and functions that are applied to them there."""
+"""A dataset: drives in this process or on the workers of a cluster, and functions applied to them there."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -17,16 +17,14 @@ T = TypeVar("T")
 
 
 class Dataset(Protocol):
-    """Drives in a fixed order. Functions that are applied to them must be importable by name, as `pickle` requires."""
+    """Drives in a fixed order. `pickle` requires that functions applied to them can be imported by name."""
 
     def __len__(self) -> int: ...
 
-    def subset(self, indices: Sequence[int]) -> "Dataset":
-        """Return some of the drives, by index."""
-        ...
+    def subset(self, indices: Sequence[int]) -> "Dataset": ...
 
     def map(self, function: Callable[[Drive], T]) -> list[T]:
-        """Apply a function to each drive; results in the order of the drives."""
+        """Apply a function to each drive; return the results in the order of the drives."""
         ...
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
@@ -36,23 +34,18 @@ class Dataset(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LocalDataset:
-    """Drives in this process."""
-
     drives: Sequence[Drive]
 
     def __len__(self) -> int:
         return len(self.drives)
 
     def subset(self, indices: Sequence[int]) -> "LocalDataset":
-        """Return some of the drives, by index."""
         return LocalDataset([self.drives[i] for i in indices])
 
     def map(self, function: Callable[[Drive], T]) -> list[T]:
-        """Apply a function to each drive."""
         return [function(drive) for drive in self.drives]
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function to one drive after another."""
         return map(function, self.drives)
 
 
@@ -74,7 +67,7 @@ def datasets_of(
     Raises
     ------
     InputError
-        If an item is not a drive, or both an executor and a cluster are given.
+        An item is not a drive, or both an executor and a cluster are given.
     """
     if cluster is not None and executor is not None:
         raise InputError(

@@ -1,9 +1,8 @@
 """A dataset on the workers of a Dask cluster: each worker reads its drives once and caches them.
 
-Each call sends one task to each worker: the function, its arguments and the keys of the drives. Each result depends on
-only one drive, so the distribution of the drives does not affect it. Tasks are bound to their workers: if a worker is
-lost, its drives are assigned to other workers, which read these drives, and only the lost tasks run again. New workers
-get a share of the drives.
+A call sends each worker one task: the function, its arguments and the keys of the drives. Results do not depend on the
+distribution of the drives. Tasks are bound to workers: other workers take over the drives of a lost worker, and only
+its tasks run again. New workers get a share of the drives.
 """
 
 import threading
@@ -27,14 +26,12 @@ from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
-"""Function that is called with the number of drives read so far, and the number of all drives."""
+"""Function of the number of drives read so far, and the number of all drives."""
 
-POLL_INTERVAL = 2.0
-"""Time between two requests to the scheduler for its workers, s."""
+POLL_INTERVAL = 2.0  # s, between requests to the scheduler for its workers
 MOST_RETRIES = 3
-"""Number of rounds without an answer, due to lost workers, after which the drives are the likely cause."""
-DRIVES_SHOWN = 10
-"""Largest number of drives that a message names."""
+"""Rounds without an answer, after which the drives are the likely cause of lost workers."""
+DRIVES_SHOWN = 10  # in a message
 
 
 class Assignment:
@@ -51,7 +48,6 @@ class Assignment:
         self._lock = threading.RLock()
 
     def shares(self, drives: Iterable[int]) -> dict[str, list[int]]:
-        """Group drives by their workers."""
         with self._lock:
             if time.monotonic() - self._polled > POLL_INTERVAL:
                 self.poll()
@@ -77,7 +73,6 @@ class Assignment:
                 self.assign()
 
     def assign(self) -> None:
-        """Assign the drives by their sizes."""
         with self._lock:
             self.owners = assigned(self.sizes, self.workers, self.owners)
 
@@ -126,12 +121,7 @@ class Assignment:
 def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
     """Assign drives to workers in proportion to their threads, with a tolerance of 5%, and move few drives.
 
-    Parameters
-    ----------
-    sizes : sequence of float, shape (n,)
-    threads : mapping of worker to int
-    before : sequence of str, shape (n,)
-        The previous workers of the drives.
+    ``before``: previous workers of the drives.
     """
     share = sum(sizes) / sum(threads.values())
     load, found = dict.fromkeys(threads, 0.0), [""] * len(sizes)
@@ -159,16 +149,13 @@ class RemoteDataset:
         return len(self.indices)
 
     def subset(self, indices: Sequence[int]) -> "RemoteDataset":
-        """Return some of the drives, by index; they stay on their workers."""
         return RemoteDataset(self.assignment, tuple(self.indices[i] for i in indices))
 
     def call(self, function: Callable[..., T], *arguments: Any) -> list[tuple[list[int], T]]:
         """Call a function once on each worker; return the indices of its drives, and the result, of each call.
 
-        Parameters
-        ----------
-        function : callable
-            Takes a list of `CachedDrive`, an Executor or None, and the arguments; returns anything but None.
+        The function takes a list of `CachedDrive`, an Executor or None, and the arguments; it returns anything but
+        None.
         """
         from distributed.protocol.pickle import dumps
 
@@ -224,9 +211,9 @@ def remote_datasets(
     Raises
     ------
     DriveError
-        If drives can't be read; the message names all of them.
+        Drives can't be read; the message names all of them.
     ClusterError
-        If a worker has other versions, or its drives don't fit into its memory.
+        A worker has other versions, or its drives don't fit into its memory.
     """
     sources = [[source_of(drive) for drive in group] for group in groups]
     assignment = Assignment(cluster, [source for group in sources for source in group])

@@ -16,10 +16,8 @@ T = TypeVar("T")
 Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
 """Picklable function that returns a drive and the warnings about it."""
 
-USABLE_MEMORY = 0.8
-"""Usable share of a worker's memory; above this share Dask pauses the worker."""
-BASE_MEMORY = 350e6
-"""Memory of a worker without drives (interpreter, Numba, polars), bytes."""
+USABLE_MEMORY = 0.8  # share of a worker's memory, above which Dask pauses the worker
+BASE_MEMORY = 350e6  # bytes without drives: interpreter, Numba, polars
 BYTES_PER_COLUMN_BYTE = 3.3
 """Memory of a prepared drive per byte of its columns, measured with truth and two passes by `benchmarks/fleet.py`."""
 
@@ -55,16 +53,7 @@ class CachedDrive:
 
 
 class DriveCache:
-    """The drives of a worker; the least recently used are dropped if memory is short.
-
-    Parameters
-    ----------
-    worker : str
-        Address of the worker, for messages.
-    threads : int
-    memory : float
-        Bytes for drives.
-    """
+    """The drives of a worker; the least recently used are dropped if ``memory``, bytes, is short."""
 
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -78,9 +67,9 @@ class DriveCache:
         Raises
         ------
         InputError
-            If a drive can't be read.
+            A drive can't be read.
         ClusterError
-            If these drives together don't fit into the memory.
+            These drives together don't fit into the memory.
         """
         known = {key: drive for key in sources if (drive := self._drives.get(key))}
         missing = {key: source for key, source in sources.items() if key not in known and source}
@@ -109,7 +98,6 @@ def _read(source: Source) -> CachedDrive:
 
 
 def in_gb(size: float) -> str:
-    """Format a size in bytes."""
     return f"{size / 1e9:.2g} GB"
 
 
@@ -119,7 +107,7 @@ _caches_lock = threading.Lock()
 
 
 def run_task(call: bytes, sources: bytes, address: str) -> Any:
-    """Call a function with drives of this worker; return None if the sources of some are needed."""
+    """Call a function with drives of this worker; return None if the worker lacks a source."""
     from distributed import get_worker
     from distributed.system import MEMORY_LIMIT
 

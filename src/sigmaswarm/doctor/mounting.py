@@ -30,10 +30,8 @@ LEAST_SHARE = 0.5
 """Share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
 """Lead in chi-square over any mounting that is rotated by 90 degrees or more."""
-TILT_FLOOR = (
-    math.radians(1.0),
-    math.radians(1.0),
-)  # rad: springs turn the axis of turning, roads and biases gravity
+TILT_FLOOR = math.radians(1.0), math.radians(1.0)
+"""Smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases), rad."""
 YAW_FLOOR = math.radians(0.8)
 TRAVEL_FLOOR = math.radians(0.8)  # rad, of the direction of travel: slip, suspension
 ALIKE = 0.025
@@ -45,9 +43,7 @@ LEANS = 0.5
 
 Below -LEANS, a mounting rotated by more than 90 degrees is refused: an axis is reversed.
 """
-WANDERS = math.radians(
-    8.0
-)  # rad, change of gravity's direction between windows of a mounting that is not constant
+WANDERS = math.radians(8.0)  # rad, change of gravity between windows if the mounting is not constant
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
 """Smallest corrected tilt and rotation about z, rad, and their smallest ratio to the standard deviation."""
 SERIOUS = math.radians(7.0)

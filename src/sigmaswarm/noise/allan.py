@@ -1,4 +1,4 @@
-"""Compute the overlapping Allan deviation of samples and of the noise model (IEEE Std 952-1997, annex C)."""
+"""Overlapping Allan deviation of samples and of the noise model (IEEE Std 952-1997, annex C)."""
 
 import math
 from collections.abc import Sequence
@@ -11,13 +11,10 @@ FLICKER = 2 * math.log(2) / math.pi
 """Allan variance of flicker noise over the square of its coefficient, the bias instability."""
 MARKOV_PEAK = 0.3811
 """Largest Allan variance of a first-order Gauss-Markov process of unit variance, at 1.89 correlation times."""
-PER_DECADE = 8
-"""Number of averaging times."""
+PER_DECADE = 8  # averaging times
 LONGEST = 5
-"""Ratio of the longest stretch to the longest averaging time; at longer averaging times the estimate scatters by more
-than half."""
-PIECE = 32_768
-"""Number of samples per batch, which fits into the processor's cache."""
+"""Ratio of the longest stretch to the longest averaging time; a smaller one scatters the estimate by more than half."""
+PIECE = 32_768  # samples per batch, which fits into the processor's cache
 
 
 def allan_deviation(parts: Sequence[Array], interval: float) -> tuple[Array, Array]:

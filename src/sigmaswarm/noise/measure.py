@@ -1,5 +1,3 @@
-"""Measure the noise of an IMU on a log, or read it from a tuned filter."""
-
 import math
 import warnings
 from pathlib import Path
@@ -34,14 +32,14 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Parameters
     ----------
     log : Drive, Imu, or path
-        A path is a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads; it needs no fixes.
+        A drive's folder, a folder with imu.csv alone, or any log that `import_log` reads; it needs no fixes.
     **settings
         Settings of the import: ``recipe``, ``maps``, ``time``, ``choice``; see `import_log`.
 
     Returns
     -------
     Noise
-        White noise, bias instability and rate random walk of each axis with 95% intervals; ``table()`` shows them.
+        White noise, bias instability and rate random walk of each axis with 95% intervals.
 
     Raises
     ------
@@ -139,7 +137,7 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
 
 
 def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[str]) -> AxisNoise:
-    """Measure one axis on its static stretches; add faults of the axis to the remarks."""
+    """Measure one axis on its static stretches; add its faults to the remarks."""
     longest = max(values, key=len)
     found = fit(spectrum_of(values, interval), len(longest) * interval)
     tau, deviation = allan_deviation(values, interval)

@@ -12,18 +12,12 @@ from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK
 from sigmaswarm.noise.spectrum import Interval
 from sigmaswarm.tables import Column, Table
 
-HOUR = 3600.0
-"""s"""
-DEG_PER_SQRT_HOUR = math.degrees(1) * 60
-"""Factor from rad/s/sqrt(Hz)."""
-DEG_PER_HOUR = math.degrees(1) * HOUR
-"""Factor from rad/s."""
-MPS_PER_SQRT_HOUR = 60.0
-"""Factor from m/s2/sqrt(Hz)."""
-MGAL = 1e5
-"""Factor from m/s2."""
+HOUR = 3600.0  # s
+DEG_PER_SQRT_HOUR = math.degrees(1) * 60  # factor from rad/s/sqrt(Hz)
+DEG_PER_HOUR = math.degrees(1) * HOUR  # factor from rad/s
+MPS_PER_SQRT_HOUR = 60.0  # factor from m/s2/sqrt(Hz)
+MGAL = 1e5  # factor from m/s2
 SENSORS = {"accel": ("ax ay az", "m/s2"), "gyro": ("gx gy gz", "rad/s")}
-"""Axes and unit of each sensor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +53,9 @@ class AxisNoise:
     def bias(self, longest: float) -> tuple[float, float]:
         """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
-        ``longest``: length (s) of the log's longest stretch, used as the correlation time if none is found. Flicker
-        noise is represented by the peak of its Allan variance. If a log shows no bias process, the upper end of the
-        walk's interval is used.
+        ``longest``: length (s) of the longest stretch, used if no correlation time is found. The peak of its Allan
+        variance
+        represents flicker noise. Without any bias process, the upper end of the walk's interval is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0
@@ -99,7 +93,7 @@ class Noise:
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
-        """Return a value for the three axes of a sensor; for an unknown axis use the RMS of the other axes."""
+        """Return a value for the three axes of a sensor; an unknown axis has the RMS of the others."""
         known = {a.axis: value(a) for a in self.axes}
         axes = SENSORS[sensor][0].split()
         there = [known[a] for a in axes if a in known]
@@ -107,7 +101,7 @@ class Noise:
         return [known.get(a, usual) for a in axes]
 
     def mean(self, sensor: str, value: Callable[[AxisNoise], float]) -> float:
-        """Return the root mean square over the axes of a sensor."""
+        """Return the RMS over the axes of a sensor."""
         return math.sqrt(float(np.mean(np.square(self.of(sensor, value)))))
 
     def table(self) -> Table:

@@ -1,4 +1,4 @@
-"""Make remarks on a log: which noise terms it determines, and signs of faults of an axis."""
+"""Remarks on a log: noise terms that it determines, and signs of faults of an axis."""
 
 import math
 from collections.abc import Sequence
@@ -13,29 +13,20 @@ from sigmaswarm.noise.spectrum import Fit
 from sigmaswarm.noise.static import Stretches, step_of
 from sigmaswarm.wording import counted
 
-LONG = 1800.0
-"""Shortest stretch that shows bias instability and rate random walk, s."""
-LONG_TREND = 300.0
-"""Shortest stretch whose trend is tested, s."""
-STATIC = 0.95
-"""Share of a log at rest below which a remark states that the log is not static."""
-UNLIKELY = 0.1
-"""Relative difference between the measured specific force and gravity above which the unit looks wrong."""
-ROUGH_GYRO = 3e-3
-"""rad/s/sqrt(Hz), 10 deg/sqrt(h): white noise above which the unit looks wrong; a gyro in rad/s has less, and a gyro in
-deg/s usually has more."""
-MANY = 30.0
-"""Smallest number of averaging intervals (duration / tau) for an accurate Allan deviation."""
-MISFIT = 1.5
-"""Ratio of the Allan deviation to the model, or its inverse, from which a misfit is reported."""
+LONG = 1800.0  # s, shortest stretch that shows bias instability and rate random walk
+LONG_TREND = 300.0  # s, shortest stretch whose trend is tested
+STATIC = 0.95  # share of a static log at rest
+UNLIKELY = 0.1  # relative difference of the specific force from gravity that suggests another unit
+ROUGH_GYRO = 3e-3  # rad/s/sqrt(Hz), 10 deg/sqrt(h): less in rad/s, usually more in deg/s
+MANY = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
+MISFIT = 1.5  # reported ratio of the Allan deviation to the model, or its inverse
 TREND = 4.0
-"""Ratio of a trend to its standard deviation under the fitted processes, above which the trend is reported."""
-COARSE = 0.5
-"""Ratio of the quantization step to the standard deviation above which an axis is reported."""
+"""Reported ratio of a trend to its standard deviation under the fitted processes."""
+COARSE = 0.5  # reported ratio of the quantization step to the standard deviation
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
-    """Return remarks on the noise terms that the stretches determine."""
+    """Remark on the noise terms that the stretches determine."""
     total, longest = sum(lengths), max(lengths)
     remarks: list[str] = []
     if stretches.gaps:
@@ -57,7 +48,6 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
 
 
 def on_gravity(imu: Imu, part: slice) -> list[str]:
-    """Return a remark if the accelerometer does not measure gravity."""
     if imu.az is None:
         return []
     force = math.hypot(*(float(np.mean(column[part])) for column in (imu.ax, imu.ay, imu.az)))
@@ -70,7 +60,6 @@ def on_gravity(imu: Imu, part: slice) -> list[str]:
 
 
 def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
-    """Return a remark if the size of the gyro's noise suggests another unit."""
     rough = [a.axis for a in axes if a.axis[0] == "g" and a.white.value > ROUGH_GYRO]
     if not rough:
         return []
@@ -81,7 +70,7 @@ def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
 
 
 def on_step(axis: str, values: Array) -> list[str]:
-    """Return a remark on an axis whose quantization adds to its noise."""
+    """Remark on an axis if quantization adds to its noise."""
     step, deviation = step_of(values), float(np.std(values))
     if step <= COARSE * deviation:
         return []
@@ -92,7 +81,7 @@ def on_step(axis: str, values: Array) -> list[str]:
 
 
 def on_trend(axis: str, trend: float) -> list[str]:
-    """Return a remark on an axis with a trend, unit/s."""
+    """Remark on an axis with a trend, unit/s."""
     scale, unit = (DEG_PER_HOUR, "deg/h") if axis[0] == "g" else (MGAL, "mGal")
     if not trend:
         return []
@@ -103,7 +92,7 @@ def on_trend(axis: str, trend: float) -> list[str]:
 
 
 def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
-    """Return a remark on the axes whose Allan deviation is not that of the model; ``duration``, s: longest stretch."""
+    """Remark on axes if the model does not give their Allan deviation; ``duration``, s: longest stretch."""
     found: list[str] = []
     for a in axes:
         parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)
@@ -120,7 +109,7 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
 
 
 def trend_of(values: Array, interval: float, found: Fit) -> float:
-    """Return the least-squares trend, unit/s, if the fitted processes do not explain it, else 0."""
+    """Return the least-squares trend, unit/s; 0 if the fitted processes explain it."""
     n = len(values)
     duration = n * interval
     if duration < LONG_TREND:

@@ -5,10 +5,9 @@ The two-sided spectral density is
     S(f) = N^2 + B^2 / (2 pi f) + K^2 / ((2 pi f)^2 + 1 / T^2)
 
 with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias with rate random walk
-K. If its correlation time T is finite, the bias is a first-order Gauss-Markov process with variance K^2 T / 2.
-The best values maximize Whittle's likelihood (1953) of the periodogram, whose profile gives the intervals. Unlike lines
-that are fitted to an Allan deviation, the likelihood separates overlapping processes and shows which of them the log
-does not determine.
+K. For finite T the bias is a first-order Gauss-Markov process with variance K^2 T / 2. The fit maximizes Whittle's
+likelihood (1953) of the periodogram; its profile gives the intervals. Unlike lines along an Allan deviation, the
+likelihood separates overlapping processes and shows which of them the log does not determine.
 """
 
 import math
@@ -22,31 +21,24 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1
-"""Ratio of the highest frequency used to the sampling rate: sensors filter higher frequencies, and engines add
-vibration there."""
+"""Highest frequency used over the sampling rate; above it sensors filter, and engines vibrate."""
 ENOUGH = 200
-"""Smallest number of frequencies used, if necessary up to half the sampling rate."""
+"""Fewest frequencies used, if necessary up to half the sampling rate."""
 FIRST = 2
-"""Lowest frequency used, periods per stretch: the trend, which is subtracted, contains most of the lower
-frequencies."""
-PER_DECADE = 24
-"""Number of frequency bands per decade; the periodogram is averaged over each band."""
-TAPER = 1.5
-"""Number of neighboring frequencies that count as one, since the sine taper correlates them."""
+"""Lowest frequency used, periods per stretch: most of lower frequencies is in the subtracted trend."""
+PER_DECADE = 24  # frequency bands, over which the periodogram is averaged
+TAPER = 1.5  # neighboring frequencies that the sine taper correlates
 CERTAIN = 5.99
-"""Largest deviance inside a 95% interval, minus the smallest deviance: chi-square with two degrees of freedom, since
-the unknown correlation time widens the intervals of the other parameters. The intervals cover 93 to 100%
-(benchmarks/imu_noise.py)."""
-POINTS = 11
-"""Number of values of a parameter at which its profile is computed in each pass."""
-PASSES = 3
-"""Number of passes that refine an end of an interval."""
-TIMES = 8
-"""Number of finite correlation times that are tried."""
-STEPS = 15
-"""Number of iterations of Fisher's scoring until convergence."""
-SHORTEST = 10.0
-"""Correlation time below which noise looks like a sensor's low-pass filter, s."""
+"""Largest excess deviance inside a 95% interval: chi-square with two degrees of freedom.
+
+The unknown correlation time widens the intervals of the other parameters. They cover 93 to 100%
+(benchmarks/imu_noise.py).
+"""
+POINTS = 11  # values of a parameter per pass of its profile
+PASSES = 3  # refinements of an end of an interval
+TIMES = 8  # finite correlation times
+STEPS = 15  # of Fisher's scoring, until convergence
+SHORTEST = 10.0  # s; noise with a shorter correlation time looks like a sensor's low-pass filter
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +53,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Interval:
-    """A value with the ends of its 95% interval; ``low`` is 0 if the log does not show that the value exceeds 0."""
+    """A value with its 95% interval; ``low`` is 0 if the log does not show that the value exceeds 0."""
 
     value: float
     low: float
@@ -70,7 +62,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Fit:
-    """The fitted model: N, B, K with intervals, and T (s), which is inf if the log does not show that T is finite."""
+    """The fitted N, B, K, and T (s), which is inf if the log does not show that T is finite."""
 
     white: Interval
     instability: Interval
@@ -105,7 +97,7 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
 
 
 def fit(spectrum: Spectrum, duration: float) -> Fit:
-    """Fit the noise model to a spectrum; ``duration`` (s) of the longest stretch bounds the correlation time."""
+    """Fit the noise model to a spectrum; the longest stretch, ``duration`` (s), bounds the correlation time."""
     s, angle = spectrum, 2 * np.pi * spectrum.frequency * spectrum.interval
     times = np.geomspace(SHORTEST, duration, TIMES) if duration > 2 * SHORTEST else np.zeros(0)
     rates = np.concatenate([[0.0], 1 / times])
@@ -119,7 +111,7 @@ def fit(spectrum: Spectrum, duration: float) -> Fit:
 
 
 def _walk(angle: Array, interval: float, rate: float) -> Array:
-    """Density of a sampled Gauss-Markov bias with unit walk and a decay rate (1/s); frequencies (n,) per sample."""
+    """Return the density of a sampled Gauss-Markov bias with unit walk; ``angle`` (n,), rad/sample, ``rate``, 1/s."""
     keep = math.exp(-rate * interval)
     return interval**2 / ((1 - keep) ** 2 + 4 * keep * np.sin(angle / 2) ** 2)
 

@@ -1,4 +1,4 @@
-"""Find the static stretches of a log, and faults that make an axis unusable."""
+"""Static stretches of a log, and faults that make an axis unusable."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,37 +11,25 @@ from sigmaswarm.drives.tables import Array, Gps, Imu
 from sigmaswarm.errors import InputError
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
-SHORTEST = 10.0
-"""Length of the shortest stretch that is used, s."""
-FEWEST = 50
-"""Smallest number of samples of a stretch."""
-BLOCK = 1.0
-"""Length of the blocks whose mean and standard deviation show motion, s."""
-SMALLEST = 20
-"""Smallest number of samples of a block: the standard deviation of fewer samples scatters too much."""
-JUMP = {"a": 0.1, "g": np.radians(0.5)}
-"""Change of a sensor's mean from one block to the next above which the IMU moves, m/s2 and rad/s."""
+SHORTEST = 10.0  # s, of a stretch
+FEWEST = 50  # samples of a stretch
+BLOCK = 1.0  # s, length of the blocks whose mean and standard deviation show motion
+SMALLEST = 20  # samples of a block: the standard deviation of fewer scatters too much
+JUMP = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s: change of the mean between blocks that shows motion
 RESTLESS = 3.0
-"""Ratio of a block's standard deviation to that of the quietest blocks above which the IMU moves, unless the block's
-standard deviation is below `CALM`."""
-CALM = {"a": 0.02, "g": np.radians(0.1)}
-"""Standard deviation of a block below which the IMU does not move, m/s2 and rad/s."""
-ROUGH = 0.3
-"""Standard deviation of an accelerometer in a block above which the IMU moves, m/s2."""
-FIX_SPEED = 0.5
-"""Speed of the straight-line fit to a stretch's fixes above which the vehicle moves, m/s."""
-SAMPLE = 100_000
-"""Approximate largest number of samples from which the quantization step is determined."""
+"""Ratio of a moving block's standard deviation to that of the quietest blocks, above `CALM`."""
+CALM = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
+ROUGH = 0.3  # m/s2, standard deviation of an accelerometer in motion
+FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion
+SAMPLE = 100_000  # samples, approximately, that determine the quantization step
 PILED = 3.0
-"""Ratio of the number of samples at the end of an axis's range to the number at the next value, above which the axis is
-saturated."""
-LEAST_PILED = 1e-3
-"""Smallest share of samples at the end of the range for saturation."""
+"""Ratio of samples at the end of an axis's range to samples at the next value, if the axis is saturated."""
+LEAST_PILED = 1e-3  # share of samples at the end of the range of a saturated axis
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """Static stretches as slices of the samples, the share of the log (0 to 1) that is static, and gaps of the log."""
+    """Static stretches as slices of the samples, their share of the log, 0 to 1, and the number of gaps."""
 
     parts: tuple[slice, ...]
     share: float
@@ -49,7 +37,7 @@ class Stretches:
 
 
 def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
-    """Find the times at which the IMU is static, from its samples and, if there are any, the fixes.
+    """Find the times at which the IMU is static, from its samples and the fixes.
 
     Raises
     ------
@@ -138,7 +126,7 @@ def _drives(imu: Imu, gps: Gps, part: slice) -> bool:
 
 
 def step_of(values: Array) -> float:
-    """Return the quantization step of samples (n,), or 0."""
+    """Return the quantization step of samples (n,); 0 if there is none."""
     levels = np.unique(values[:: max(1, len(values) // SAMPLE)])
     if len(levels) < 2 or len(levels) > SAMPLE // 10:
         return 0.0

@@ -1,9 +1,7 @@
 """Compute truth with standard deviations: the fixes of a good receiver, smoothed with the drive's IMU.
 
-The filter is tuned on these fixes alone, and smoothed (`filters.smoothing`). The smoother's standard deviations are
-checked: fixes are hidden from the smoother for some seconds, several times, and the standard deviations are multiplied
-until they agree with these fixes. The standard deviation of the receiver's fixes is added, since their errors are
-correlated, so the mean of many fixes is not more accurate than one fix.
+The smoother's standard deviations are multiplied until they agree with fixes that are hidden for some seconds. The
+standard deviation of a fix is added: errors are correlated, so many fixes are no more accurate than one.
 """
 
 import math
@@ -34,21 +32,16 @@ from sigmaswarm.scoring.truth import share_known
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
-ACCURACY = 0.1
-"""Largest standard deviation of a position that is kept, m per axis."""
+ACCURACY = 0.1  # m per axis, largest standard deviation of the truth
 HIDDEN = (2.0, 20.0)
-"""Durations for which fixes are hidden from the smoother, s; over the shorter one, IMUs of cars drift by a decimeter.
-"""
-HIDDEN_FIRST = 10.0
-"""Time from the start to the first window of hidden fixes, and between two windows, s."""
-PLACEMENTS = 3
-"""Number of placements of the hidden windows."""
+"""Durations of hidden fixes, s; over the shorter, IMUs of cars drift by a decimeter."""
+HIDDEN_FIRST = 10.0  # s, from the start to the first window, and between two windows
+PLACEMENTS = 3  # of the hidden windows
 COVERED = 0.95, 1.96
-"""Required share of the hidden fixes inside an interval, and half the width of this interval in sigmas, per axis."""
+"""Share of the hidden fixes inside an interval, and half the interval's width in sigmas, per axis."""
 OBJECTIVE = "innovation-t"
 SLIP = math.radians(0.1)
-"""Addition to the standard deviation of the heading, rad, for sideways slip of the rear axle, which fixes do not
-show."""
+"""Addition to the standard deviation of the heading, rad: fixes do not show sideways slip of the rear axle."""
 
 
 class ReferenceOptions(TypedDict, total=False):
@@ -63,8 +56,6 @@ class ReferenceOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class _Options:
-    """Effective options of `reference`."""
-
     lever_arm: tuple[float, float, float] | None = None
     offset: float = 0.0
     accuracy: float = ACCURACY
@@ -88,13 +79,13 @@ def reference(
     """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
 
     A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes with a
-    stated standard deviation above ``accuracy``, are left out: their errors are correlated, so a mean of such fixes is
-    not more accurate. The IMU bridges the gaps.
+    stated standard deviation above ``accuracy``, are left out, since their errors are correlated. The IMU bridges the
+    gaps.
 
     Parameters
     ----------
     drive : Drive
-        The drive; its fixes are not used, and its truth is replaced.
+        Its fixes are not used, and its truth is replaced.
     fixes : path, Drive or Gps
         Fixes of the good receiver: a log in any format that can be imported (RTKLIB, NMEA, UBX, CSV ...), a drive's
         folder, or a `Gps` in the drive's local frame. From RTKLIB, NMEA and UBX only fixed solutions are used.
@@ -113,15 +104,15 @@ def reference(
     Returns
     -------
     Drive
-        The drive with truth at the IMU's times, the standard deviations of the truth, and gaps if it is not known.
-        ``metadata`` describes the computation under ``reference``.
+        The drive with truth at the IMU's times, its standard deviations, and gaps where it is not known. ``metadata``
+        describes the computation under ``reference``.
 
     Raises
     ------
     InputError
         The fixes can't be read, share no time with the drive, state no accuracy, or are too few.
     AlignmentError
-        If the car hardly moves while the good receiver has fixes.
+        The car hardly moves while the good receiver has fixes.
     """
     chosen = _Options(**options)
     log, name = _log(fixes, drive, chosen.offset)
@@ -146,7 +137,7 @@ def _smoothed(
     executor: Executor | None,
     progress: Callable[[Progress], None] | None,
 ) -> tuple[Truth, dict[str, Any]]:
-    """Tune and smooth a filter on the fixes of the good receiver; return the truth and how it was computed."""
+    """Tune and smooth a filter on the good receiver's fixes; return the truth and a description for the metadata."""
     arm, accuracy = options.lever_arm, options.accuracy
     receiver = replace(receiver, metadata={"gps_lever_arm_m": list(arm)} if arm else {})
     parameters = _tuned(receiver, options.seed, executor, progress)
@@ -176,11 +167,11 @@ def _smoothed(
 def _tuned(
     receiver: Drive, seed: int, executor: Executor | None, progress: Callable[[Progress], None] | None
 ) -> FilterParameters:
-    """Tune the filter that suits the drive on the good receiver's fixes.
+    """Tune the filter that suits the drive on the good receiver's fixes, without the option ``standstill``.
 
-    The filter does not use ``standstill``. Tuned on fixes with errors of a centimeter, the noise of this constraint
-    would be so small that one wrongly detected standstill in an outage moves the track by meters, while the covariance
-    stays small.
+    Fixes with errors of a centimeter would make the noise of this constraint very small. One wrongly detected
+    standstill in
+    an outage would then move the track by meters, while the covariance stays small.
     """
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
@@ -266,7 +257,7 @@ def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
 
 
 def _stated(gps: Gps) -> tuple[Array, Array]:
-    """Return stated standard deviations of the used fixes, m east and north."""
+    """Return stated standard deviations, m east and north."""
     assert gps.std_x is not None and gps.std_y is not None
     return gps.std_x, gps.std_y
 
@@ -281,7 +272,7 @@ def _antenna(mean: Array, drive: Drive) -> Array:
 
 
 def _truth(estimate: Estimate, good: Gps, stretched: float, accuracy: float) -> Truth | None:
-    """Return the rows in which the position is known well enough, or None if there are fewer than two."""
+    """Return the rows with a known position; None if there are fewer than two."""
     mean, time = estimate.mean, estimate.time
     deviation = stretched * np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
     std_x, std_y = (
