@@ -269,8 +269,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
     """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, standard deviations, and the spread.
 
     Gravity is the part of the accelerations that no motion explains. About the axis of turning, the integrals of gx and
-    gy
-    follow that of gz. The result is the mean of the two directions, with inverse variances as weights.
+    gy follow that of gz. The result is the mean of the two directions, with inverse variances as weights.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)

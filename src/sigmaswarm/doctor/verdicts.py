@@ -25,8 +25,7 @@ Below it the course is mostly noise, and only a CERTAIN yaw rate, or one with LA
 LARGE_SHARE = 0.5
 CERTAIN = 12.0
 """Ratio of the gain to its standard deviation above which a small share of the course's changes suffices: in a city,
-errors
-of the fixes cause most changes.
+errors of the fixes cause most changes.
 """
 CLEARLY = 16.0
 """Lead in chi-square of another interpretation over the log as recorded, and largest chi-square of a log in g.

@@ -97,8 +97,7 @@ def _solve(
     """Project out the columns of each window (QR), then solve for the common unknowns.
 
     Normal equations of scaled columns are accurate enough here. `numpy.linalg.lstsq` takes ten times as long where BLAS
-    has
-    two threads, which wait for each other.
+    has two threads, which wait for each other.
     """
     root = weight * np.sqrt(robust)
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
@@ -125,8 +124,7 @@ def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
     It is that of white residuals, but at least that of the disagreement between windows (the sandwich estimate of
-    White,
-    1980, with windows as clusters), doubled, since each fix is in two windows.
+    White, 1980, with windows as clusters), doubled, since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

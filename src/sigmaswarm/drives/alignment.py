@@ -1,11 +1,8 @@
 """Find the start of a filter: an initial state from earlier samples of the drive, without truth.
 
-At standstill the heading of a car is not observable. After some meters of driving, the course over ground shows the
-heading. The gyro corrects this heading for turns, the accelerometer for changes of speed. `initial_state` fits the last
-seconds of fixes (`alignment_fit`).
-
-The effect of the gyro's bias is stored separately (`gyro_seen`). The bias is subtracted, and the fit is repeated, only
-if the fixes contradict a gyro without bias.
+A car's heading is not observable at standstill; after some meters of driving, the course over ground shows it. The gyro
+corrects it for turns, the accelerometer for changes of speed, in a fit to the last seconds of fixes (`alignment_fit`).
+The gyro's bias is subtracted, and the fit repeated, only if the fixes contradict a gyro without bias (`gyro_seen`).
 """
 
 from dataclasses import dataclass
@@ -23,45 +20,32 @@ from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
 MIN_DURATION, MAX_DURATION = 4.0, 6.0
-"""Shortest and longest time from the first to the last fix of an alignment, s. The gyro's bias accumulates, so older
-fixes hardly improve the fit."""
-MIN_TRAVEL = 20.0
-"""Smallest forward travel within `MAX_DURATION`, m, for an accurate heading; this requires 12 km/h."""
-ALIGNMENT_FIXES = 4
-"""Smallest number of fixes within `MAX_DURATION`; one fix every 3 s is not enough."""
-WORTH_TRAVEL = 0.5 * MIN_TRAVEL
-"""Smallest distance between the first and the last fix of an alignment, m: a cheap test before the fit."""
+"""Shortest and longest duration of an alignment, s; as the gyro's bias accumulates, older fixes hardly improve the fit.
+"""
+MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading: 12 km/h
+ALIGNMENT_FIXES = 4  # within `MAX_DURATION`; one fix every 3 s is not enough
+WORTH_TRAVEL = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
 MAX_MISFIT = 0.3
 """Largest residual of an alignment, as a share of the travel; larger residuals are jumps of the fixes."""
-MAX_HEADING_STD = np.radians(6.0)
-"""Largest standard deviation of an alignment's heading, rad; above this limit the alignment at the next fix is
-tried."""
-REFITS = 3
-"""Number of repetitions of the fit, after which the gyro bias has converged."""
+MAX_HEADING_STD = np.radians(6.0)  # rad; above it the next fix is tried
+REFITS = 3  # of the fit, until the gyro bias has converged
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """Longer windows, s, for a vehicle that never travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
-"""Smallest travel in a window of `SLOW_DURATIONS`, m, and smallest mean speed, m/s; the fixes of a parked receiver
-drift less."""
-SLOW_CHORD = 1.5 * MIN_TRAVEL
-"""Smallest distance between two fixes within `MAX_DURATION`, m, at which a drive is not slow."""
-SLOW_HEADING_STD = np.radians(12.0)
-"""Largest standard deviation of the heading in a window of `SLOW_DURATIONS`, including the effect of the gyro's bias,
-rad."""
+"""Smallest travel, m, and mean speed, m/s, in these windows; the fixes of a parked receiver drift less."""
+SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`, of a drive that is not slow
+SLOW_HEADING_STD = np.radians(12.0)  # rad, in `SLOW_DURATIONS`, with the effect of the gyro's bias
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
-"""In windows of `SLOW_DURATIONS`: smallest number of fixes; smallest interval between the fixes that are used, s
-(errors of closer fixes are alike); time between two windows that are tried, s."""
-SLOW_BIAS_STD = np.radians(1.0)
-"""Standard deviation of the prior of the gyro's bias in a window of `SLOW_DURATIONS`, rad/s."""
+"""In these windows: fewest fixes; smallest interval of used fixes, s, since closer errors are alike; time between
+trials, s.
+"""
+SLOW_BIAS_STD = np.radians(1.0)  # rad/s, prior of the gyro's bias in these windows
 
-STATED_HEADING_STD = np.radians(5.0)
-"""Smallest standard deviation that is assumed for a stated heading, rad."""
-MOST_STATED_STD = np.radians(12.0)
-"""Largest stated standard deviation of a fix's heading with which a filter starts, rad."""
+STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed deviation of a stated heading
+MOST_STATED_STD = np.radians(12.0)  # rad, of a fix's heading with which a filter starts
 STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
-"""Standard deviations of a start with a stated heading and unknown speed: position, m per axis; speed forward and to
-the left, m/s."""
+"""Standard deviations of a start with a stated heading: position, m per axis; speed forward and to the left, m/s."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +62,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     The start is the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), with at
     least four fixes in that time. On a slower drive it is the first fix after 10 m of travel in up to 90 s, or after
     more travel if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at
-    the first IMU sample), the start is the first fix; if the fixes have a column ``heading``, it is the first fix with
+    the first IMU sample), the start is the first fix. If the fixes have a column ``heading``, it is the first fix with
     a heading. The state depends only on earlier samples.
 
     Parameters
@@ -91,7 +75,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     Raises
     ------
     AlignmentError
-        If there is no such time; the message gives the reason.
+        There is no such time; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, NoStart):
@@ -100,7 +84,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
 
 
 def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoStart:
-    """Find the start as `initial_state` does, or the reason why there is none."""
+    """Return the start as `initial_state` does, or the reason why there is none."""
     # a filter can start only if IMU samples follow
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
@@ -155,9 +139,8 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | NoS
 class Alignments:
     """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) marks the fixes to use, by default all. Of these, the ones within the IMU's time have
-    the times ``time`` (m,), s. ``longest`` is the longest time between the first and the last fix of an alignment, s;
-    for slow vehicles it exceeds `MAX_DURATION`.
+    ``usable`` (number of fixes,) marks the fixes to use, by default all; those within the IMU's time have the times
+    ``time`` (m,), s. ``longest``, s, limits an alignment's duration; for slow vehicles it exceeds `MAX_DURATION`.
     """
 
     def __init__(
@@ -193,7 +176,6 @@ class Alignments:
         return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
     def why_none(self) -> NoStart:
-        """Return the reason why a drive has no alignment."""
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
@@ -239,7 +221,7 @@ class Alignments:
         return fit.state(self._leaning(k, fit.time)) if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit also the gyro's bias, but do not use the accelerometer, whose bias accumulates over the longer time."""
+        """Fit also the gyro's bias, without the accelerometer: its bias accumulates over the longer time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -276,8 +258,8 @@ class Alignments:
     def course(self) -> Array:
         """Rough heading at each fix, (m,) rad; NaN without an alignment.
 
-        The heading is the direction of the chord of the last seconds, corrected for turns; changes of speed in a turn
-        cause errors of some degrees.
+        It is the direction of the chord of the last seconds, corrected for turns. Changes of speed in a turn cause
+        errors of some degrees.
         """
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)

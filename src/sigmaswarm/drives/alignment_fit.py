@@ -4,8 +4,7 @@
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
 with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and b the
-contribution of tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b. The fit also returns the
-effect of the gyro's bias on these unknowns.
+contribution of tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b.
 """
 
 from dataclasses import dataclass, replace
@@ -19,16 +18,14 @@ from sigmaswarm.geodesy import wrap_angle
 
 Complex = NDArray[np.complex128]
 Way = Complex
-"""Motion from each fix to the last one according to the IMU, (3, f), in the body frame at the last fix: the part per
-m/s of speed at this fix (s), the part per m/s2 of tilt and bias (s2), and the part due to the accelerometer (m).
+"""Motion from each fix to the last one by the IMU, (3, f), in the body frame at the last fix.
+
+Rows: the part per m/s of speed at this fix (s), the part per m/s2 of tilt and bias (s2), the accelerometer's part (m).
 """
 
-SLIP_STD = np.radians(1.0)
-"""Standard deviation of the angle between course and heading at the IMU in ordinary driving, rad."""
-ACCELERATION_BIAS_STD = 0.5
-"""Standard deviation of the prior of b (tilt and bias), m/s2."""
-MIN_POSITION_STD = 0.05
-"""Smallest standard deviation that is assumed for the fixes in a fit, m per axis."""
+SLIP_STD = np.radians(1.0)  # rad, angle between course and heading at the IMU in ordinary driving
+ACCELERATION_BIAS_STD = 0.5  # m/s2, prior of b (tilt and bias)
+MIN_POSITION_STD = 0.05  # m per axis, smallest assumed deviation of fixes
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +41,7 @@ class InitialState:
     time : float
         Time of the last used fix, s, at which filters and scores start.
     gyro : GyroSeen or None
-        Evidence about the gyro's bias, for filters that estimate the bias. None: these filters start with 0.
+        Evidence about the gyro's bias, for filters that estimate the bias; with None they start with 0.
     """
 
     mean: Array
@@ -55,11 +52,10 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
+    """A fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
-    ``taken`` is the subtracted gyro bias, rad/s. ``yaw_bias`` is the estimated gyro bias with standard deviation
-    ``yaw_std``, rad/s; ``bias_std`` is its standard deviation according to the fit alone. ``turns`` is the change of
-    the unknowns per rad/s of bias.
+    ``taken`` is the subtracted gyro bias, rad/s; ``yaw_bias`` and ``yaw_std`` are the estimated bias and its standard
+    deviation, ``bias_std`` that of the fit alone. ``turns`` is the change of the unknowns per rad/s of bias.
     """
 
     time: float
@@ -132,10 +128,7 @@ class Fit:
     def _solve(
         cls, end: float, position: Complex, seen: Way, change: Way, span: float, coasting: float, taken: float
     ) -> "Fit":
-        """Solve for east, north, theta, v, b (Gauss-Newton).
-
-        ``change`` is the derivative of the path with respect to the gyro's bias.
-        """
+        """Solve for east, north, theta, v, b (Gauss-Newton); ``change`` is the path's derivative by the gyro's bias."""
         g, t = seen[0], seen[1]
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]

@@ -15,30 +15,23 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.wording import counted
 
 FEWEST_SAMPLES, FEWEST_SHARED_FIXES = 100, 10
-"""Smallest number of IMU samples of a drive, and of fixes within the IMU's time."""
+"""Smallest number of IMU samples, and of fixes within the IMU's time."""
 IMU_GAP = (10.0, 0.1)
-"""An IMU interval is a gap if it exceeds both this many usual intervals and this many s."""
+"""A gap of the IMU exceeds both this many usual intervals and this many s."""
 GPS_GAP = (5.0, 2.0)
-"""An interval of fixes or truth is a gap if it exceeds both this many usual intervals and this many s."""
+"""A gap of fixes or truth exceeds both this many usual intervals and this many s."""
 UNSHARED = 10.0
-"""Time without the other sensor, s, at the start or end of the fixes or of the IMU, above which it is reported."""
+"""Reported time of fixes or IMU without the other sensor at the start or end, s."""
 UNSHARED_IMU = 0.1
 """The same as a share of the IMU's time; many logs begin before the receiver has its first fix."""
-GRAVITY = 9.80665
-"""Standard gravity, m/s2."""
-IMPOSSIBLE_RATE = 3.0
-"""Yaw rate above which the unit is wrong, rad/s: no car makes half a turn in a second."""
-TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Time units other than the second: number of each unit per second."""
-_SLOWEST = (2.0, 60.0)
-"""Largest intervals between samples and between fixes, s; longer intervals suggest another unit."""
-_USUAL = (0.5, 20.0)
-"""Largest intervals between samples and between fixes in the right unit, s."""
-_JUMP = 3600.0
-"""Interval above which a time stamp is corrupt or the clock was set, s."""
+GRAVITY = 9.80665  # m/s2, standard gravity
+IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
+TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
+_SLOWEST = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
+_USUAL = (0.5, 20.0)  # s between samples and between fixes, in the right unit
+_JUMP = 3600.0  # s; a longer interval is a corrupt time stamp or a clock that was set
 _WINDOW = 5.0
-"""Time over which speed and course are computed from the fixes, s: long enough for noise of meters, short enough for
-turns."""
+"""Time over which the fixes give speed and course, s: long enough for noise of meters, short enough for turns."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +50,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class Gaps:
-    """The gaps of a sensor: their number, start and length of the longest, and the usual interval, s."""
+    """Number of gaps, start and length of the longest, and usual interval, s."""
 
     count: int
     start: float
@@ -96,10 +89,7 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 
 @np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
-    """List faults: times in another unit, gaps, rates in deg/s, accelerations in g, gravity on another axis.
-
-    An uncertain check reports nothing.
-    """
+    """List faults: times in another unit, gaps, rates in deg/s, accelerations in g, gravity on another axis."""
     if spoiled := spoiled_times(imu, gps):
         return spoiled
     gravity = gravity_on(imu) or gravity_up(imu)
@@ -215,7 +205,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def unshared_times(imu: Array, gps: Array) -> Remark | None:
-    """Describe fixes outside of the IMU's time, and long parts of this time before the first or after the last fix."""
+    """Describe fixes outside of the IMU's time, and long parts of this time without fixes at its start or end."""
     early, late = imu[0] - gps[0], gps[-1] - imu[-1]
     alone = ""
     if max(-early, -late) > max(UNSHARED, UNSHARED_IMU * (imu[-1] - imu[0])):
@@ -239,11 +229,11 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
 
 
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Return the motion over consecutive windows according to the fixes, and the integral of an IMU column.
+    """Return the motion of the fixes over windows, and the integral of an IMU column.
 
-    The first array is the mean velocity (k,), m/s east + i north. The others are the integral of ``body_rate`` and the
-    change of course, rad, from the middle of each window to the middle of the next one, (k - 1,). Windows without fixes
-    are left out, which limits the number of windows.
+    The arrays are: the mean velocity (k,), m/s east + i north; the integral of ``body_rate`` and the change of course,
+    rad, between the middles of consecutive windows, (k - 1,). Windows without fixes are left out, which limits their
+    number.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))

@@ -1,4 +1,4 @@
-"""Reading drive.toml: the name of a drive, its frame and origin, and other keys that filters use."""
+"""Read drive.toml: the name of a drive, its frame and origin, and other keys that filters use."""
 
 import tomllib
 from collections.abc import Sequence
@@ -13,8 +13,7 @@ from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import names_shown, quoted, shown, value_shown
 
 Frame = Literal["enu", "wgs84"]
-Origin = tuple[float, float, float]
-"""Latitude, deg, longitude, deg, and altitude, m."""
+Origin = tuple[float, float, float]  # deg, deg, m: latitude, longitude, altitude
 
 POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
@@ -28,7 +27,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gyro_bias_walk": ((0,), "0.00001"),
     "imu_stated_noise": ((2,), "[1e-4, 1e-2]"),
 }
-"""Keys of drive.toml that filters use: the allowed numbers of elements (0: a plain number), and an example."""
+"""Keys of drive.toml that filters use: allowed numbers of elements (0: a plain number), and an example."""
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -66,7 +65,6 @@ def require_name(name: object, where: object) -> None:
 
 
 def _require_numbers(key: str, value: Any, path: Path) -> None:
-    """Raise `DriveError` if a key of drive.toml that filters use has an unusable value."""
     lengths, example = _NUMBERS[key]
     numbers = cast("list[Any]", value if isinstance(value, list) else [value])
     length = len(numbers) if isinstance(value, list) else 0
@@ -83,7 +81,6 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
 
 
 def _origin(value: Any, path: Path) -> Origin:
-    """Check a stated origin."""
     if isinstance(value, list) and [type(v) in (int, float) for v in cast("list[Any]", value)] == [True] * 3:
         latitude, longitude, altitude = cast("list[float]", value)
         if abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= 1e7:
@@ -95,7 +92,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the frame of the fixes: the stated frame, which must agree with the columns, or that of the columns."""
+    """Return the stated frame, which must agree with the columns, or that of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')

@@ -33,7 +33,7 @@ class Drive:
     frame : {"enu", "wgs84"}
         Frame of the recorded fixes; ``gps.x`` and ``gps.y`` are always in meters.
     origin : (latitude deg, longitude deg, altitude m) or None
-        Origin of the local frame. Always known if ``frame`` is "wgs84".
+        Origin of the local frame; always known if ``frame`` is "wgs84".
     metadata : mapping
         All other keys of drive.toml, unchanged.
     odometer : Odometer or None
@@ -115,7 +115,7 @@ class Drive:
 
     @property
     def nominal_interval(self) -> float:
-        """The median time between IMU samples, s: the step to which the process noise refers."""
+        """Median time between IMU samples, s: the step to which the process noise refers."""
         return float(np.median(np.diff(self.imu.time)))
 
     @property

@@ -12,7 +12,7 @@ START_RULE = (
     "the first fix before which the vehicle drove 20 m forward in 4 to 6 s (12 km/h or faster), or, on a slower drive, "
     "10 m or more in up to 90 s; the first fix with a heading, if it is earlier"
 )
-"""Description of the start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
+"""The start that `alignment` finds (`DriveRecord.scored_from_s`), for messages and pages."""
 
 
 class DriveRecord(BaseModel):
@@ -27,11 +27,11 @@ class DriveRecord(BaseModel):
     truth_share: float | None = None
     """Share of an evaluated drive's scored time in which truth is known."""
     scored_from_s: float | None = None
-    """Time at which filters and scores of an evaluated drive start, s after the first sample."""
+    """Start of filters and scores of an evaluated drive, s after the first sample."""
     seen_s: float | None = None
     """Duration of the part of an evaluated drive that the tuning's drives contain, s."""
     seen_in: list[str] = Field(default_factory=list)
-    """Names of the tuning's drives that contain a part of the evaluated drive."""
+    """Names of these drives of the tuning."""
 
 
 def described(drive: Drive) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def _values(column: Any) -> NDArray[Any]:
 def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
     """Replace dates by seconds since the first IMU sample; return that sample's Unix time, s, or None.
 
-    The resolution of seconds since 1970 as float64 is 0.2 us; seconds since the first sample are exact.
+    Seconds since 1970 as float64 have a resolution of 0.2 us; seconds since the first sample are exact.
     """
     dated = {key for key, table in tables.items() if "t" in table and table["t"].dtype.kind == "M"}
     if not dated:
@@ -96,7 +96,6 @@ def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
 
 
 def _numbers(values: NDArray[Any], name: str, column: str) -> NDArray[np.float64]:
-    """Convert a column (n,) to float64."""
     if values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
     plain = values.dtype.kind == "O" and all(v is None or isinstance(v, int | float) for v in values.tolist())

@@ -1,8 +1,8 @@
 """Find stale fixes: a receiver without satellites repeats its last position exactly while the car drives on.
 
-A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes distinguish the
-two cases, since they show whether the car had stopped before the first repeat. The decision uses only this fix and
-earlier ones, and no parameter of a filter. The same function serves a drive and a live filter.
+A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes show whether the
+car had stopped before the first repeat. The decision uses only this fix and earlier ones, so drives and live filters
+share the function.
 """
 
 import math
@@ -14,27 +14,23 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Gps
 
 NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
-"""Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move (FROZEN: slower than `NO_REST`;
-FROZEN_MOVING: faster, so that the repeat is not evidence of a standstill).
+"""Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move.
+
+FROZEN: slower than `NO_REST`; FROZEN_MOVING: faster, so that the repeat is not evidence of a standstill.
 """
 
-BEFORE = 3.0
-"""Time before a fix within which an equal fix is searched, s; the previous fix is always compared."""
+BEFORE = 3.0  # s before a fix, in which an equal one is searched, and always the previous fix
 SPEED_WINDOW = 2.5
-"""Length of the window whose fixes determine the speed, s; at least two fixes are used. At 1 Hz the window contains
-three fixes, which still show braking."""
-REST = 0.8
-"""Speed according to the fixes up to which the car is at rest, m/s; equal to `standstill.FIX_SPEED`."""
+"""Length of the window of the fixes, at least two, that give the speed, s; three fixes at 1 Hz still show braking."""
+REST = 0.8  # m/s; at most this speed the car is at rest; equal to `standstill.FIX_SPEED`
 NO_REST = 2.0
 """Speed above which the beginning of a repeat is not evidence of a standstill, m/s."""
-BRAKING = 4.0
-"""Largest deceleration of a car, m/s2; a larger deceleration of the fixes is noise."""
-ENOUGH = 3.0
-"""Smallest number of new fixes that show braking; fewer fixes show only a mean speed."""
+BRAKING = 4.0  # m/s2, largest deceleration of a car; more is noise
+ENOUGH = 3.0  # new fixes that show braking; fewer show only a mean speed
 
 
 def judged(gps: Gps) -> Array:
-    """Classify all fixes, shape (n,): `NEW`, `HELD`, `FROZEN` or `FROZEN_MOVING`."""
+    """Classify all fixes, (n,): `NEW`, `HELD`, `FROZEN` or `FROZEN_MOVING`."""
     # The array of a live filter, so that `kind_of` is compiled once.
     fixes = np.column_stack([gps.time, gps.x, gps.y, np.zeros(len(gps.time))])
     kinds = fixes[:, 3]
@@ -44,7 +40,7 @@ def judged(gps: Gps) -> Array:
 
 
 def frozen_fixes(gps: Gps) -> NDArray[np.bool_]:
-    """Mark the stale fixes, shape (n,), which no filter uses as positions."""
+    """Mark the stale fixes, (n,), which no filter uses as positions."""
     return judged(gps) >= FROZEN
 
 
@@ -58,8 +54,8 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix k; rows of ``fixes``, by time, begin with t, x, y, and ``kinds`` contains the kinds of earlier rows.
 
-    The fix is compared with all fixes of the last seconds, so each of two receivers is compared with itself. A run of
-    repeats is classified once, at its first fix.
+    The fix is compared with all fixes of the last seconds, so each of two receivers is compared with itself. The first
+    fix of a run of repeats decides for the run.
     """
     now = fixes[k, 0]
     last = k - 1
@@ -80,9 +76,8 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    The estimate is the smaller of two speeds: that of a straight-line fit, and that of a parabola along this line at
-    the given time, since a car that brakes to a halt was fast a second before. In a log that begins with repeated fixes
-    the result is 0.
+    It is the smaller of the speeds of a line, and of a parabola along this line at the given time: a car that brakes to
+    a halt was fast a second before. In a log that begins with repeated fixes it is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

@@ -1,8 +1,4 @@
-"""Gaps in the IMU: intervals without samples.
-
-Each interval is compared with the previous intervals. So a live filter finds the same gaps as a filter over a drive, at
-any rate of the IMU.
-"""
+"""Gaps in the IMU: intervals without samples, compared with previous intervals only, as a live filter must."""
 
 import numpy as np
 
@@ -10,12 +6,11 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
 MANY, SHORTEST = 5.0, 0.05
-"""An interval is a gap if it exceeds both this many usual intervals and this many s."""
+"""A gap exceeds both this many usual intervals and this many s."""
 OVER = 32.0
 """Approximate number of intervals in the mean that defines the usual interval."""
 MOST = 3.0
-"""Largest value of an interval in the mean of `OVER` intervals, in usual intervals, so that a gap does not become
-usual."""
+"""Limit of an interval in this mean, in usual intervals, so that a gap does not become usual."""
 
 
 def gaps_before(time: Array) -> Array:

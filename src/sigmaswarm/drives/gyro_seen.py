@@ -1,9 +1,8 @@
 """Gyro bias from the last seconds before a start, and its use by filters.
 
-A cheap gyro may have a bias of 20 deg/s when it is turned on. Then the path according to the gyro curves differently
-from the fixes, and the integrated roll angle drifts. Both show the bias with an error of about 1 deg/s. This is less
-accurate than the ``bias_std`` of a good gyro, whose start is therefore unchanged, and far more accurate than the prior
-of a cheap gyro.
+A cheap gyro may start with a bias of 20 deg/s. Then its path curves differently from the fixes, and the integrated roll
+drifts. Both show the bias to about 1 deg/s: less accurate than the ``bias_std`` of a good gyro, which keeps its start,
+and far more accurate than the prior of a cheap gyro.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,34 +12,31 @@ import numpy as np
 
 from sigmaswarm.drives.tables import Array
 
-UP = 2
-"""Index of the rate about the vertical axis."""
+UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0
 """Number of standard deviations above which an alignment subtracts a bias about the vertical axis."""
 STRANGE = 1e-5
-"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms this. A larger
-prior would increase the uncertainty of a good gyro: 1e-3 by 0.07 deg/s."""
+"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms this. 1e-3 would
+make the bias of a good gyro less certain by 0.07 deg/s.
+"""
 STRANGE_STD = 0.2
-"""Standard deviation of the bias of a gyro that is far worse than that of the tuning, rad/s; an uncalibrated MPU-6050
-may have a bias of 20 deg/s."""
+"""Standard deviation of the bias of such a gyro, rad/s; an uncalibrated MPU-6050 may have 20 deg/s."""
 YAW_STD = np.radians(1.0)
 """Smallest standard deviation of the bias, rad/s, since the car slips and receivers smooth their fixes."""
 TURN_SHARE = 0.3
-"""Share of the mean rate of a turn that may be mistaken for bias, since fixes lag and the car slips."""
+"""Share of a turn's mean rate that may be mistaken for bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
-"""Standard deviation of the change of roll and pitch within some seconds, rad, for example where a road begins to
-climb."""
-MOST_BIAS = 0.5
-"""Largest bias of a gyro, rad/s; fixes that show a larger bias have jumped."""
+"""Standard deviation of changes of roll and pitch within some seconds, rad, as where a road begins to climb."""
+MOST_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that show more have jumped
 
 
 @dataclass(frozen=True, eq=False)
 class GyroSeen:
     """Evidence about the gyro bias from one alignment, or from several: see `together`.
 
-    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; the variance is infinite if
-    nothing is known about an axis. The alignment's mean and covariance are valid for the bias ``taken`` about up;
-    ``turns`` (5,) is the change of x, y, vx, vy, theta per rad/s of bias.
+    ``bias`` and ``variance`` (3,) are about forward, left and up, rad/s and squared; an unknown axis has infinite
+    variance. The alignment's mean and covariance are valid for the bias ``taken`` about up; ``turns`` (5,) is the
+    change of x, y, vx, vy, theta per rad/s of bias.
     """
 
     bias: Array
@@ -55,12 +51,11 @@ class GyroSeen:
         return replace(self, bias=bias, taken=self.taken + known)
 
     def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
-        """Add the evidence to a filter's states at the start, ``mean`` (..., n) and ``covariance`` (..., n, n).
+        """Add the evidence in place to the states ``mean`` (..., n) and ``covariance`` (..., n, n) at the start.
 
         The bias follows from two measurements: 0 with standard deviation ``std`` (...), rad/s, and the observed bias.
-        Otherwise the filter was not tuned for this gyro (`STRANGE`), and the bias may be far larger (`STRANGE_STD`).
-        The likelihood of all axes weights the two cases. ``places`` maps each axis, 0 to 2, with an estimated bias to
-        the index of this state; both arrays change in place.
+        Alternatively the gyro is far worse (`STRANGE`, `STRANGE_STD`). The likelihood of all axes weights the two
+        cases. ``places`` maps each axis, 0 to 2, with an estimated bias to its state.
         """
         std, axes = np.asarray(std)[..., None], [*places]
         usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))

@@ -1,8 +1,8 @@
-"""Compute the odometer measurements of a filter: readings averaged over at least a tenth of a second.
+"""Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
-Errors of readings are not white (scale, quantization, tires), so the mean over a tenth of a second contains as much
-information as readings of 83 Hz, with less quantization error. The mean is used at an IMU sample; its latency is the
-mean age of the readings. At low speed there are few pulses, and the odometer reads zero while the car still moves.
+Errors of readings are not white (scale, quantization, tires), so this mean contains as much information as readings of
+83 Hz, with less quantization error. Its latency is the mean age of the readings. At low speed there are few pulses, and
+the odometer may read zero while the car moves.
 """
 
 from dataclasses import dataclass
@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Odometer
 
-INTERVAL = 0.1
-"""Shortest time between two measurements, and largest age of a reading in a measurement, s."""
+INTERVAL = 0.1  # s, shortest time between measurements, and largest age of a reading in one
 SLOW = 0.5
 """Speed below which the odometer may read too low, m/s; the square is added to the variance of lower readings."""
-STALE = 1.0
-"""Age above which a reading does not show whether the wheels turn, s."""
+STALE = 1.0  # s, age above which a reading does not show whether the wheels turn
 
 SPEED, AGE, MORE = range(3)
 """Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""
@@ -30,8 +28,8 @@ SPEED, AGE, MORE = range(3)
 class Wheels:
     """Odometer measurements of the steps of a time line.
 
-    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE. ``turn`` (k,) marks steps
-    that end while the wheels turn, so that the car does not stand.
+    ``absorbs`` (k,) marks steps that end with one of ``rows`` (o, 3), see SPEED ... MORE. ``turn`` (k,) marks steps at
+    whose end the wheels turn, so that the car does not stand.
     """
 
     absorbs: NDArray[np.bool_]

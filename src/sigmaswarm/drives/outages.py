@@ -1,7 +1,4 @@
-"""Artificial GPS outages: time windows in which fixes are hidden from a filter.
-
-Windows are arrays of shape (k, 2): the start and the end of each window, s.
-"""
+"""Artificial GPS outages: time windows (k, 2), start and end, s, in which fixes are hidden from a filter."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,8 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 
-SECONDS_PER_OUTAGE = 15.0
-"""Driving time per window in `random_windows` if no count is given, s."""
+SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
@@ -36,9 +32,8 @@ def random_windows(
 ) -> Array:
     """Draw outages (k, 2) between two times, s, uniformly among all placements with the required distances.
 
-    Each outage has the given ``length``, s, or a random length of that range. The first outage begins at least
-    ``first_after`` s after the start, and the outages are at least ``apart`` s apart. There are at most ``count``
-    outages, by default one per 15 s, but at least one.
+    ``length``, s, is fixed or a range. The first outage begins at least ``first_after`` s after the start; outages are
+    at least ``apart`` s apart. ``count`` limits their number; the default is one per 15 s, and at least one.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
@@ -70,8 +65,8 @@ def balanced_windows(
 ) -> Array:
     """Draw one outage in each ``every`` seconds between two times, s, (k, 2).
 
-    Each outage has a random length of a range, s, and begins at least ``apart`` s after the start and after the
-    previous outage.
+    Each has a random length of a range, s, and begins at least ``apart`` s after the start and after the previous
+    outage.
     """
     if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
         raise InputError(
@@ -89,9 +84,9 @@ def balanced_windows(
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), in order of time, so that each ends exactly on an IMU sample (n,), s.
 
-    The end of each window moves to the first sample at or after it, or to a later sample if the window would be closer
-    than ``apart`` to the previous window; the length is unchanged. A window that would end after the last sample ends
-    at that sample; if it is then too close to the previous window, it is left out.
+    An end moves to the first sample at or after it, or to a later sample if the window would be closer than ``apart``
+    to the previous one; the length is unchanged. An end after the last sample moves back to it; a window that is then
+    too close to the previous one is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -1,8 +1,8 @@
-"""Find the part of a drive that other drives contain, from the content, even in renamed, cut or repaired copies.
+"""Find the part of a drive that other drives contain, even in renamed, cut or repaired copies.
 
 Two kinds of landmarks are equal in all copies of a drive and differ in all other drives: positions with the receiver's
 noise, and yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between two clocks (as in
-Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy contains at least one kind: the yaw rates if
+Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps at least one kind: the yaw rates if
 fixes are left out, shifted or replaced, and the fixes if the IMU is rotated or interpolated.
 """
 
@@ -28,37 +28,30 @@ Whole = NDArray[np.int64]
 SEEN_FILE = "seen.npz"
 """File in a tuning's folder with the landmarks of its training drives."""
 MICRO = 1_000_000
-SAME_TIME = 1000
-"""Largest difference between the times of one landmark in two files, minus the offset of the clocks, us."""
-SAME_PLACE = 3.0
-"""Largest difference between the positions of one fix in two files, cm, or 1e-7 deg (1.1 cm to the north)."""
+SAME_TIME = 1000  # us, largest difference of one landmark's times, without the clock offset
+SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), of one fix in two files
 SAME_RATE = 2e-4
 """Largest difference between the logarithms of one yaw rate in two units with 8 decimals."""
-MOVING = 1.5
-"""Speed to a neighboring fix above which a fix is a landmark, m/s."""
+MOVING = 1.5  # m/s to a neighboring fix, if a fix is a landmark
 UNITS = math.log(180 / math.pi)
 """ln of the ratio of rad/s to deg/s: landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4
-"""Width of the part of the range `UNITS` whose yaw rates are landmarks: a tenth of all samples, about those of 1 to 1.5
-deg/s."""
+"""Width of the part of `UNITS` that has landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s."""
 MOST = 20_000
-"""Largest number of yaw-rate landmarks of a drive; a long drive uses a smaller part of the range `UNITS`."""
-COMMON = 100
-"""Number of occurrences in a drive above which a yaw rate is ignored, such as those of a coarse gyro."""
-FEWEST = 8
-"""Smallest number of landmarks with different values that must agree."""
-SHARE = 0.5
-"""Smallest share of the landmarks in the common time that must agree."""
+"""Largest number of yaw-rate landmarks; a long drive uses a smaller part of `UNITS`."""
+COMMON = 100  # occurrences in a drive; a more frequent yaw rate, as of a coarse gyro, is ignored
+FEWEST = 8  # landmarks with different values that must agree
+SHARE = 0.5  # of the landmarks in the common time that must agree
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
     """The landmarks of a drive, a thousandth of its size.
 
-    ``sha256`` is the `fingerprint` of the drive, which identifies a whole drive without landmarks; ``span`` is start
-    and end of the IMU samples, s. ``fixes`` (n, 3) has time (us) and position: latitude and longitude (1e-7 deg) if
-    ``geographic``, else y and x (cm). ``rates`` (k, 2) has time (s) and the yaw rate as ln|gz| modulo ``UNITS``, the
-    same in rad/s and deg/s and for both signs; rates below ``width`` are landmarks.
+    ``sha256`` is the `fingerprint` of the drive; ``span`` is start and end of the IMU samples, s. ``fixes`` (n, 3) has
+    time (us) and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2) has
+    time (s) and the yaw rate as ln|gz| modulo ``UNITS``, the same in rad/s and deg/s and for both signs; rates below
+    ``width`` are landmarks.
     """
 
     name: str
@@ -77,7 +70,7 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Overlap:
-    """The duration (s) of the part of a drive that other drives contain, and the names of these drives."""
+    """Duration (s) of the part of a drive that other drives contain, and their names."""
 
     seconds: float = 0.0
     of: tuple[str, ...] = ()
@@ -88,7 +81,6 @@ class Overlap:
 
 @np.errstate(all="ignore")  # impossible positions and rates match nothing
 def landmarks(drive: Drive) -> Landmarks:
-    """Compute the landmarks of a drive."""
     gps, imu = drive.gps, drive.imu
     dt = np.maximum(np.diff(gps.time), 1e-3)
     speed = np.hypot(np.diff(gps.x), np.diff(gps.y)) / dt
@@ -146,14 +138,14 @@ def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
 
 
 def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
-    """Return the offset, s, between two drives' clocks from equal fixes; None without enough equal fixes."""
+    """Return the clock offset, s, from equal fixes; None without enough equal fixes."""
     if one.geographic != other.geographic:
         return None
     return _offset(one.fixes.astype(np.float64), other.fixes.astype(np.float64), SAME_PLACE)
 
 
 def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
-    """Return the offset, s, between two drives' clocks from equal yaw rates."""
+    """Return the clock offset, s, from equal yaw rates."""
     width = min(one.width, other.width)
 
     def rates(marks: Landmarks) -> Array:
@@ -167,8 +159,8 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Return the offset, s, between the clocks of landmarks (time in us, values ...) that gives the most equal pairs.
 
-    Some pairs always agree by chance. So, in the drive with fewer landmarks (a copy may be decimated), half of the
-    landmarks in the common time must agree. Their values must differ, since a standing car repeats one value.
+    Some pairs agree by chance. So, in the drive with fewer landmarks (a copy may be decimated), half of the landmarks
+    in the common time must agree. Their values must differ, since a standing car repeats one value.
     """
     if min(len(a), len(b)) < FEWEST:
         return None
@@ -230,7 +222,6 @@ class SavedLandmarks(Sequence[Landmarks]):
         return len(self.names)
 
     def __getitem__(self, k: Any) -> Any:
-        """Load the landmarks of one drive, or of several."""
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(len(self)))]
         with np.load(self.path, allow_pickle=False) as file:

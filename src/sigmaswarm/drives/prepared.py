@@ -10,15 +10,14 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
-SMALL = 500_000
-"""Largest number of steps of a time line that is kept in memory: more than an hour, 40 MB."""
+SMALL = 500_000  # steps of a time line that is kept in memory: more than an hour, 40 MB
 
 
 class PreparedDrive:
     """A drive with the start and the time lines of filters, shared by all filters that run over it.
 
-    The start is ``initial``, by default that of the alignment. With ``as_recorded`` there is no preprocessing, for
-    diagnosis and the paper's protocol: stale fixes are used, and gaps in the IMU are ordinary steps.
+    The start is ``initial``, by default that of the alignment. ``as_recorded``, for diagnosis and the paper's protocol:
+    use stale fixes, and treat gaps in the IMU as ordinary steps.
     """
 
     def __init__(
@@ -36,7 +35,7 @@ class PreparedDrive:
 
     @cached_property
     def kinds(self) -> Array:
-        """The kind of each fix, (number of fixes,), see `drives.frozen`; all are new without preprocessing."""
+        """Kind of each fix, (number of fixes,), see `drives.frozen`; all are new with ``as_recorded``."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
     @property
@@ -47,8 +46,8 @@ class PreparedDrive:
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
         """Return the steps of a filter with all fixes except the ``hidden`` ones (g,); computed once.
 
-        With ``removed``, no step ends at a hidden fix. Otherwise the steps are those of the drive, and the hidden fixes
-        can be forecast; all such time lines share their arrays.
+        With ``removed``, no step ends at a hidden fix. Otherwise hidden fixes can be forecast, and time lines share
+        arrays.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
@@ -67,7 +66,7 @@ class PreparedDrive:
     def forget(self) -> None:
         """Drop the time lines, each a quarter of a gigabyte for ten hours at 100 Hz.
 
-        A small time line of all fixes is kept, since other time lines are derived from it.
+        A small time line of all fixes is kept, since others are derived from it.
         """
         self._timelines = {
             (hidden, removed): line
@@ -79,10 +78,7 @@ class PreparedDrive:
 def prepared(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> PreparedDrive:
-    """Prepare a drive; return a prepared one unchanged, unless another start is given.
-
-    ``as_recorded`` is for a drive that is not yet prepared: see `PreparedDrive`.
-    """
+    """Prepare a drive; return a prepared one unchanged, unless another start is given."""
     if isinstance(drive, PreparedDrive):
         if initial is None or initial is drive.initial:
             return drive

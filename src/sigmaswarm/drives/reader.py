@@ -42,7 +42,6 @@ def has_table(folder: Path, table: str) -> bool:
 
 
 def table_file(folder: Path, table: str) -> Path:
-    """Return the file of a table that a folder contains."""
     return _files_of(folder, table)[0]
 
 
@@ -64,9 +63,8 @@ def read_drive(path: str | Path) -> Drive:
     Returns
     -------
     Drive
-        Fixes of a "wgs84" drive are also converted to m, relative to the ``origin`` of drive.toml or, without it, to
-        the first fix. Without a column ``alt`` the altitude of the origin is used. Keys of drive.toml other than name,
-        frame and origin are ``metadata``.
+        Fixes of a "wgs84" drive are also converted to m, relative to the ``origin`` of drive.toml or to the first fix.
+        Without a column ``alt`` the origin's altitude is used. Keys other than name, frame and origin are ``metadata``.
 
     Raises
     ------

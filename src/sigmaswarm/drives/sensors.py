@@ -11,27 +11,28 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
 VARIES = 1.5
-"""Ratio of the 95% to the 5% quantile of the stated standard deviations, above which they are informative."""
-STARTED = 20.0
-"""Distance from the first fix beyond which the car is moving, m."""
+"""Ratio of the 95% to the 5% quantile above which stated standard deviations are informative."""
+STARTED = 20.0  # m from the first fix, if the car has moved
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of gravity."""
 
 WHITE = 0.4
-"""Share of white noise in the error of fixes above which `has_white_errors` is true: 1 for KITTI and colorado, 0.25 for
-a u-blox M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
-UNSTATED_GPS_STD = 2.1
-"""Standard deviation assumed for the fixes of receivers that state none, m per axis: u-blox M8, 2.5 m CEP."""
+"""Share of white noise in the error of fixes for `has_white_errors`.
+
+It is 1 for KITTI and colorado, 0.25 for a u-blox M8, 0.02 or less for receivers in cars that smooth (kingston-1,
+comma2k19, dresden).
+"""
+UNSTATED_GPS_STD = 2.1  # m per axis, of receivers that state none: u-blox M8, 2.5 m CEP
 SHOWN = 0.25 * UNSTATED_GPS_STD
 """White noise from fix to fix, m per axis, above which a receiver that states no standard deviation does not smooth.
 
 The fixes of such a receiver show their error. The error of a receiver with less noise is unknown.
 """
 FIXES_FOR_FIX_ERROR = 250
-"""Smallest number of fixes, over all logs, at which a tuning without truth uses states of correlated errors.
+"""Fewest fixes, over all logs, for states of correlated errors in a tuning without truth.
 
-Of eight simulated M8 logs of 142 s at 1 Hz, these states made the drift over 30 s worse in six, and one filter
-diverged (1319 m); with 300 and 600 fixes the drift was the same on average, and the position 3 to 6% better.
+On eight simulated M8 logs of 142 s at 1 Hz, these states made the drift over 30 s worse in six, and one filter diverged
+(1319 m). With 300 and 600 fixes the drift was the same on average, and the position 3 to 6% better.
 """
 
 
@@ -111,16 +112,17 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     """Choose the filter for cars by the sensors that all logs have; no filter runs.
 
     - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and braking
-      are not taken for motion. Otherwise **planar8**.
+      are
+    not taken for motion. Otherwise **planar8**.
     - **lateral** and **standstill** always: they determine the heading, which position fixes do not.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states standard deviations, and these vary.
     - **robust** always: it costs little without outliers, and is needed with some.
 
     Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity and
-    heading (no log with truth had them) and latency. Models are not chosen by scores: the models chosen by held-out
-    likelihood and forecasts were 18 to 24% worse than the best ones on average, and 61 to 122% at worst; one good model
-    for all drives was 4 to 12% worse. The figures are in docs/results.md, "Default filter".
+    heading (no log with truth had them) and latency. Scores do not choose the model: models chosen by held-out
+    likelihood and forecasts were 18 to 24% worse than the best on average, and 61 to 122% at worst; one good model for
+    all drives was 4 to 12% worse (docs/results.md, "Default filter").
     """
     found = [sensors_of(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)
@@ -165,8 +167,7 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
 def stated_std(drive: Drive) -> tuple[float, float] | None:
     """Return the standard deviation east and north that the receiver states, m; None if the log has none.
 
-    The result is the median over the fixes if each fix has a standard deviation, and otherwise ``gps_std_m`` of
-    drive.toml.
+    It is the median over the fixes, or ``gps_std_m`` of drive.toml if the fixes have none.
     """
     gps = drive.gps
     if gps.std_x is not None and gps.std_y is not None:
@@ -176,10 +177,9 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 
 
 def receiver_std(drive: Drive) -> tuple[float, float]:
-    """Standard deviation of the fixes of a drive's receiver, m east and north.
+    """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    The result is the stated standard deviation; else the white noise of the fixes, if it is large; else the standard
-    deviation of a u-blox M8.
+    It is the stated one; else the white noise of the fixes, if it is large; else that of a u-blox M8.
     """
     if stated := stated_std(drive):
         return stated
@@ -202,8 +202,7 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 def has_white_errors(drive: Drive) -> bool:
     """Return whether most of the error of the fixes is white, as far as the log shows.
 
-    If a receiver smooths its fixes, or their errors are correlated, neighboring fixes differ by far less than their
-    error.
+    If a receiver smooths its fixes, or errors are correlated, neighboring fixes differ by far less than their error.
     """
     gps = drive.gps
     off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
@@ -213,8 +212,8 @@ def has_white_errors(drive: Drive) -> bool:
 def has_lasting_errors(drive: Drive) -> bool:
     """Return whether white errors of size `receiver_std` would be visible from fix to fix, but are not.
 
-    Then the errors are correlated, or the receiver is more accurate than it states. If a white error of the stated size
-    is small compared with the motion between fixes, as with RTK, nothing is known. A repeated fix counts once.
+    Then the errors are correlated, or the receiver is more accurate than it states. If a white error of this size is
+    small compared with the motion between fixes, as with RTK, nothing is known. A repeated fix counts once.
     """
     position, least = drive.gps.x + 1j * drive.gps.y, WHITE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)
@@ -225,7 +224,7 @@ def has_lasting_errors(drive: Drive) -> bool:
 
 
 def enough_for_fix_error(drives: Iterable[Sensors]) -> bool:
-    """Return whether drives have enough fixes, counted over all of them, for states of correlated errors."""
+    """Return whether all drives together have enough fixes for states of correlated errors."""
     return sum(drive.fixes for drive in drives) >= FIXES_FOR_FIX_ERROR
 
 

@@ -29,7 +29,6 @@ def split_drives(
     train_fraction : float
         Share of the drives for training, in (0, 1).
     rng : numpy.random.Generator
-        Draws the drives.
     """
     _require_fraction(train_fraction)
     if len(drives) < 2:

@@ -2,14 +2,14 @@
 
 At constant speed on a smooth road the IMU is as calm as at a standstill, so the fixes must also be constant. Fixes show
 a departure late, so the IMU must also be calm. During a gentle departure the IMU is calm, but the acceleration changes,
-so it must agree with the acceleration at the beginning of the stop. The same functions serve a drive and a live filter.
+so it must agree with that at the beginning of the stop. Drives and live filters share the functions.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
 last second is the current, incomplete block and the 20 before it; the last quarter of a second is the current block and
 the 5 before it. Blocks are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise
-algorithm for computing sample variances, 1979). To keep rounding errors from accumulating, blocks are never subtracted;
-they form two stacks of 20. Each block of the older stack is merged with the later blocks of this stack; the blocks of
-the newer stack are stored singly, and their merged total is in FRESH.
+algorithm for computing sample variances, 1979), and never subtracted, so that rounding errors do not accumulate. They
+form two stacks of 20. Each block of the older stack is merged with the later blocks of this stack; those of the newer
+stack are stored singly, and their merged total is in FRESH.
 """
 
 import math
@@ -21,37 +21,27 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN_MOVING
 
-BLOCK = 0.05
-"""Length of a block, s."""
-SECOND = 20
-"""Number of complete blocks in the second that must be calm."""
-MOST_OF_IT = 16.0
-"""Smallest age of the oldest block, in blocks, at which the second counts as complete."""
-QUARTER = 5
-"""Number of complete blocks in the quarter of a second whose means show a departure."""
+BLOCK = 0.05  # s
+SECOND = 20  # complete blocks in the second that must be calm
+MOST_OF_IT = 16.0  # blocks, age of the oldest block of a complete second
+QUARTER = 5  # complete blocks in the quarter of a second that shows a departure
 CALM = 2.5
 """Largest ratio of the standard deviations in a calm second to the usual ones at rest."""
-SETTLES = 0.5
-"""Time constant with which the estimated noise at rest falls, s."""
+SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
-"""Rate at which the estimated noise at rest rises while the car is nearly calm, per s, so that the estimate does not
-depend on a single second."""
-DEPARTS = 0.12
-"""Change of the acceleration, forward or left, above which the car departs, m/s2."""
+"""Rise of the estimated noise at rest while the car is nearly calm, per s: it must not depend on one second."""
+DEPARTS = 0.12  # m/s2, change of the acceleration, forward or left, of a car that departs
 FOLLOWS = 1.0
 """Time constant, s, with which the stored acceleration of the stop follows sensors that warm up."""
 FORGETS = 3.0
-"""Time after the last moment of calm and constant fixes after which a new stop begins, s."""
-FIX_WINDOW = 3.0
-"""Length of the window in which the fixes must be constant, s."""
+"""Time without calm and constant fixes after which a new stop begins, s."""
+FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
 FILLED = 1.5
 """Largest time between the start of the window and the first fix, in mean intervals of fixes."""
-FIX_SPEED = 0.8
-"""Speed of the straight-line fit to the fixes below which they count as constant, m/s."""
+FIX_SPEED = 0.8  # m/s, of the line through constant fixes
 CLOSE = 1e-5
 """Time before a fix leaves the window at which the line is fitted again, s."""
-TURNING = math.radians(1.5)
-"""Largest yaw rate at a standstill, rad/s, which is due to the gyro's bias."""
+TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill: the gyro's bias
 
 # A detector's memory, shape (N_MEMORY, 8). Rows: the stacks, from row PLACE on the older one; the current block; the
 # newer stack, merged; the complete blocks of the last second, merged; of the last quarter; the level of calm; means of
@@ -64,8 +54,7 @@ COUNT, MEAN, SQUARES, FIRST = 0, 1, 4, 7
 # age of the oldest block of WHOLE in blocks, the current block's number, the time of the last sample.
 PLACE, AGE, NUMBER, LAST = 3, 4, 5, 6
 
-PIECE = 100_000
-"""Samples per copy, to limit the memory."""
+PIECE = 100_000  # samples per copy, to limit the memory
 
 
 def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
@@ -210,14 +199,12 @@ def _merge(total: Array, block: Array) -> None:
 
 @cached
 def _copy(block: Array, to: Array) -> None:
-    """Copy a block."""
     for c in range(8):
         to[c] = block[c]
 
 
 @cached
 def _clear(block: Array) -> None:
-    """Empty a block."""
     for c in range(8):
         block[c] = 0.0
 
@@ -226,9 +213,9 @@ def _clear(block: Array) -> None:
 def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
     """Return True if the acceleration still agrees with that at the beginning of the stop.
 
-    The function is called when the IMU is calm and the fixes are constant. ``stop`` (2,) is the stop's ax, ay, changed
-    in place; ``passed`` (s) is the time since the last such moment. ``means`` (4,) are those of ax, ay over the last
-    second, then over the last quarter of it, m/s2.
+    It is called when IMU and fixes are calm. ``stop`` (2,) is the stop's ax, ay, changed in place; ``passed`` (s) is
+    the time since the last call. ``means`` (4,) are those of ax, ay over the last second, then over its last quarter,
+    m/s2.
     """
     if not passed <= FORGETS:
         stop[0] = means[0]
@@ -248,8 +235,7 @@ def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) ->
 
     Of the first ``n`` rows, those up to ``now`` are read. The result is valid until ``until[0]`` if no fix is added.
     ``kinds`` has the kind of each fix, see `frozen`; stale fixes of a driving car are not used. After an outage the
-    window must first be full: the slope over half a window is three times as noisy, and a car that departs with
-    constant acceleration would appear to stand.
+    window must first be full: half a window has three times the noise, and a departing car would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

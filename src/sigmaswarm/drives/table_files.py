@@ -19,7 +19,8 @@ from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
 """Largest accepted value: above any value of a car's sensor in m, m/s, m/s2, rad or rad/s, or in units that can be
-repaired (mm, mg or mdeg/s)."""
+repaired (mm, mg or mdeg/s).
+"""
 _METERS, _NO_STD = "give meters from an origin near by", "leave the column out if no deviation is stated"
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; lat and lon may be exchanged"),
@@ -36,10 +37,9 @@ RANGES: dict[str, tuple[float, float, str]] = {
 """Lowest and highest value allowed in a column, and the remedy."""
 
 _LONGEST_LEAP = 1e12
-"""Longest interval between two rows, in usual intervals: 300 years at 100 Hz. A clock that is set jumps by less."""
+"""Longest interval in usual intervals: 300 years at 100 Hz. A clock that is set jumps by less."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
-"""File formats of a drive's tables."""
 TABLES = tuple(f"{name}{form}" for name in RECORDS for form in FORMS)
 
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
@@ -55,9 +55,8 @@ def one_file(path: Path) -> dict[str, Any]:
 class TableFile:
     """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
-    Cells of a CSV file are stored as numbers if all are finite, which needs a fifth of the memory. Otherwise they are
-    text (None if empty), which messages quote. Cells of a Parquet file have the types of the file. A table in memory
-    has a name instead of a path, and its rows count from 0.
+    Cells of a CSV file are numbers if all are finite, which needs a fifth of the memory; otherwise text (None if
+    empty), which messages quote. A table in memory has a name instead of a path, and its rows count from 0.
     """
 
     path: Path

@@ -49,7 +49,7 @@ class Table:
         Raises
         ------
         InputError
-            If pandas is not installed.
+            Pandas is not installed.
         """
         return notebook.to_pandas({name: v for name, v in vars(self).items() if v is not None})
 
@@ -73,8 +73,7 @@ class Imu(Table):
     gy: Array | None = None
 
 
-NO_HEADING = np.pi
-"""Stated standard deviation, rad, at or above which a fix has no heading."""
+NO_HEADING = np.pi  # rad; a larger stated standard deviation means that a fix has no heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +159,6 @@ class Truth(Table):
 
 
 RECORDS: dict[str, type[Table]] = {"imu": Imu, "gps": Gps, "truth": Truth, "odometer": Odometer}
-"""The record of each table of a drive."""
 
 
 def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:

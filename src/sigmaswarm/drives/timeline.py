@@ -2,11 +2,11 @@
 
 The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both driven by
 the same sample, and updates the filter at its own time. Two fixes with equal times, from two receivers, update the
-filter one after the other; the step of the second fix has length 0. Each step uses its true dt. Process noise is the
-variance added per nominal interval (the median) and scales with dt / nominal.
+filter one after the other; the second has a step of length 0. Process noise is the variance added per nominal interval
+(the median) and scales with dt / nominal.
 
-In a gap of the IMU the input is the mean of the samples before and after it, and the gap is marked (`drives.gaps`).
-Stale fixes are left out (`drives.frozen`). With ``as_recorded`` both rules are off.
+In a gap of the IMU the input is the mean of the samples before and after it (`drives.gaps`). Stale fixes are left out
+(`drives.frozen`). With ``as_recorded`` both rules are off.
 """
 
 from collections.abc import Sequence
@@ -26,13 +26,11 @@ from sigmaswarm.drives.standstill import standing
 from sigmaswarm.drives.tables import headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
-"""Indices of the numbers of a step: length, scale of Q, gap, and the IMU's axes; the last three only if the IMU has
-them."""
+"""Numbers of a step: length, scale of Q, gap, and the IMU's axes; the last three only if the IMU has them."""
 N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 """The IMU's axes in the order of a step; every IMU has the first three."""
-FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)
-"""Columns of a fix."""
+FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = range(8)  # columns of a fix
 
 CORNERING = 4.0
 """Lateral acceleration above which tires slip too much for a constraint on the lateral velocity, m/s2."""
@@ -46,8 +44,8 @@ class Timeline:
     ----------
     start : s
     end : (k,) s, end of each step
-    steps : (k, 3) the columns dt (s), q_scale and gap (s): length of the step, dt / nominal interval of the drive, and
-        length of the gap in the IMU's samples that contains the step, 0 outside of gaps
+    steps : (k, 3) dt (s), q_scale (dt / nominal interval), and gap: length, s, of the IMU gap that contains the step,
+    or 0
     sample : (k,) int, index of the IMU sample that drives each step
     driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, that drive the steps up to each of its samples; all
         shared by all time lines of a drive
@@ -99,7 +97,7 @@ class Timeline:
 
     @property
     def gap(self) -> Array:
-        """Length of the gap in the IMU's samples that contains each step, (k,) s; 0 outside of gaps."""
+        """Length of the IMU gap that contains each step, (k,) s; 0 outside of gaps."""
         return self.steps[:, GAP]
 
     @cached_property
@@ -169,7 +167,6 @@ class Timeline:
         )
 
     def _seen(self, hidden: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return the drive without some of its fixes, and the kinds of the others."""
         gps = self.drive.gps.select(~hidden)
         return {"drive": replace(self.drive, gps=gps), "kinds": self.kinds[~hidden]}
 
@@ -179,8 +176,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): the kinds of the fixes, if
-    they were classified together with more fixes.
+    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the fixes, if they
+    were classified together with more fixes.
     """
     imu = drive.imu
     if kinds is None:
@@ -233,7 +230,6 @@ def _driving(drive: Drive, gap_ends: NDArray[np.intp]) -> Array:
 
 
 def _fixes_of(gps: Gps) -> dict[str, Any]:
-    """Return the attributes of a time line that describe its fixes."""
     velocity, variance = np.zeros((2, len(gps))), np.zeros((2, len(gps)))
     has_velocity = stated = False
     if gps.speed is not None and gps.course is not None:

@@ -1,6 +1,6 @@
 """URLs of drives, which fsspec reads (s3, gs, abfs, sftp, https ...).
 
-A drive at a URL is copied to a temporary folder and read from there, with the same reader and checks.
+A temporary copy of the drive is read with the same reader and checks.
 """
 
 import re

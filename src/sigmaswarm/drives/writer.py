@@ -28,8 +28,8 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     Parameters
     ----------
     drive : Drive
-        For a "wgs84" drive lat, lon and alt are written, from which the reader computes x and y. The name of the drive
-        is written if it differs from the folder's name.
+        A "wgs84" drive is written with lat, lon and alt, from which the reader computes x and y. The name is written if
+        it differs from the folder's name.
     path : str or Path
         The folder to make; missing parents are also made.
     overwrite : bool
@@ -110,7 +110,6 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
 
 
 def _parquet(frame: pl.DataFrame) -> bytes:
-    """Write 64-bit floats, compressed."""
     file = BytesIO()
     frame.write_parquet(file, compression="zstd", statistics=False)
     return file.getvalue()

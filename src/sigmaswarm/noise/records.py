@@ -54,8 +54,7 @@ class AxisNoise:
         """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
         ``longest``: length (s) of the longest stretch, used if no correlation time is found. The peak of its Allan
-        variance
-        represents flicker noise. Without any bias process, the upper end of the walk's interval is used.
+        variance represents flicker noise. Without any bias process, the upper end of the walk's interval is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0

@@ -170,8 +170,7 @@ def _tuned(
     """Tune the filter that suits the drive on the good receiver's fixes, without the option ``standstill``.
 
     Fixes with errors of a centimeter would make the noise of this constraint very small. One wrongly detected
-    standstill in
-    an outage would then move the track by meters, while the covariance stays small.
+    standstill in an outage would then move the track by meters, while the covariance stays small.
     """
     found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")

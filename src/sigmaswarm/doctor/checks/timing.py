@@ -163,8 +163,7 @@ def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time, s, from fix j to the next, from the speed around them, and its standard deviation.
 
     Lines through the fixes of `AROUND` seconds on each side give the speed, since single fixes are too noisy. If the
-    two
-    speeds differ, the car may have had any speed between them.
+    two speeds differ, the car may have had any speed between them.
     """
     position, time = gps.x + 1j * gps.y, gps.time
     noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))
