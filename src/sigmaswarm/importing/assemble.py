@@ -19,9 +19,8 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
 
 SEED, MOST_FIXES = 0, 10_000_000
-"""Fixes made from the truth: the seed of their noise, and their largest number."""
+"""Fixes made from the truth: seed of their noise, and largest number."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
-"""Required columns of each role."""
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m) of the local frame."""
 
@@ -36,9 +35,7 @@ def assemble(
 ) -> Drive:
     """Make a drive from gathered columns; ``say`` receives sentences on assumptions and omissions.
 
-    Parameters
-    ----------
-    recording : number of the recording to take, from 1, if a clock restarts within a table
+    ``recording`` is the number of the recording to take, from 1, if a clock restarts within a table.
     """
     times: dict[Role, Nanoseconds] = {}
     values: dict[Role, Values] = {}
@@ -84,7 +81,7 @@ def assemble(
 
 
 def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
-    """Make only the IMU's table from gathered columns; the parameters are those of `assemble`."""
+    """Make only the IMU's table; the parameters are those of `assemble`."""
     time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
     return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)
 
@@ -151,10 +148,10 @@ def _first_place(values: Values) -> Origin:
 
 
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
-    """Return the truth with x and y, m, and the origin: its own first position if the fixes have set none.
+    """Return the truth with x and y, m, and the origin: the truth's first position if the fixes have none.
 
-    Fixes without altitude get that of the origin. The truth then also gets it: a difference of 1000 m in altitude
-    would stretch one of the two tracks by 16 cm per kilometer.
+    If the fixes lack altitudes, the truth also gets that of the origin. A difference of 1000 m in altitude would
+    stretch one of the two tracks by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -199,7 +196,7 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
 
 
 def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
-    """Return the truth's columns; where the log has no velocity or heading, computed from positions and course."""
+    """Return the truth's columns; positions and course give a missing velocity or heading."""
     if "forward" in values and "theta" in values:
         body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
         east_north = body * np.exp(1j * values["theta"])

@@ -62,7 +62,6 @@ Uses = dict[tuple[str, str], list[tuple[str, str]]]
 
 
 def uses_of(look: Look) -> Uses:
-    """Find the use of each column of a log."""
     uses: Uses = {}
     names = {glance.table: [r.column for r in glance.ranges] for glance in look.tables}
     for role, parts in look.recipe.roles.items():
@@ -82,7 +81,7 @@ def mentions(text: str, column: str) -> bool:
 
 
 def units_of(target: str) -> dict[str, str]:
-    """Units that a target can be recorded in, with their expressions."""
+    """Return the units of a target, with their expressions."""
     return UNITS[KINDS.get(target.partition(".")[2], "length")]
 
 
@@ -96,13 +95,13 @@ def unit_in(target: str, column: str, expression: str) -> str:
 
 
 def expression_of(target: str, column: str, unit: str = "") -> str:
-    """Return the expression of a target that is recorded in a unit; by default in the usual one."""
+    """Return the expression of a target in a unit; by default in the usual unit."""
     units = units_of(target)
     return (units[unit] if unit else next(iter(units.values()))).format(written(column))
 
 
 def assign(choices: dict[str, Any], look: Look, table: str, column: str, target: str) -> None:
-    """Use a column for another target, in its usual unit; the target that it had is left out."""
+    """Use a column for another target, in its usual unit; leave out its previous target."""
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(look).get((table, column), []):
         if old != target and not old.endswith(".t"):

@@ -30,11 +30,11 @@ class Request:
     source : the log; it must contain the IMU
     gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
     form : the source's format, if given
-    recipe : settings, and parts that take the place of the guess
+    recipe : settings, and parts that replace the guess
     maps : ``column=expression``
     time : expression of the time, in every table of the source
     choice : tables and times
-    limits : how much is read
+    limits : limits of the input
     part : number of the recording, from 1, where a clock restarts within a table
     definitions : files or folders with definitions of ROS messages, .msg, for bags that contain none
     """
@@ -53,7 +53,6 @@ class Request:
     definitions: Sequence[Path] = ()
 
     def home(self, role: Role) -> Path:
-        """Return the log of a role."""
         return (None if role in ("imu", "mag") else getattr(self, role)) or self.source
 
 
@@ -92,15 +91,7 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 
 
 def import_drive(request: Request, name: str, progress: Progress = lambda done: None) -> Imported:
-    """Make a drive of a log.
-
-    Parameters
-    ----------
-    request : Request
-    name : str
-        Name of the drive.
-    progress : callable
-        Called with the share that is done, 0 to 1.
+    """Make a drive, with a name, of a log; call ``progress`` with the share that is done, 0 to 1.
 
     Raises
     ------
@@ -239,7 +230,7 @@ def _require_sensors(
     guesses: Guesses,
     roles: Sequence[Role],
 ) -> None:
-    """Refuse logs in which no IMU or no fixes were found, before they are read."""
+    """Refuse logs without an IMU or fixes, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that contains them as SOURCE"),
         ("gps", "position fixes", "name a log that contains them with --gps"),

@@ -8,13 +8,11 @@ from numpy.typing import NDArray
 
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
-"""Nanoseconds in a second."""
 LONG_AGO = 1_000_000 * SECOND
 """Larger times (12 days) count from 1970 or a phone's start; the times of a drive then count from its beginning."""
 GPS_EPOCH = 315_964_800
 """Beginning of GPS time, 1980-01-06 (IS-GPS-200), s since 1970-01-01."""
 WEEK = 604_800
-"""Seconds in a week."""
 EXCEL_EPOCH, MATLAB_EPOCH = 25569, 719_529
 """1970-01-01 in days of spreadsheets and of MATLAB's datenum."""
 LEAP_DAYS = (
@@ -48,9 +46,7 @@ def as_text(columns: Sequence[str]) -> pl.Expr:
 def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     """Return seconds since 1970 of dates in text, null where there is none; without a zone they are UTC.
 
-    Parameters
-    ----------
-    form : format in strftime's codes; "" for ISO 8601; without a day, seconds count from midnight
+    ``form`` has strftime's codes; "" is ISO 8601. Without a day, seconds count from midnight.
     """
     plain = (
         text.str.replace("T(\\d)", " ${1}")

@@ -1,11 +1,10 @@
 """Expressions over a table's columns, as polars expressions. Text is parsed and checked, never executed.
 
-``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``,
-```Acceleration x (m/s^2)` ``: names are columns; a column whose name is not a plain name goes between backticks.
+``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``, ```Acceleration x
+(m/s^2)` ``: names are columns; backticks enclose a column without a plain name.
 
-All values are numbers. An empty cell is null, and so is a result computed from it. A comparison is 1 or 0 in
-arithmetic. For ``not``, ``and``, ``or``, ``where`` and ``keep``, a number other than 0 is true. Times can also be
-computed as whole nanoseconds.
+Values are numbers. The result of an empty cell is null. A comparison is 1 or 0 in arithmetic. For ``not``, ``and``,
+``or``, ``where`` and ``keep``, a number other than 0 is true. Times can also be computed as whole nanoseconds.
 """
 
 import ast
@@ -34,7 +33,7 @@ def _number(a: pl.Expr) -> pl.Expr:
 
 
 def _truth(a: pl.Expr) -> pl.Expr:
-    """Compare with 0; null for NaN. ``fill_nan`` would double the work with each nesting: it uses its column twice."""
+    """Compare with 0; null for NaN. ``fill_nan`` uses its column twice: each nesting would double the work."""
     return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
 
@@ -51,14 +50,13 @@ def _ddmm(a: pl.Expr) -> pl.Expr:
 
 _PART = r"\d+(?:\.\d+)?"
 _DMS = rf"(?i)^(?:[NSEW] *)?[+-]? *{_PART}(?:[ °º:d'′’m]+{_PART}){{0,2}}[ °º'′’\"″”m]*[NSEW]?$"
-"""Form of degrees, minutes and seconds in a text."""
 
 
 def _dms(text: pl.Expr) -> pl.Expr:
     """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees; those of S and W are negative.
 
-    Four digits or more in the only number are degrees and minutes (4807.038 N). Null for other letters than N, S, E,
-    W, and where three digits may be degrees or degrees and minutes (012.5 N).
+    Four digits or more in the only number are degrees and minutes (4807.038 N). Null for other letters than N, S, E, W,
+    and where three digits may be degrees or degrees and minutes (012.5 N).
     """
     plain = text.str.strip_chars().str.replace_all(",", ".").str.replace(rf"(?i)(m *{_PART} *)s", "${1}")
     numbers = plain.str.extract_all(_PART)
@@ -146,7 +144,6 @@ def compile_expression(text: str, columns: Collection[str]) -> Expression:
 
 
 def fits(text: str, columns: Collection[str]) -> bool:
-    """Return True if a text can be compiled over these columns."""
     try:
         compile_expression(text, columns)
     except InputError:
@@ -244,7 +241,7 @@ class _Compiler:
             ) from None
 
     def _column(self, name: str) -> pl.Expr:
-        """A column as float64, null where it is empty, NaN or no number; or a constant."""
+        """Return a constant, or a column as float64, null where it is empty, NaN or no number."""
         if name in _CONSTANTS and name not in self.columns:
             return pl.lit(_CONSTANTS[name])
         self.numbers.add(name)

@@ -39,16 +39,10 @@ class ReceiverLog:
 
 
 def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
-    """Read the fixes of a log in any format that `sigmaswarm import` knows, or of a drive.
+    """Read the fixes of a log in any format that `sigmaswarm import` knows, or of a drive's folder.
 
-    Parameters
-    ----------
-    path : Path
-        A log, or a drive's folder.
-    drive : Drive
-        Its clock (``time_origin_s`` in drive.toml) and plane (``origin``) are used.
-    offset : float
-        Added to the times of the fixes, s.
+    They get the clock (``time_origin_s``) and the plane (``origin``) of ``drive``; ``offset``, s, is added to their
+    times.
     """
     if has_table(path, "gps"):
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # its import has printed the warnings
@@ -83,7 +77,6 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
 
 
 def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
-    """Convert the fixes of another drive."""
     clocks = [one.metadata.get(CLOCK) for one in (other, drive)]
     apart = clocks[0] - clocks[1] if clocks[0] is not None and clocks[1] is not None else 0.0
     gps = replace(other.gps, time=other.gps.time + apart + offset)

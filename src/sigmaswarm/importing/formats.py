@@ -30,8 +30,8 @@ READERS: dict[str, tuple[str, str]] = {
 }
 """By the name for --format: the module in ``readers/``, and a description. The most general one comes last.
 
-A module has ``recognizes(path)``, True if the name or the first bytes of a file or folder are those of the format; it
-does not need the format's library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
+A module has ``recognizes(path)``: True if name or first bytes of a file or folder are those of the format, without the
+format's library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
 """
 _MIXED = ("nmea", "gnss-logger")
 """Formats of text with lines of several types."""
@@ -60,12 +60,11 @@ NOT_READ = {
     ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, as with gopro-telemetry",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
-"""Endings of unsupported formats: what they are, and how to convert them."""
+"""Endings of unsupported formats: their names, and how to convert them."""
 _MAGIC = {
     **{b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"},
     **dict.fromkeys((b"#BESTPOSA", b"#INSPVA", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),
 }
-"""First bytes of some of them."""
 
 
 @contextmanager
@@ -77,9 +76,7 @@ def open_log(
 ) -> Generator[Log]:
     """Open a log of a named or detected format.
 
-    Parameters
-    ----------
-    definitions : files or folders with definitions of ROS messages, .msg, for bags that contain none
+    ``definitions`` are files or folders with definitions of ROS messages, .msg, for bags that contain none.
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")

@@ -22,7 +22,6 @@ ROW = "row"
 FAR = 10
 """Distance of a placeholder from the values, in units of their spread, above which it means a missing value."""
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
-"""Texts that mean a cell is empty."""
 
 
 @dataclass
@@ -125,7 +124,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
 
 
 def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
-    """Complete a part; a part without a table becomes one part for each table whose columns it uses."""
+    """Complete a part; a part without a table becomes one part for each table with its columns."""
     return [_complete(one, log, role) for one in _with_tables(part, log, role)]
 
 
@@ -182,7 +181,6 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
 
 
 def gather(log: Log, parts: Sequence[Part], progress: Progress, limits: Limits) -> list[Gathered]:
-    """Read the log once and evaluate all parts."""
     gathered: list[Gathered] = []
     wanted: dict[str, set[str]] = {}
     for part in parts:

@@ -48,10 +48,7 @@ _HINTS: dict[str, str] = {
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
     """Find the tables of each role by their columns, and among several by their names.
 
-    Parameters
-    ----------
-    samples : the first rows of each table
-    chosen : by role, the table that the user chose
+    ``samples`` are the first rows of each table; ``chosen`` is the user's table, by role.
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     roles: dict[Role, tuple[Part, ...]] = {}
@@ -160,7 +157,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 def _with_fix(columns: Columns) -> Found | None:
     """Select the rows with a fix by a column of flags, unless it would drop many rows that look like fixes.
 
-    Other codes have 0 for a fix without fixed ambiguities, or flags are in other rows than positions.
+    In other codes 0 is a fix without fixed ambiguities; or flags are in other rows than positions.
     """
     flag = next((n.column for n in read_names(columns.frame.columns) if n.is_one(_FIXED)), None)
     both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")

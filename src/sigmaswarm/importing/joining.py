@@ -17,7 +17,7 @@ from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
 
 LEAST_STD = 1e-6
-"""Largest standard deviation, m, that means that the receiver states none."""
+"""At or below this standard deviation, m, the receiver states none."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """A full turn in the unit of each angle column, rad or deg."""
 SPARSE = 0.1
@@ -32,9 +32,7 @@ def join(
 ) -> tuple[Nanoseconds, Values]:
     """Join a role's parts at the first part's times; the others are interpolated linearly.
 
-    Parameters
-    ----------
-    recording : number of the recording to take, from 1, if a clock restarts within a table
+    ``recording`` is the number of the recording to take, from 1, if a clock restarts within a table.
     """
     (time, values), *others = [_in_order(part, role, recording, say) for part in parts]
     for other_time, other in others:

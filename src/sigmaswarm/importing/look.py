@@ -24,12 +24,12 @@ from sigmaswarm.importing.times import numbers_of, time_of
 SAMPLE = 5000
 """Rows of a table from which ranges are computed."""
 LOOKED_AT = 25_000
-"""Rows of all tables together if they are mixed; a table that does not occur among them is shown without values."""
+"""Rows of all tables together if they are mixed; a table that does not occur among them has no values."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """A column's values over the rows looked at: smallest, median, largest; None where it contains no numbers."""
+    """Smallest, median and largest value of a column in the first rows; None if it contains no numbers."""
 
     column: str
     low: float | None
@@ -53,9 +53,9 @@ class Glance:
 class Look:
     """Content of the logs of a request, the recipe that would be used, and its assumptions.
 
-    ``proposal``: options of `sigmaswarm import` for what was not recognized, the same as ``settings`` of `import_log`,
-    and the ``evidence`` for them. ``works``: True if the import with these options succeeds; without a proposal, if IMU
-    and fixes were recognized. ``unread``: by table, the columns that are not read, also with the proposal. ``faults``:
+    ``proposal``: options of `sigmaswarm import` for unrecognized columns, the same as ``settings`` of `import_log`,
+    with their ``evidence``. ``works``: True if the import with these options succeeds; without a proposal, if IMU and
+    fixes were recognized. ``unread``: by table, the columns that are not read, also with the proposal. ``faults``:
     reasons not to read a column unchanged. ``rows``: the first rows of each table.
     """
 
@@ -133,7 +133,6 @@ def _unread(
 
 
 def _imported(request: Request, proposal: Proposal) -> Drive:
-    """Import the drive of a request with a proposal."""
     choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
     asked = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
     return convert.import_drive(asked, "proposal").drive
@@ -161,7 +160,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """Find the columns that an IMU lacks in one table in another, if no column has the same name in both."""
+    """Find the IMU columns that one table lacks in another, if no column has the same name in both."""
     others = {other: columns for other, columns in names.items() if other != table}
     if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
         return {}

@@ -26,13 +26,13 @@ from sigmaswarm.importing.times import written
 LEAST_TURN = 180
 """Smallest range of directions, deg, with which a drive determines the hard iron."""
 BIN = 10
-"""Width of a bin of directions, deg; directions in one bin count as one."""
+"""Width of a bin of directions, deg."""
 LEAST_SAMPLES = 5
 """Smallest number of samples in a bin."""
 DRIFT = 10.0
 """Interval over which the course corrects the heading of the gyro, s."""
 MOST_ROWS = 20_000
-"""Largest number of rows for the calibration, evenly over the drive."""
+"""Rows for the calibration, evenly over the drive."""
 STEEL = 4.0, 0.03
 """Largest deviation of the field's size (relative) and direction (rad): in standard deviations, and its least value."""
 AROUND = 1.0
@@ -73,7 +73,7 @@ class Calibration:
 
     @property
     def mirrored(self) -> bool:
-        """True where an axis of the sensor has the wrong sign, or x and y are exchanged."""
+        """True if an axis of the sensor has the wrong sign, or x and y are exchanged."""
         return bool(np.linalg.det(self.shape) > 0)
 
     @property
@@ -85,7 +85,7 @@ class Calibration:
 
 
 def part_of(table: str, columns: Sequence[str]) -> Part:
-    """Find the axes of a magnetometer by their names in a table that the user chose; none if they have others."""
+    """Find the axes of a magnetometer by their names in a table that the user chose; the part may be empty."""
     for pattern in _AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():
@@ -190,7 +190,7 @@ def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_])
 
 
 def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark values (n,) far from the median, in robust deviations; both of the values while the vehicle moves."""
+    """Mark values (n,) far from the median of those in motion, in robust standard deviations."""
     apart = np.abs(values - float(np.median(values[moving])))
     deviations, least = STEEL
     return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)
@@ -199,7 +199,7 @@ def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _at(
     fixes: Array, time: Array, vector: Array, near_steel: NDArray[np.bool_]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the heading (m,), rad, at the times of fixes (m,), s, and a mask of those where it is known."""
+    """Return the heading (m,), rad, at the times of fixes (m,), s, and a mask of known headings."""
     x, y = (np.interp(fixes, time, column) for column in vector.T)
     after = np.clip(np.searchsorted(time, fixes), 1, len(time) - 1)
     close = (time[after] - time[after - 1] <= LONGEST_GAP) & (fixes >= time[0]) & (fixes <= time[-1])
@@ -207,7 +207,7 @@ def _at(
 
 
 def _turn(calibration: Calibration, stated: float | None) -> float:
-    """Return the angle, rad, from the heading that fits the course to the one by a stated declination, deg."""
+    """Return the angle, rad, from the heading that fits the course to that by a stated declination, deg."""
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:
@@ -221,7 +221,6 @@ def _turn(calibration: Calibration, stated: float | None) -> float:
 
 
 def _said(calibration: Calibration, stated: float | None) -> str:
-    """Describe the calibration in a sentence."""
     x, y = calibration.center
     fitted = f"mag: hard iron {x:.4g}, {y:.4g}, soft iron {calibration.soft_iron:.1%}"
     if calibration.mirrored:

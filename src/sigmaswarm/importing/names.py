@@ -9,7 +9,7 @@ from itertools import takewhile
 from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Dimension, Unit, parse_unit
 
 LONGEST_NAME = 200
-"""Characters of a name that can mean something."""
+"""Characters of a name that are read."""
 
 TIME = (
     "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc|"
@@ -131,7 +131,6 @@ class Name:
         return tuple(plain_words(self.column))
 
     def is_one(self, pattern: str) -> bool:
-        """Return True if the plain name fits a regular expression."""
         return re.fullmatch(pattern, self.plain) is not None
 
 
@@ -163,7 +162,7 @@ def meaning_of_plain(plain: str) -> str | None:
 
 
 def read_names(columns: Sequence[str]) -> list[Name]:
-    """Read the names of a table's columns, without a device's name that all of them share: "Car.ax", "vehicle/imu/ax".
+    """Read the names of a table's columns, without a device's name that all share: "Car.ax", "vehicle/imu/ax".
 
     Places and speeds then need a prefix of a receiver, accelerations and rates one of another device.
     """
@@ -201,7 +200,7 @@ def _one_sensor(names: list[Name]) -> list[Name]:
 
 
 def _family(name: Name) -> str:
-    """Return the name without its axis if other names go before it, else ""."""
+    """Return the name without its axis if other names take precedence, else ""."""
     weak = re.match(_SHORT, name.plain) or _stated(name.plain, name.unit)
     return re.sub("^[xyz]|[xyz]$", "", name.plain) if weak else ""
 
@@ -209,7 +208,7 @@ def _family(name: Name) -> str:
 def read_name(column: str) -> Name:
     """Split a column's name from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms".
 
-    A name that means nothing is tried again with its words split at capitals: "gyroRotationX(rad/s)".
+    A name without a meaning is tried again with its words split at capitals: "gyroRotationX(rad/s)".
     """
     name, split = _read(column, column.strip()), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", column.strip())
     if name.meaning is not None or split == column.strip():
@@ -241,7 +240,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """A name whose last words, before an axis, are a unit; else a name without a unit."""
+    """Return a name whose last words, before an axis, are a unit; else a name without a unit."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

@@ -1,7 +1,7 @@
 """A whole ``--map`` for columns that no guess recognizes: interpreted by name, tried, and checked by the doctor.
 
-A proposal is shown and never applied, since names are unreliable about signs and units. The doctor checks the drive
-that it makes, and its evidence on signs, axes and units corrects the expressions.
+Names are unreliable about signs and units, so a proposal is shown and never applied. The doctor's evidence on the
+resulting drive corrects signs, axes and units of the expressions.
 """
 
 import math
@@ -49,7 +49,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Words that show that an accuracy is that of another quantity than the position."""
+"""Words that show that an accuracy is not that of the position."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 """Repairs that are applied to a proposal's expressions; the others change the drive."""
 EXCHANGED = 0.2
@@ -69,7 +69,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Interpret a column's name word by word; None where it names no column of a drive."""
+    """Interpret a column's name word by word; None if it names no column of a drive."""
     words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
     turns = not CLOCKWISE.keys().isdisjoint(words)
@@ -107,7 +107,7 @@ class Proposal:
 
     Attributes
     ----------
-    tables : mapping of role to the table that is to be chosen, where a log has several
+    tables : mapping of role to the chosen table, where a log has several
     columns : by role, the expressions of a drive's columns
     """
 
@@ -139,11 +139,9 @@ class Proposal:
 def proposed(
     tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
 ) -> tuple[str, dict[str, str]] | None:
-    """Find the table with most columns of a role; return it and its columns that are not ``known``.
+    """Return the table with most columns of a role, and its columns that are not ``known``.
 
-    Parameters
-    ----------
-    tables : by table, the names of its columns
+    ``tables`` contains the names of the columns of each table.
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, names in tables.items():
@@ -197,8 +195,7 @@ def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
     """Apply the doctor's repairs to the expressions: signs, exchanges, factors.
 
-    The repairs are applied to an IMU whose columns are the unit vectors: a column that becomes a multiple of one of
-    them becomes that multiple of its expression.
+    The columns of an IMU are the unit vectors: repairs show which multiple of which expression replaces each column.
     """
     units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))

@@ -47,7 +47,6 @@ class Columns:
         return what in self.names
 
     def has(self, *whats: str) -> bool:
-        """Return True if a column exists for all of these quantities."""
         return self.names.keys() >= set(whats)
 
     def numbers(self, what: str) -> pl.Series:
@@ -92,7 +91,7 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
     """Take accelerations as g or mg if their magnitude is then gravity, and rates as deg/s if they exceed 5.
 
-    Others are taken as SI units, or as raw counts if they are too large for a car.
+    Others are SI units, or raw counts if they are too large for a car.
     """
     text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]
@@ -186,10 +185,10 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 
 
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
-    """Return the conditions of the southern and western hemisphere, by columns of these names, or those after both.
+    """Return the conditions of the southern and western hemisphere, and faults of the letters.
 
-    The latter must contain nothing but the letters of both axes, and the coordinates must have no signs. The second
-    text is a fault of the letters.
+    The letters are in columns of these names, or in the columns after both coordinates. The latter must contain nothing
+    but the letters of both axes, and the coordinates must have no signs.
     """
     frame, found, sure = columns.frame, dict[str, tuple[str, str]](), list[bool]()
     for what, name, words in (("lat", "ns", "north|south"), ("lon", "ew", "east|west")):
@@ -224,7 +223,7 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
 
 
 def degrees_as_meters(columns: Columns, role: Role) -> str:
-    """Describe x and y that are likely degrees, since they change by less than 1 mm from row to row; or return ""."""
+    """Describe x and y that are likely degrees, since they change by less than 1 mm from row to row; else return ""."""
     values = [columns.numbers(what) for what in ("x", "y")]
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]

@@ -28,9 +28,12 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
     "odometer": ("t", "speed", "keep"),
     "mag": ("t", "mx", "my", "mz", "keep"),
 }
-"""Columns of each role. In addition to a drive's columns (docs/drives.md): ``vx, vy`` of fixes (m/s east, north),
-``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth; and ``keep``, true in the
-rows to read. The ``+ax`` of a second table is added to ``ax``."""
+"""Columns of each role.
+
+In addition to a drive's columns (docs/drives.md): ``vx, vy`` of fixes (m/s east, north), ``forward, left`` (m/s in the
+body), ``speed, course`` and ``lat, lon, alt`` of the truth; and ``keep``, true in the rows to read. The ``+ax`` of a
+second table is added to ``ax``.
+"""
 
 _SETTINGS: dict[str, type | int] = {
     "mount": str,
@@ -100,7 +103,6 @@ class Recipe:
                 yield f"{role}{of}: {', '.join(f'{k}={v}' for k, v in part.columns.items())}"
 
     def save(self, path: Path) -> None:
-        """Write the recipe as a file."""
         make_folder(path.parent, "name another file")
         write_whole(path, "# How `sigmaswarm import` makes a drive of a log.\n" + self.to_toml())
 
@@ -139,9 +141,7 @@ def with_maps(
 ) -> dict[Role, tuple[Part, ...]]:
     """Replace expressions by mappings of the user, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
 
-    Parameters
-    ----------
-    times : by role, the time of its tables, unless the user maps it
+    ``times`` contains the time of the tables of a role, unless the user maps it.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()

@@ -20,7 +20,7 @@ ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
 """Rows of a batch, if they are decoded one by one."""
 FILES = "columns"
-"""Kind of a table that is a file; its name is that of the file."""
+"""Kind of a table that is a file, under the file's name."""
 Progress = Callable[[float], None]
 """Called with the share of the log that is read, 0 to 1."""
 Wanted = Mapping[str, Collection[str]]
@@ -45,7 +45,6 @@ class Limits:
     unpacked_mb: int = 500
 
     def check_rows(self, count: int, path: Path, table: str) -> None:
-        """Refuse a table of too many rows."""
         if count > self.rows:
             where = path if path.name == table else f"{path}, {table}"
             raise InputError(
@@ -53,7 +52,6 @@ class Limits:
             )
 
     def check_unpacked(self, count: int, path: Path) -> None:
-        """Refuse data of too many bytes."""
         if count > self.unpacked_mb * 1_000_000:
             raise InputError(
                 f"{path}: would unpack at least {count / 1e6:.0f} MB at once, more than {self.unpacked_mb}; unpack it "
@@ -117,7 +115,7 @@ class Placement:
     frames: tuple[str, str, str]
 
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
-        """Describe what an import with a mounting and a lever arm takes from tf_static."""
+        """Describe the mounting and lever arm that an import takes from tf_static."""
         base, imu, antenna = self.frames
         if mount == self.mount:
             yield f"mounting {mount} deg (roll, pitch, yaw) taken from tf_static, {imu} in {base}"
@@ -190,14 +188,12 @@ class Log:
     mixed: bool = False
 
     def guessed(self, guess: Guess) -> "Log":
-        """Return the log with a fixed guess."""
         return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
 
 
 def of_frames(
     path: Path, frames: Mapping[str, pl.DataFrame], kind: str, guess: Callable[[Choice], Guess]
 ) -> Log:
-    """Make a log of tables in memory."""
     tables = {name: Table(tuple(f.columns), kind, len(f)) for name, f in frames.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
@@ -234,7 +230,7 @@ def of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """Return the parts whose tables exist; of a tuple of expressions the first one whose columns exist, if any."""
+    """Return the parts whose tables exist; of a tuple of expressions, take the first with existing columns."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:
@@ -263,7 +259,6 @@ def library(name: str, extra: str) -> Any:
 
 
 def require_distinct(columns: Sequence[str], path: Path) -> None:
-    """Refuse a header that names a column twice."""
     for name in columns:
         if columns.count(name) > 1:
             raise InputError(f"{path}: column {quoted(name)} appears twice; delete or rename one of them")

@@ -26,7 +26,7 @@ FEWEST_ROWS = 20
 LEAST_FALL, STEPS = 0.2, 2
 """Smallest step back of a clock at which a second recording begins: s, and median steps."""
 REPEATED = 0.02
-"""Share of rows with the time of the row before above which rows are taken to share stamps."""
+"""Share of rows with the time of the row before, above which rows share stamps."""
 UNEVEN = 0.1
 """Largest share of stamps whose number of rows differs from the usual one."""
 
@@ -34,7 +34,7 @@ UNEVEN = 0.1
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     """Convert times of day whose digits are hhmmss (115959.98) to seconds; also return a sentence about it or "".
 
-    Seconds have gaps of 40 s at each minute only if they are such digits.
+    Seconds have gaps of 40 s at each minute only if they have these digits.
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:

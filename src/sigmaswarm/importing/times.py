@@ -129,10 +129,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fou
 
 
 def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None, Sequence[Name]]:
-    """Find year, month, day, hour, minute and second in six columns, and the parts of a second in others.
-
-    Also return the names of these columns.
-    """
+    """Find a date in six columns, year to second, and the parts of a second in others; return also their names."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
@@ -191,8 +188,8 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, Found]]:
     """Read pairs of a day in one column of text and the time of day in another.
 
-    Return the clock, whether the names are the usual ones, and the time. A clock with half of the distinct times of
-    another one, or fewer, comes last.
+    Return the clock, whether the names are the usual ones, and the time. Clocks with half as many distinct times as the
+    finest clock, or fewer, come last.
     """
     texts = [n for n in names if frame.schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]
     days, clocks = _prefixed(names, "date|day"), _prefixed(texts, "time|time_of_day|clock")
@@ -334,7 +331,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     """Describe an error in the unit of a time, ``column`` or ``column*number``, with the remedy; else return "".
 
-    The unit is wrong if no sensor has such steps, and another unit makes them likely, preferably with a present date.
+    The unit is wrong if no sensor has these steps, and another unit makes them likely, preferably with a present date.
     """
     plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
     name = plain[1].strip("`") if plain else ""

@@ -107,7 +107,6 @@ class Unit:
 
     @property
     def known(self) -> bool:
-        """True if the unit can be converted."""
         return self.dimension is not None
 
 

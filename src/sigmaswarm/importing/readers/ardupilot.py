@@ -26,7 +26,7 @@ from sigmaswarm.importing.source import (
 )
 
 MOST_SKIPPED = 200_000
-"""Largest number of bytes outside of messages; pymavlink needs a second to skip them."""
+"""Bytes outside of messages, which pymavlink needs a second to skip."""
 MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}
@@ -61,14 +61,12 @@ class _Skipped(StringIO):
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the file begins like a dataflash log."""
     return first_bytes(path, 3) == MAGIC or first_bytes(path, 12).removeprefix(b"\xef\xbb\xbf").startswith(
         TEXTS
     )
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the messages of the first IMU and the first receiver."""
     module = library("pymavlink.DFReader", "logs")
     kind = module.DFReader_binary if first_bytes(path, 3) == MAGIC else module.DFReader_text
     log = kind.__new__(kind)  # its files can then be closed if __init__ fails
@@ -100,7 +98,6 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _rows(log: Any, path: Path, limits: Limits) -> dict[str, list[tuple[float, ...]]]:
-    """Return the fields of the messages by their kinds."""
     rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in _COLUMNS}
     while (message := log.recv_match(type=list(_COLUMNS))) is not None:
         kind = message.get_type()

@@ -44,7 +44,6 @@ def below(folder: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a table file or a folder of them."""
     remarks: list[str] = []
     files = _files(path) if path.is_dir() else [path]
     folder = path if path.is_dir() else path.parent
@@ -59,7 +58,7 @@ def of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, scanned on use; without a reader's guess, roles are guessed by columns' names."""
+    """Make a log of tables in files, scanned on use; by default roles are guessed by columns' names."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
@@ -86,10 +85,8 @@ def of_files(
 def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
     """Scan a table file; the types of a CSV's columns are found over all its rows.
 
-    Parameters
-    ----------
-    shown_as : the file's name in messages, if it was unpacked to another place
-    remarks : receives sentences on columns that share a name
+    ``shown_as`` is the name of an unpacked file in messages; ``remarks`` receives sentences on repeated names of
+    columns.
     """
     if first_bytes(file, 4) == b"PAR1":
         _require_decodable(file, shown_as, limits)
@@ -123,7 +120,7 @@ sys.exit(count <= int(sys.argv[2]) and count != sum(map(len, rows.collect_batche
 def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
     """Decode a Parquet file in another process first.
 
-    On some damaged bytes polars aborts, on others it prints a trace and leaves rows out without an error.
+    On damaged bytes polars may abort, or print a trace and leave rows out without an error.
     """
     words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
     ended = subprocess.run(words, capture_output=True, check=False)
@@ -231,7 +228,6 @@ def _expected_rows(file: Path) -> int:
 
 
 def collect(rows: pl.LazyFrame, path: Path, table: str) -> pl.DataFrame:
-    """Return the rows; errors of polars become one line."""
     try:
         return rows.collect()
     except BROKEN as error:
@@ -239,7 +235,6 @@ def collect(rows: pl.LazyFrame, path: Path, table: str) -> pl.DataFrame:
 
 
 def broken_table(path: Path, table: str, error: Exception) -> InputError:
-    """Return the error of polars about a damaged table in one line."""
     where = path if path.name == table else path / table
     said = shown(" ".join(str(error).split("\n")[0].split()), 160)
     return InputError(f"{where}: can't be read as a table ({said}); export it again")

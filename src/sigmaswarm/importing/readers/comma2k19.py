@@ -42,12 +42,10 @@ _NOTE = "the IMU's axes turned from forward, right, down; the truth is the camer
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a segment's folder."""
     return (path / "processed_log" / "IMU").is_dir()
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read a segment: a minute, a few MB."""
     frames: dict[str, pl.DataFrame] = {}
     for name, (folders, columns) in _SENSORS.items():
         for folder in [f for f in (path / "processed_log" / f for f in folders) if f.is_dir()][:1]:

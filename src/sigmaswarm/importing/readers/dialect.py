@@ -179,7 +179,6 @@ def _first_lines(lines: Sequence[str], begin: int) -> list[int]:
 
 
 def split(line: str, separator: str) -> list[str]:
-    """Split a line into cells."""
     line = line.rstrip("\r")
     if separator == BLANKS:
         return line.split()
@@ -240,10 +239,8 @@ def _header(
 ) -> tuple[list[str], bool]:
     """Read the names from the lines above the rows; return them, and True if the rows end in a separator.
 
-    Parameters
-    ----------
-    width, most : the usual and the largest number of cells of a row
-    open_end : True if the last of ``width`` cells is always empty
+    ``width`` and ``most`` are the usual and the largest number of cells of a row; ``open_end`` is True if the last of
+    ``width`` cells is always empty.
     """
     fitting = [_fitting(line, separator, width, most, open_end) for line in above]
     place = next((k for k in range(len(above) - 1, max(len(above) - 4, -1), -1) if fitting[k]), None)

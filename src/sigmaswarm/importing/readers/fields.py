@@ -13,7 +13,7 @@ from sigmaswarm.importing.source import Limits
 
 DEEPEST = 6
 MOST_ELEMENTS = 36
-"""Largest number of elements of a fixed array, or of a list in JSON, that become columns: a 6 x 6 covariance."""
+"""Elements of a fixed array, or of a list in JSON, that become columns: a 6 x 6 covariance."""
 
 
 def getter(column: str) -> Callable[[Any], Any]:

@@ -34,10 +34,7 @@ def frame_of(message: Any) -> str:
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
     """Find the poses of the IMU and the antenna in the vehicle; None if the transforms do not connect the IMU to it.
 
-    Parameters
-    ----------
-    messages : of type tf2_msgs/TFMessage; the last one of a repeated transform counts
-    imu, antenna : names of their frames
+    ``messages`` are of type tf2_msgs/TFMessage; the last of a repeated transform counts.
     """
     tree: dict[str, tuple[str, Pose]] = {}
     for message in messages:

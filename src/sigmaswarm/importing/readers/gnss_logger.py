@@ -40,7 +40,6 @@ _FIX: dict[str, str | tuple[str, ...]] = {
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the comments of the file name the kinds of lines."""
     head = first_bytes(path, 16384)
     return any(mark in head for mark in _MARKS)
 
@@ -92,7 +91,6 @@ def _require_one_clock(columns: Wanted, path: Path) -> None:
 
 
 def _guess(columns: Wanted) -> Guess:
-    """Guess the recipe by the app's documentation."""
     shared = all(_CLOCK in names for names in columns.values())
     t = f"{_CLOCK}*1e-9" if shared else "utcTimeMillis*1e-3"
     fix = {"t": t if shared else ("`UnixTimeMillis`*1e-3", "`(UTC)TimeInMs`*1e-3"), **_FIX}

@@ -45,7 +45,6 @@ def _oxts(path: Path) -> Path:
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a drive's folder, or the folder oxts in it."""
     return (_oxts(path) / "timestamps.txt").is_file() and (_oxts(path) / "data").is_dir()
 
 

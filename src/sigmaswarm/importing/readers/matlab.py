@@ -39,7 +39,6 @@ _OPAQUE = ("MatlabOpaque", "MatlabFunction")
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the file begins like a MATLAB file, or has its ending."""
     return first_bytes(path, 6) == b"MATLAB" or (path.is_file() and path.suffix.lower() == ".mat")
 
 

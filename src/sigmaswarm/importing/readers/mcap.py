@@ -22,7 +22,6 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if a file begins like MCAP, or has its ending."""
     return first_bytes(path, 8) == MAGIC or (path.is_file() and path.suffix == ".mcap")
 
 
@@ -119,7 +118,6 @@ def _json(data: bytes) -> dict[str, Any]:
 
 
 def _protobuf(schema: Any) -> Callable[[bytes], dict[str, Any]]:
-    """Return a decoder of Protobuf messages to dictionaries."""
     parse = library("mcap_protobuf.decoder", "ros").DecoderFactory().decoder_for("protobuf", schema)
     return lambda data: _fields(parse(data), 0)
 

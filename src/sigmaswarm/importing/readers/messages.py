@@ -56,15 +56,12 @@ def message_log(path: Path, tables: Mapping[str, Table], stream: Stream, unread:
 
 @dataclass(frozen=True)
 class _Messages:
-    """An open log of messages."""
-
     path: Path
     tables: Mapping[str, Table]
     stream: Stream
     remarks: list[str] = field(default_factory=list[str])
 
     def batches(self, wanted: Wanted) -> Iterator[Batch]:
-        """Read the wanted columns in batches of `CHUNK` messages."""
         total = sum(self.tables[topic].rows or 0 for topic in wanted)
         collectors = {topic: _Collector(topic, list(columns)) for topic, columns in wanted.items()}
         for seen, (topic, received, message) in enumerate(self._messages(wanted), 1):
@@ -137,7 +134,6 @@ class _Messages:
         return Guess({role: (Part(topic, {"t": time} if time else {}),)})
 
     def _sample(self, topic: str) -> pl.DataFrame:
-        """Read the first messages of a topic."""
         collector = _Collector(topic, list(self.tables[topic].columns))
         for _, received, message in islice(self._messages([topic]), SAMPLE):
             collector.add(received, message)
@@ -159,14 +155,12 @@ class _Collector:
         self.stamp = self.columns.index("stamp") if "stamp" in self.columns else None
 
     def add(self, received: int, message: Any) -> None:
-        """Extract the required numbers from a message."""
         row = [get(message) if get else received for get in self.getters]
         self.rows.append(row)
         if self.stamp is not None and row[self.stamp]:  # 0 where it is not set
             self.delays.append((received - row[self.stamp]) * 1e-9)
 
     def take(self) -> pl.DataFrame:
-        """Return the rows so far and clear them."""
         rows, self.rows = self.rows, []
         self.delays = self.delays[:: max(len(self.delays) // 20_000, 1)]
         values = zip(*rows, strict=True)

@@ -43,7 +43,6 @@ _NOTE = "the MS25's axes turned from x forward, y right, z down; course and spee
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a session's folder."""
     return (path / "ms25.csv").is_file()
 
 

@@ -41,21 +41,19 @@ _SENTENCES = (b"GGA", b"RMC", b"GSA", b"GSV", b"GLL", b"VTG", b"GNS", b"TXT", b"
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the first lines of the file are sentences."""
     lines = first_bytes(path, 1024).split(b"\n")
     sentences = any(line[:1] == b"$" and line[3:6] in _SENTENCES for line in lines)
     return sentences or path.suffix.lower() in (".nmea", ".nma")
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a log; it is decoded when its rows are read."""
+    """Open a log, which is decoded when its rows are read."""
     pynmeagps = library("pynmeagps", "logs")
     remarks: list[str] = []
     return of_rows(path, "fixes", COLUMNS, lambda: _rows(path, pynmeagps, remarks), GUESS, remarks)
 
 
 def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per fix."""
     day: date | None = None
     if not any(_day(message) for message, _ in _messages(path, pynmeagps, [])):
         day = date(1970, 1, 1)
@@ -110,7 +108,6 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
 
 
 def _day(message: Any) -> date | None:
-    """Return the date that a sentence states."""
     if message.msgID == "RMC" and isinstance(said := getattr(message, "date", ""), date):
         return said
     if message.msgID != "ZDA":

@@ -66,7 +66,6 @@ def _header(file: Path) -> str:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open an export."""
     names = names_in(path)
     english = {*FILES[:2]} <= names
     log = phone_files(

@@ -60,7 +60,6 @@ def part_of(topic: str, table: Table, role: Role) -> Part | None:
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the file begins like ULog."""
     return first_bytes(path, 7) == MAGIC or (path.is_file() and path.suffix == ".ulg")
 
 

@@ -18,7 +18,6 @@ from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, o
 from sigmaswarm.wording import names_shown
 
 _UNIT = re.compile(r"^(latitude|longitude|height|sd[neu]|age|v[neu])\((?:deg|m|s|m/s)\)$")
-"""Names of columns with their unit."""
 _TARGETS = {
     **{"lat": "latitude", "lon": "longitude", "alt": "height", "std_x": "sde", "std_y": "sdn"},
     **{"vx": "ve", "vy": "vn"},
@@ -26,7 +25,6 @@ _TARGETS = {
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the file has RTKLIB's header."""
     head = first_bytes(path)
     return path.suffix == ".pos" or (head.startswith(b"%") and b"latitude(deg)" in head)
 

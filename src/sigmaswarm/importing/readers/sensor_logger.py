@@ -28,13 +28,11 @@ _FIX: dict[str, str | tuple[str, ...]] = {
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if the folder or zip contains the app's files."""
     names = names_in(path)
     return {_RATES, _PLACES} <= names and bool(names & {"Metadata.csv", _TOTAL, _GRAVITY})
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open an export."""
     log = phone_files(path, FILES, limits, stack)
     notes = [FLAT]
     parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [("gps", _PLACES, {**_T, **_FIX})]

@@ -47,7 +47,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a stream; it is decoded when its rows are read."""
+    """Open a stream, which is decoded when its rows are read."""
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: contains no UBX messages; name the format with --format")
