@@ -1,4 +1,4 @@
-"""Assemble a drive from joined columns: one clock, one frame, the IMU rotated, missing truth columns computed."""
+"""Assemble a drive from joined columns, on one clock and in one frame."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -22,7 +22,7 @@ SEED, MOST_FIXES = 0, 10_000_000
 """Fixes made from the truth: seed of their noise, and largest number."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 Origin = tuple[float, float, float]
-"""Latitude (deg), longitude (deg), altitude (m) of the local frame."""
+"""Latitude (deg), longitude (deg), altitude (m)."""
 
 
 @np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
@@ -35,7 +35,7 @@ def assemble(
 ) -> Drive:
     """Make a drive from gathered columns; ``say`` receives sentences on assumptions and omissions.
 
-    ``recording`` is the number of the recording to take, from 1, if a clock restarts within a table.
+    ``recording`` is the number of the recording, from 1, if a clock restarts within a table.
     """
     times: dict[Role, Nanoseconds] = {}
     values: dict[Role, Values] = {}
@@ -81,19 +81,18 @@ def assemble(
 
 
 def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
-    """Make only the IMU's table; the parameters are those of `assemble`."""
+    """Make only the IMU's table, as `assemble`."""
     time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
     return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)
 
 
 def _imu(time: Array, values: Values, recipe: Recipe) -> Imu:
-    """Make the IMU's table, in the axes of the vehicle."""
     values = rotate(values, parse_mount(recipe.mount)) if recipe.mount else values
     return Imu(time, **{f.name: values[f.name] for f in fields(Imu) if f.name in values})
 
 
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
-    """Return the keys of drive.toml; ``zero`` is the time origin, s."""
+    """Return the keys of drive.toml; ``zero``: time origin, s."""
     metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
     if recipe.gps_from_truth:
         rate, noise = recipe.gps_from_truth
@@ -104,7 +103,7 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:
-    """Return all times in s, with their offsets, and the origin of these times: a whole second if they are dates."""
+    """Return times in s with their offsets, and their origin: a whole second if they are dates."""
     moved: dict[Role, Nanoseconds] = {}
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
@@ -120,7 +119,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
 
 
 def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Values, Origin | None]:
-    """Return the columns of a drive's fixes, and the origin of the local frame."""
+    """Return the columns of a drive's fixes, and the origin."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
@@ -150,8 +149,8 @@ def _first_place(values: Values) -> Origin:
 def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
     """Return the truth with x and y, m, and the origin: the truth's first position if the fixes have none.
 
-    If the fixes lack altitudes, the truth also gets that of the origin. A difference of 1000 m in altitude would
-    stretch one of the two tracks by 16 cm per kilometer.
+    If the fixes lack altitudes, the truth gets that of the origin, too: 1000 m of difference would stretch one track by
+    16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -167,7 +166,7 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    """Describe the assumed origin of a truth in meters with fixes in degrees, and their distance from it."""
+    """Describe the assumed origin of a truth in meters, and the distance of fixes in degrees."""
     said = "truth is in meters: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
@@ -183,7 +182,7 @@ def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, o
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Make fixes at a rate, Hz, at the position of the truth, with white noise, m per axis."""
+    """Make fixes at a rate, Hz, from the truth, with white noise, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(f"{given} can't be used; give a rate in Hz and a deviation in m, as 5,1")
@@ -222,7 +221,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad, of a velocity; at low speed the last known course, or else the first."""
+    """Return the course (n,), rad; at low speed the last known course, or else the first."""
     moving = np.hypot(vx, vy) > MOVING
     if not moving.any():
         return np.zeros(len(vx))

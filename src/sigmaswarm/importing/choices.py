@@ -1,4 +1,4 @@
-"""The use of each column of a log, as choices that become options of `import_log` and of the command line."""
+"""Choices for each column of a log, as options of `import_log` and of the command line."""
 
 import re
 import shlex
@@ -26,7 +26,7 @@ UNITS: dict[str, dict[str, str]] = {
     "condition": {"as it is": "{}"},
     "field": {"as it is": "{}", "reversed": "-{}"},
 }  # fmt: skip
-"""Units of each kind of quantity, and the expressions that convert them to those of a drive."""
+"""Expressions that convert each unit of a quantity to that of a drive."""
 KINDS = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -37,7 +37,6 @@ KINDS = {
     **dict.fromkeys(("mx", "my", "mz"), "field"),
     **{"t": "time", "keep": "condition", "std_heading": "deviation"},
 }
-"""The kind of quantity of each column of a drive."""
 SAID = {"t": "time", "ax": "ax forward", "ay": "ay left", "az": "az up", "gx": "gx roll rate", "gy": "gy pitch rate",
         "gz": "gz yaw rate", "lat": "latitude", "lon": "longitude", "alt": "altitude", "x": "x east", "y": "y north",
         "std_x": "accuracy east", "std_y": "accuracy north", "vx": "velocity east", "vy": "velocity north",
@@ -47,7 +46,7 @@ UNUSED = ""
 TARGETS: dict[str, str] = {UNUSED: "not used"} | {
     f"{role}.{name}": f"{NAMES[role]}: {SAID.get(name, name)}" for role in ROLES for name in COLUMNS[role]
 }
-"""The possible uses of a column, with their labels."""
+"""The uses of a column, with their labels."""
 CUSTOM = "expression"
 GIVEN = ("gps", "truth", "tables", "maps")
 FLAGS = {
@@ -56,9 +55,9 @@ FLAGS = {
     "gps_lever_arm_m": "--lever-arm",
     "part": "--part",
 }
-"""Choices that are settings of `import_log`; those with an option of the same content."""
+"""Choices that are also options of the command line."""
 Uses = dict[tuple[str, str], list[tuple[str, str]]]
-"""The targets and their expressions, by table and column."""
+"""Targets and their expressions, by table and column."""
 
 
 def uses_of(look: Look) -> Uses:
@@ -76,12 +75,11 @@ def uses_of(look: Look) -> Uses:
 
 
 def mentions(text: str, column: str) -> bool:
-    """Check if a column's name is in a text as a word."""
+    """Return True if a text contains a column's name as a word."""
     return re.search(rf"(?<![\w.]){re.escape(column)}(?![\w.])", text) is not None
 
 
 def units_of(target: str) -> dict[str, str]:
-    """Return the units of a target, with their expressions."""
     return UNITS[KINDS.get(target.partition(".")[2], "length")]
 
 
@@ -95,13 +93,13 @@ def unit_in(target: str, column: str, expression: str) -> str:
 
 
 def expression_of(target: str, column: str, unit: str = "") -> str:
-    """Return the expression of a target in a unit; by default in the usual unit."""
+    """Return the expression of a target in a unit, by default the usual one."""
     units = units_of(target)
     return (units[unit] if unit else next(iter(units.values()))).format(written(column))
 
 
 def assign(choices: dict[str, Any], look: Look, table: str, column: str, target: str) -> None:
-    """Use a column for another target, in its usual unit; leave out its previous target."""
+    """Use a column for another target, in its usual unit, instead of the previous one."""
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(look).get((table, column), []):
         if old != target and not old.endswith(".t"):
@@ -116,7 +114,7 @@ def assign(choices: dict[str, Any], look: Look, table: str, column: str, target:
 
 
 def settings_of(choices: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of `import_log` and `inspect_log` for the choices."""
+    """Convert choices to settings of `import_log` and `inspect_log`."""
     settings = {key: choices[key] for key in (*GIVEN, *FLAGS) if choices.get(key)}
     if arm := settings.get("gps_lever_arm_m"):
         try:
@@ -128,7 +126,7 @@ def settings_of(choices: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def command_of(log: Path, out: Path, choices: Mapping[str, Any]) -> str:
-    """Return the line of `sigmaswarm import` that makes the same drive."""
+    """Return the `sigmaswarm import` command that makes the same drive."""
     words = ["sigmaswarm", "import", str(log), "--out", str(out)]
     for key in ("gps", "truth"):
         words += [f"--{key}", choices[key]] if choices.get(key) else []

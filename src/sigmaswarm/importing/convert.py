@@ -1,4 +1,4 @@
-"""Import of a log: open it, guess or read a recipe, gather, assemble, write."""
+"""Import of a log: open it, guess or read a recipe, gather, assemble."""
 
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -27,9 +27,9 @@ class Request:
 
     Attributes
     ----------
-    source : the log; it must contain the IMU
+    source : the log with the IMU
     gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
-    form : the source's format, if given
+    form : the source's format
     recipe : settings, and parts that replace the guess
     maps : ``column=expression``
     time : expression of the time, in every table of the source
@@ -58,8 +58,6 @@ class Request:
 
 @dataclass(frozen=True)
 class Imported:
-    """A drive, its recipe, and the assumptions of the import."""
-
     drive: Drive
     recipe: Recipe
     notes: tuple[str, ...]
@@ -91,7 +89,7 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 
 
 def import_drive(request: Request, name: str, progress: Progress = lambda done: None) -> Imported:
-    """Make a drive, with a name, of a log; call ``progress`` with the share that is done, 0 to 1.
+    """Make a drive of a log; ``progress`` receives the share that is done, 0 to 1.
 
     Raises
     ------
@@ -121,7 +119,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
-    """Read the IMU of a log, which needs no fixes; return it and the assumptions of the import."""
+    """Read the IMU of a log without fixes, and the assumptions of the import."""
     recipe, gathered, notes, _ = _read(request, ("imu",), lambda done: None)
     try:
         imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
@@ -133,7 +131,7 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
 def _read(
     request: Request, roles: Sequence[Role], progress: Progress
 ) -> tuple[Recipe, dict[Role, list[Gathered]], list[str], dict[str, Any]]:
-    """Read the columns of some roles; return recipe, columns, notes, and the metadata that the logs state."""
+    """Return recipe, columns, notes, and the metadata that the logs state."""
     with opened(request) as (logs, guesses):
         recipe = complete_recipe(request, guesses)
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
@@ -148,7 +146,7 @@ def _read(
 
 @contextmanager
 def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Guess]]]:
-    """Open every log that a request names, and make the reader's guess of each."""
+    """Open the logs of a request, and make each reader's guess."""
     with ExitStack() as stack:
         logs: dict[Path, Log] = {}
         for path in dict.fromkeys(map(request.home, ROLES)):
@@ -159,7 +157,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """Return the reader's guess; the only table of a log that is named for a role is taken, whatever its name."""
+    """Return the reader's guess; the only table of a log that is named for a role counts for it."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
@@ -173,7 +171,7 @@ def _guess(log: Log, request: Request) -> Guess:
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
-    """Complete the request's recipe by the guessed parts of each role, from the log that was named for it."""
+    """Complete the request's recipe by the guesses for the logs of each role."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role in ROLES:
         guessed = guesses[request.home(role)].roles
@@ -200,7 +198,7 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
 
 
 def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]:
-    """Return the reasons not to read columns as guessed, unless the user mapped or omitted them."""
+    """Return reasons not to read columns as guessed, except columns that the user mapped or omitted."""
     said = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []
     for path, guess in guesses.items():
@@ -215,7 +213,7 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
-    """Return the sentences of the readers; on an axis that points down only if the mounting is not given."""
+    """Return the readers' notes; those on a downward axis only if no mounting is given."""
     made, found = recipe.mount, guesses.values()
     notes = [note for guess in found for note in guess.notes]
     notes += [n for guess in found if guess.placed for n in guess.placed.notes(made, recipe.gps_lever_arm_m)]
@@ -230,7 +228,7 @@ def _require_sensors(
     guesses: Guesses,
     roles: Sequence[Role],
 ) -> None:
-    """Refuse logs without an IMU or fixes, before they are read."""
+    """Refuse logs without an IMU or fixes."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that contains them as SOURCE"),
         ("gps", "position fixes", "name a log that contains them with --gps"),

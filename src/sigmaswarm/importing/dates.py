@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
 LONG_AGO = 1_000_000 * SECOND
-"""Larger times (12 days) count from 1970 or a phone's start; the times of a drive then count from its beginning."""
+"""Larger times (12 days) count from 1970 or a phone's start; a drive's times then count from its beginning."""
 GPS_EPOCH = 315_964_800
-"""Beginning of GPS time, 1980-01-06 (IS-GPS-200), s since 1970-01-01."""
+"""1980-01-06 (IS-GPS-200), s since 1970-01-01."""
 WEEK = 604_800
 EXCEL_EPOCH, MATLAB_EPOCH = 25569, 719_529
 """1970-01-01 in days of spreadsheets and of MATLAB's datenum."""
@@ -20,19 +20,19 @@ LEAP_DAYS = (
     *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
     *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
 )
-"""Days before which a leap second was inserted (IERS Bulletin C); none has been announced since."""
+"""Days after leap seconds (IERS Bulletin C); none has been announced since."""
 LEAP_SECONDS = np.array(LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
 _STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
 """GPS time at which each leap second has passed, s since 1970."""
 
 
 def gps_to_unix(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return UTC (n,), s since 1970, of GPS time (n,), s since 1970 without leap seconds."""
+    """Convert GPS time (n,), s since 1970 without leap seconds, to UTC."""
     return seconds - np.searchsorted(_STEPS, seconds, side="right")
 
 
 def gps_time(week: pl.Expr, seconds: pl.Expr) -> pl.Expr:
-    """Return UTC, s since 1970, of a GPS week and the seconds in it."""
+    """Convert GPS week and seconds to UTC, s since 1970."""
     time = week * WEEK + seconds + GPS_EPOCH
     return time - pl.sum_horizontal((time >= int(step)).cast(pl.Float64) for step in _STEPS)
 
@@ -44,7 +44,7 @@ def as_text(columns: Sequence[str]) -> pl.Expr:
 
 
 def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
-    """Return seconds since 1970 of dates in text, null where there is none; without a zone they are UTC.
+    """Convert dates in text to seconds since 1970, null where there is none; without a zone they are UTC.
 
     ``form`` has strftime's codes; "" is ISO 8601. Without a day, seconds count from midnight.
     """

@@ -23,9 +23,9 @@ from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
-"""Largest number of characters of an expression, to limit its nesting."""
+"""Largest number of characters; limits the nesting."""
 MOST_USES = 1000
-"""Largest number of times that polars computes a column: nested functions may use their arguments several times."""
+"""Largest number of times that polars computes a column, since nested functions use arguments repeatedly."""
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -116,12 +116,12 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., pl.Expr]]] = {
     "max": ((3, 3), _most),
     "where": ((2, 1, 1), _where),
 }
-"""By function: how often it uses each argument, and its implementation."""
+"""How often each function uses each argument, and its implementation."""
 
 
 @dataclass(frozen=True)
 class Expression:
-    """A compiled text: a polars expression, the columns that it uses, and those that must contain numbers."""
+    """A polars expression, its columns, and those that must contain numbers."""
 
     polars: pl.Expr
     columns: frozenset[str]
@@ -166,7 +166,7 @@ def _parse(text: str) -> ast.expr:
 
 
 def _column_name(node: ast.AST) -> str | None:
-    """Return the column that a node names: a name, a.b.c, a[0], or col("any text")."""
+    """Return the column of a node: a name, a.b.c, a[0], or col("any text")."""
     match node:
         case ast.Name(id=name):
             return name
@@ -181,7 +181,7 @@ def _column_name(node: ast.AST) -> str | None:
 
 
 class _Compiler:
-    """Compiler of one text; collects the columns that it uses, and those that it uses as numbers."""
+    """Compiler of one text; collects its columns, and those used as numbers."""
 
     def __init__(self, text: str, columns: Collection[str]) -> None:
         self.text, self.columns = text, columns
@@ -265,7 +265,7 @@ class _Compiler:
         return _OPERATORS[type(op)](_number(self.build(a)), _number(self.build(b)))
 
     def _utc(self, args: list[ast.expr]) -> pl.Expr:
-        """Compile ``utc(...)`` of one column with dates, or of a day and a time of day, and their format, if given."""
+        """Compile ``utc(...)`` of dates in one column, or of day and time of day, with an optional format."""
         form = ""
         if isinstance(args[-1], ast.Constant) and isinstance(args[-1].value, str):
             form, args = args[-1].value, args[:-1]
@@ -281,7 +281,7 @@ class _Compiler:
 
 
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
-    """Compile a time (s) to whole nanoseconds; integer columns keep all their digits, also in a sum."""
+    """Compile a time (s) to whole nanoseconds; integer columns keep all digits, also in a sum."""
     tree = _parse(text)
     terms = [text]
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
@@ -297,7 +297,7 @@ def _rounded(expression: Expression) -> pl.Expr:
 
 
 def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
-    """Return ``column * number`` in ns if its column contains whole numbers or dates; else None."""
+    """Return ``column * number`` in ns for whole numbers or dates; else None."""
     scaled = integer_scale(text, frame.columns)
     if scaled is None:
         return None
@@ -320,7 +320,7 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
     """Return column and factor of a text ``column`` or ``column * number``, else None.
 
-    Whole nanoseconds since 1970 have more digits than a float, so such times are scaled as integers.
+    Times are scaled as integers, since nanoseconds since 1970 have more digits than a float.
     """
     tree, factor = _parse(text), 1.0
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult | ast.Div):
@@ -339,6 +339,6 @@ def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | No
 
 
 def _scaled(count: pl.Expr, factor: int) -> pl.Expr:
-    """Multiply a count by a factor; null where the product exceeds 64 bits."""
+    """Multiply a count by a factor; null beyond 64 bits."""
     most = (2**63 - 1) // max(factor, 1)
     return pl.when(count.is_between(-most, most)).then(count * factor)

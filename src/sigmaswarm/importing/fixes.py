@@ -39,10 +39,9 @@ class ReceiverLog:
 
 
 def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
-    """Read the fixes of a log in any format that `sigmaswarm import` knows, or of a drive's folder.
+    """Read the fixes of a log in any format of `sigmaswarm import`, or of a drive's folder.
 
-    They get the clock (``time_origin_s``) and the plane (``origin``) of ``drive``; ``offset``, s, is added to their
-    times.
+    They get the clock (``time_origin_s``) and plane (``origin``) of ``drive``; ``offset``, s, is added to their times.
     """
     if has_table(path, "gps"):
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # its import has printed the warnings
@@ -55,7 +54,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Return times, columns, and a mask of the rows with fixed ambiguities."""
+    """Return times, columns, and a mask of rows with fixed ambiguities."""
     request = Request(source=path)
     with opened(request) as (logs, guesses):
         log, guess = logs[path], guesses[path]

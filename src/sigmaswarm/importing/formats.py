@@ -1,4 +1,4 @@
-"""The formats that can be read: one file and one line each, in the order of detection."""
+"""The formats that can be read, in the order of detection."""
 
 import difflib
 from collections.abc import Generator, Sequence
@@ -37,7 +37,7 @@ _MIXED = ("nmea", "gnss-logger")
 """Formats of text with lines of several types."""
 _TEXTS = (*_MIXED, "rtklib", "csv")
 _LINES_OF_ROW, _TITLES = 10, 1000
-"""Largest number of lines of a mixed text per row of a table, and of lines above the rows."""
+"""Most lines of a mixed text per row of a table, and most lines above the rows."""
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",
     ".tlog": "a MAVLink log; run: mavlogdump.py --format csv --types SCALED_IMU,GPS_RAW_INT, or take the .bin",
@@ -60,7 +60,7 @@ NOT_READ = {
     ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, as with gopro-telemetry",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
-"""Endings of unsupported formats: their names, and how to convert them."""
+"""Endings of unsupported formats, and their conversion."""
 _MAGIC = {
     **{b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"},
     **dict.fromkeys((b"#BESTPOSA", b"#INSPVA", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),
@@ -106,7 +106,6 @@ def _texts(path: Path, form: str) -> list[Path]:
 
 
 def format_of(path: Path) -> str:
-    """Return the name of the format of a log."""
     for name in READERS:
         if name == "csv" and (what := unread(path)):
             raise InputError(f"{path}: is not read, since it is {what}")
@@ -123,7 +122,7 @@ def format_of(path: Path) -> str:
 
 
 def unread(path: Path) -> str:
-    """Describe the unsupported format of a file, by its ending or its first bytes; "" for other files and folders."""
+    """Describe the unsupported format of a file, by its ending or its first bytes; else return ""."""
     if not path.is_file() or path.suffix.lower() == ".csv":
         return ""
     head = first_bytes(path, 64)

@@ -18,9 +18,9 @@ from sigmaswarm.importing.times import time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
 
 ROW = "row"
-"""Column with the number of the row, from 0, which each table gets unless it has one of this name."""
+"""Column with the row's number, from 0, in tables that have no column of this name."""
 FAR = 10
-"""Distance of a placeholder from the values, in units of their spread, above which it means a missing value."""
+"""Distance of a placeholder from the values, in units of their spread."""
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 
 
@@ -81,7 +81,6 @@ class Gathered:
         return time, {name: column.to_numpy().astype(np.float64) for name, column in columns.items()}
 
     def _require_numbers(self, frame: pl.DataFrame, log: Log) -> None:
-        """Refuse text where a number is needed, with its row."""
         texts = {c for e in self.expressions.values() for c in e.numbers if frame.schema[c] == pl.String}
         for name in sorted(texts, key=log.tables[self.part.table].columns.index):
             said = frame[name]
@@ -115,7 +114,7 @@ class Gathered:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values that are far from the unmarked ones, relative to the spread of these."""
+    """Mark values that are far from the unmarked ones, relative to their spread."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
@@ -124,7 +123,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
 
 
 def complete_parts(part: Part, log: Log, role: Role) -> list[Part]:
-    """Complete a part; a part without a table becomes one part for each table with its columns."""
+    """Complete a part; without a table it becomes one part for each table with its columns."""
     return [_complete(one, log, role) for one in _with_tables(part, log, role)]
 
 

@@ -14,7 +14,6 @@ from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of, 
 from sigmaswarm.wording import names_shown
 
 SAMPLE = 2000
-"""Rows by which units are guessed."""
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 _FORCES = re.compile(r"acc", re.IGNORECASE)
@@ -23,11 +22,11 @@ _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
     re.IGNORECASE,
 )
-"""Tables whose x, y, z are neither a position nor the IMU's."""
+"""Tables with x, y, z of neither a position nor the IMU."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok)?|(?:gps|gnss)_?(?:quality|valid)"
 """Names of columns that are 0 without a fix, or -1 if 0 is a fix, as in ROS."""
 MOST_DROPPED = 0.2
-"""Largest share of likely fixes that are left out by their flags."""
+"""Largest share of likely fixes that their flags leave out."""
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -48,7 +47,7 @@ _HINTS: dict[str, str] = {
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
     """Find the tables of each role by their columns, and among several by their names.
 
-    ``samples`` are the first rows of each table; ``chosen`` is the user's table, by role.
+    ``samples``: first rows of each table; ``chosen``: the user's table, by role.
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     roles: dict[Role, tuple[Part, ...]] = {}
@@ -82,7 +81,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
-    """Assign the first fitting column to each quantity; x, y, z of an IMU's table are the axes of the IMU."""
+    """Assign the first fitting column to each quantity; x, y, z of an IMU's table are axes of the IMU."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
         if (what := name.meaning) is not None and what != "t":
@@ -101,7 +100,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
-    """List the tables that suit each role; if one has latitude and longitude, x and y are not fixes."""
+    """List the tables that suit each role; next to latitude and longitude, x and y are not fixes."""
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
@@ -155,7 +154,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 
 
 def _with_fix(columns: Columns) -> Found | None:
-    """Select the rows with a fix by a column of flags, unless it would drop many rows that look like fixes.
+    """Select rows with a fix by a column of flags, unless it would drop many rows that look like fixes.
 
     In other codes 0 is a fix without fixed ambiguities; or flags are in other rows than positions.
     """

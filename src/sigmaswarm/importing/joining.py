@@ -19,9 +19,9 @@ from sigmaswarm.wording import shown
 LEAST_STD = 1e-6
 """At or below this standard deviation, m, the receiver states none."""
 TURNS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-"""A full turn in the unit of each angle column, rad or deg."""
+"""A full turn of each angle column, rad or deg."""
 SPARSE = 0.1
-"""An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
+"""Largest share of empty rows of an optional column; above it the column is left out, instead of the rows."""
 POSITIONS = ("lat", "lon", "x", "y")
 TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 """Columns that are left out together."""
@@ -32,7 +32,7 @@ def join(
 ) -> tuple[Nanoseconds, Values]:
     """Join a role's parts at the first part's times; the others are interpolated linearly.
 
-    ``recording`` is the number of the recording to take, from 1, if a clock restarts within a table.
+    ``recording`` is the number of the recording, from 1, if a clock restarts within a table.
     """
     (time, values), *others = [_in_order(part, role, recording, say) for part in parts]
     for other_time, other in others:
@@ -68,7 +68,7 @@ def _with_known_headings(values: Values) -> Values:
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
     """Interpolate values (m,), known at times (m,), s, linearly to times (n,), s; angles the short way round.
 
-    Angles beyond half a turn (unwrapped, or not angles) stay near their neighbors: a wrong unit can still be detected.
+    Angles beyond half a turn (unwrapped, or not angles) stay near their neighbors: a wrong unit remains visible.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -122,14 +122,14 @@ def _rows(values: Values, rows: Any) -> Values:
 
 
 def _finite(values: Values, count: int) -> NDArray[np.bool_]:
-    """Mark finite values (columns, rows); a row of True if there are no columns."""
+    """Mark finite values (columns, rows); a row of True without columns."""
     return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
-    """Leave out columns that are mostly empty, then rows with an empty cell."""
+    """Leave out mostly empty columns, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(

@@ -1,4 +1,4 @@
-"""A first look at a log: its tables, their rates, their columns' ranges, and the recipe of a drive."""
+"""A first look at a log: tables, rates, ranges of columns, and the recipe of a drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,9 +22,9 @@ from sigmaswarm.importing.source import ROLES, Fault, Log, Role
 from sigmaswarm.importing.times import numbers_of, time_of
 
 SAMPLE = 5000
-"""Rows of a table from which ranges are computed."""
+"""Rows for the ranges of a table."""
 LOOKED_AT = 25_000
-"""Rows of all tables together if they are mixed; a table that does not occur among them has no values."""
+"""Rows of all mixed tables together; a table that does not occur among them has no values."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,10 @@ class Look:
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def numbers(self, table: str, column: str) -> Array:
-        """Return the numbers among a column's first values."""
         return numbers_of(self.rows[table][column]).to_numpy().astype(np.float64)
 
 
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
-"""The first rows of every table of every log."""
 
 
 def look(request: Request) -> Look:
@@ -119,7 +117,7 @@ def look(request: Request) -> Look:
 def _unread(
     tables: Sequence[Glance], recipe: Recipe, proposal: Proposal | None
 ) -> dict[str, tuple[str, ...]]:
-    """List the columns of each table that neither the recipe nor the proposal reads."""
+    """List columns that neither the recipe nor the proposal reads, by table."""
     parts = [part for role in recipe.roles.values() for part in role]
     unread: dict[str, tuple[str, ...]] = {}
     for glance in tables:
@@ -139,7 +137,6 @@ def _imported(request: Request, proposal: Proposal) -> Drive:
 
 
 def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:
-    """Propose options that read unrecognized columns."""
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
     for role in ("imu", "gps"):
@@ -160,7 +157,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """Find the IMU columns that one table lacks in another, if no column has the same name in both."""
+    """Find missing IMU columns in another table, if no column has the same name in both."""
     others = {other: columns for other, columns in names.items() if other != table}
     if {"ax", "ay", "gz"} <= known.keys() or (one := proposed(others, "imu", known)) is None:
         return {}

@@ -1,4 +1,4 @@
-"""The heading of a magnetometer, calibrated by the course of the same drive, at the times of its fixes."""
+"""The heading of a magnetometer at the times of the fixes, calibrated by the course of the same drive."""
 
 import re
 from collections.abc import Sequence
@@ -24,32 +24,31 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import written
 
 LEAST_TURN = 180
-"""Smallest range of directions, deg, with which a drive determines the hard iron."""
+"""Range of directions, deg, that determines the hard iron."""
 BIN = 10
-"""Width of a bin of directions, deg."""
+"""Bin of directions, deg."""
 LEAST_SAMPLES = 5
-"""Smallest number of samples in a bin."""
 DRIFT = 10.0
-"""Interval over which the course corrects the heading of the gyro, s."""
+"""Interval of corrections of the gyro's heading by the course, s."""
 MOST_ROWS = 20_000
 """Rows for the calibration, evenly over the drive."""
 STEEL = 4.0, 0.03
-"""Largest deviation of the field's size (relative) and direction (rad): in standard deviations, and its least value."""
+"""Deviation of the field's size (relative) and direction (rad) near steel: in standard deviations, and at least."""
 AROUND = 1.0
-"""Time before and after a larger deviation in which fixes get no heading, s."""
+"""Time before and after such a deviation without headings, s."""
 WORST = np.radians(20)
-"""Largest standard deviation of the heading of a magnetometer that is fixed to the vehicle, rad."""
+"""Largest standard deviation of a magnetometer that is fixed to the vehicle, rad."""
 LEAST_STD = np.radians(0.5)
 """Smallest stated standard deviation, rad."""
 LONGEST_GAP = 1.0
-"""Largest interval between samples across which a heading is interpolated, s."""
+"""Largest interval of samples that is interpolated, s."""
 _UNLIKE = "mag: the field does not turn as the drive does (by course and gyro); map other columns, or omit it"
 _AXES = (
     r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
     r"[mb][\W_]?([xyz])",
     r"([xyz])",
 )
-"""Names of a magnetometer's axes in lower case, the usual ones first."""
+"""Names of axes in lower case, the usual ones first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +66,13 @@ class Calibration:
 
     @property
     def soft_iron(self) -> float:
-        """The ratio of the ellipse's axes minus 1."""
+        """Ratio of the ellipse's axes minus 1."""
         sizes = np.linalg.svd(self.shape, compute_uv=False)
         return float(sizes[0] / sizes[1] - 1)
 
     @property
     def mirrored(self) -> bool:
-        """True if an axis of the sensor has the wrong sign, or x and y are exchanged."""
+        """True if an axis has the wrong sign, or x and y are exchanged."""
         return bool(np.linalg.det(self.shape) > 0)
 
     @property
@@ -85,7 +84,7 @@ class Calibration:
 
 
 def part_of(table: str, columns: Sequence[str]) -> Part:
-    """Find the axes of a magnetometer by their names in a table that the user chose; the part may be empty."""
+    """Find the axes by their names in a table that the user chose; the part may be empty."""
     for pattern in _AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():
@@ -132,7 +131,7 @@ def with_magnetometer(
 
 
 def _in_vehicle(values: Values, mount: str) -> Array:
-    """Return the field (n, 2) forward and left; the calibration includes any constant tilt that remains."""
+    """Return the field (n, 2) forward and left; the calibration absorbs a remaining constant tilt."""
     rotation = parse_mount(mount) if mount else np.eye(3)
     if "mz" not in values and np.any(rotation[:2, 2]):
         raise InputError("mag: the mounting needs mz; map it, as in --map mag.mz=mag_z")
@@ -207,7 +206,7 @@ def _at(
 
 
 def _turn(calibration: Calibration, stated: float | None) -> float:
-    """Return the angle, rad, from the heading that fits the course to that by a stated declination, deg."""
+    """Return the angle, rad, from the heading by the course to that by a stated declination, deg."""
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:

@@ -12,7 +12,6 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 
 AUTO = "auto"
-"""Value of a mounting that the import finds in the log."""
 _AXES = "xyz"
 
 
@@ -72,7 +71,7 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """Make the matrix of the given axes; a missing axis is the others' cross product, of two missing z or x is kept."""
+    """Make the matrix of the given axes; one missing is the others' cross product, of two missing z or x is kept."""
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:

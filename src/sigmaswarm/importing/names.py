@@ -9,7 +9,6 @@ from itertools import takewhile
 from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Dimension, Unit, parse_unit
 
 LONGEST_NAME = 200
-"""Characters of a name that are read."""
 
 TIME = (
     "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc|"
@@ -20,9 +19,9 @@ CLOCK = (
     "received|boot|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
-"""Names of times that are used if a table has none of the usual ones."""
+"""Names of times in tables without one of the usual names."""
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"
-"""The time of a ROS message's header, in tables made of bags."""
+"""Header stamps of ROS, in tables made of bags."""
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
 TIME_OF_WEEK = (
     "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
@@ -71,7 +70,7 @@ _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 _TOTAL = {"gfx", "gfy", "gfz"}
 """Physics Toolbox's accelerations in g."""
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
-"""The names in the usual sketches for an MPU-6050."""
+"""Names in the usual sketches for an MPU-6050."""
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
 _STATED: tuple[tuple[Dimension, str, str], ...] = (
     ("time", "t", "temps"),
@@ -82,17 +81,17 @@ _STATED: tuple[tuple[Dimension, str, str], ...] = (
 """Names that mean a column only with a unit of this dimension: "x_acc" may be an accuracy or in mg."""
 _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
 _PREFIXES = re.compile(rf"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix|location|pos_lla)_(?=...)|{_SHORT}")
-"""Prefixes of names in tables of messages and of loggers."""
+"""Prefixes of message tables and loggers."""
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 _CONTAINERS = rf"car|vehicle|imu\d?|data|fields?|msg|sensors?|log|logger|\d{{1,3}}|{_FIXES}"
-"""Words of a shared prefix that leave the meaning of a name; others may state an estimate or another quantity."""
+"""Words of a shared prefix that keep the meaning of a name; others may state an estimate or another quantity."""
 _MAVLINK = {
     f"scaled_imu{n}_{i}{name}": (f"{name}_{i}", unit)
     for n in ("", 2, 3)
     for i in "xyz"
     for name, unit in (("acc", "mg"), ("gyro", "mrad/s"))
 } | {f"gps_raw_int_{name}": (name, "") for name in ("lat", "lon", "fix_type")}
-"""Fields of MAVLink's messages, with the units that the protocol states; RAW_IMU has counts."""
+"""Fields of MAVLink with the units of the protocol; RAW_IMU has counts."""
 _TRANSLATED = {
     word: name
     for name, words in {
@@ -120,14 +119,14 @@ class Name:
 
     @property
     def meaning(self) -> str | None:
-        """The drive's column of the name, else None. Roll, pitch and yaw per second are rates."""
+        """The drive's column of the name, or None. Roll, pitch and yaw per second are rates."""
         if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
             return TURNS[self.plain]
         return _stated(self.plain, self.unit) or meaning_of_plain(self.plain)
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The words of the whole name, including its unit."""
+        """Words of the whole name, including its unit."""
         return tuple(plain_words(self.column))
 
     def is_one(self, pattern: str) -> bool:
@@ -150,7 +149,7 @@ def _stated(plain: str, unit: Unit | None) -> str | None:
 
 
 def meaning_of_plain(plain: str) -> str | None:
-    """Find the drive's column of a plain name, also behind a logger's prefix and before ".data" of a message."""
+    """Find the drive's column of a plain name, also after a logger's prefix and before ".data" of a message."""
     bare = re.sub(r"_(?:data|value)$", "", plain)
     for name in dict.fromkeys((plain, bare, _PREFIXES.sub("", bare, count=1))):
         for what, pattern in NAMES:
@@ -240,7 +239,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name whose last words, before an axis, are a unit; else a name without a unit."""
+    """Return a name with a unit in the last words before an axis, or without a unit."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])
@@ -253,7 +252,7 @@ def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
 
 
 def unit_of(words: list[str]) -> Unit | None:
-    """Return the unit that the last words of a name state: ["deg", "s"], ["m", "s", "2"], ["dps"]."""
+    """Return the unit in the last words of a name: ["deg", "s"], ["m", "s", "2"], ["dps"]."""
     first, *rest = [word for word in words if word != "per"] or [""]
     if words[:1] == ["per"]:
         return None

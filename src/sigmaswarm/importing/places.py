@@ -13,16 +13,16 @@ Say = Callable[[str], None]
 Values = dict[str, Array]
 
 FARTHEST = 100_000.0
-"""Largest distance of a fix from the median of all fixes, m; `FASTEST`, m/s, times the duration is added."""
+"""Largest distance of a fix from the median, m; `FASTEST`, m/s, times the duration is added."""
 FASTEST = 150.0
 FIT = 0.35
-"""Largest median difference from the course, rad, of a heading with the convention of the course."""
+"""Largest median difference of a heading from the course in the same convention, rad."""
 MOVING = 1.0
 """Lowest speed at which the course shows the heading, m/s."""
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a position: not 0, 0, within the range of degrees, and not far from the others."""
+    """Mark rows (n,) with a position: not 0, 0, within the range of degrees, not far from the others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]

@@ -1,4 +1,4 @@
-"""A whole ``--map`` for columns that no guess recognizes: interpreted by name, tried, and checked by the doctor.
+"""Mappings for unrecognized columns: interpreted by name, tried, and checked by the doctor.
 
 Names are unreliable about signs and units, so a proposal is shown and never applied. The doctor's evidence on the
 resulting drive corrects signs, axes and units of the expressions.
@@ -49,11 +49,11 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-"""Words that show that an accuracy is not that of the position."""
+"""Words for an accuracy of another quantity than the position."""
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-"""Repairs that are applied to a proposal's expressions; the others change the drive."""
+"""Repairs of expressions; other repairs change the drive."""
 EXCHANGED = 0.2
-"""A rotation whose elements are this close to integers exchanges axes or changes their signs."""
+"""Distance of elements from integers, below which a rotation exchanges axes or changes signs."""
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
 """Warnings that signs, axes or units do not agree."""
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -61,8 +61,6 @@ IMU = ("ax", "ay", "az", "gx", "gy", "gz")
 
 @dataclass(frozen=True)
 class Meaning:
-    """A possible meaning of a log's column: the role, the drive's column, and its expression."""
-
     role: Role
     column: str
     expression: str
@@ -107,7 +105,7 @@ class Proposal:
 
     Attributes
     ----------
-    tables : mapping of role to the chosen table, where a log has several
+    tables : by role, the chosen table, where a log has several
     columns : by role, the expressions of a drive's columns
     """
 
@@ -116,7 +114,6 @@ class Proposal:
 
     @property
     def maps(self) -> list[str]:
-        """The expressions as ``--map`` takes them."""
         return [
             f"{f'{role}.' if name == 't' else ''}{name}={text}"
             for role, columns in self.columns.items()
@@ -131,7 +128,7 @@ class Proposal:
 
     @property
     def options(self) -> str:
-        """The proposal as options, quoted: a shell must not run text in backticks, or in a log's header."""
+        """The proposal as quoted options: a shell must not run text in backticks, or in a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
         return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
@@ -141,7 +138,7 @@ def proposed(
 ) -> tuple[str, dict[str, str]] | None:
     """Return the table with most columns of a role, and its columns that are not ``known``.
 
-    ``tables`` contains the names of the columns of each table.
+    ``tables`` has the names of columns by table.
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, names in tables.items():
@@ -155,7 +152,7 @@ def proposed(
 
 
 def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal by the doctor; return it, a sentence on the evidence, and True if ``make`` makes a drive."""
+    """Correct a proposal by the doctor; return it, the evidence, and True if ``make`` makes a drive."""
     try:
         drive = _plausible(make(proposal))
         first = diagnose(drive)
@@ -187,7 +184,7 @@ def _plausible(drive: Drive) -> Drive:
 
 
 def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
-    """Count the serious findings, and those that the expressions can correct; fewer is better."""
+    """Count serious findings, and those that expressions can correct."""
     left = [f for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
     return sum(f.severity == "serious" for f in diagnosis.findings), len(left)
 

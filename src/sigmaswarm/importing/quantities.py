@@ -13,7 +13,6 @@ from sigmaswarm.importing.units import COUNTS, Dimension, in_si
 from sigmaswarm.wording import quoted
 
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
-"""Markers of missing values in logs."""
 DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -22,13 +21,13 @@ DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("speed", "wheel_speed", "vx", "vy"), "speed"),
 }
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-"""Columns whose unit must be known; other columns of an unknown unit are left out."""
+"""Columns that need a known unit; others without one are left out."""
 MOST_FORCE = 100.0
 """Largest acceleration of a car, except bumps, m/s2."""
 FASTEST = 250.0
 """Largest angular rate of a car, deg/s."""
 HIGHEST = 9000.0
-"""Largest altitude of a vehicle, m; another unit would stretch the track by 0.15% or more."""
+"""Largest altitude, m; another unit would stretch the track by 0.15% or more."""
 _ACCELEROMETERS = "usual 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
 _GYROS = (
     "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
@@ -59,7 +58,7 @@ class Columns:
         return float(self.numbers(what).abs().quantile(0.99) or 0.0)
 
     def norm(self, axes: Sequence[str]) -> float:
-        """Return the median magnitude of a vector of three columns; 0 if there are fewer columns."""
+        """Return the median magnitude of a vector of three columns; 0 if there are fewer."""
         series = [self.frame[self.names[a].column] for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return 0.0
@@ -67,12 +66,10 @@ class Columns:
         return median_of(sum(squares[1:], squares[0]).sqrt())
 
     def text(self, what: str) -> str:
-        """Return the column's name as written in an expression."""
         return written(self.names[what].column)
 
 
 def quantity(columns: Columns, what: str, role: Role) -> Found:
-    """Convert a column to a drive's units."""
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
     if name.unit is None and what == "alt" and columns.largest(what) > HIGHEST:
         seen = f"{name.column} left out: {columns.largest(what):.6g} is no altitude in m"
@@ -89,7 +86,7 @@ def quantity(columns: Columns, what: str, role: Role) -> Found:
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> Found:
-    """Take accelerations as g or mg if their magnitude is then gravity, and rates as deg/s if they exceed 5.
+    """Take accelerations as g or mg if their magnitude is then gravity, and rates above 5 as deg/s.
 
     Others are SI units, or raw counts if they are too large for a car.
     """
@@ -115,7 +112,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Found:
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
-    """Describe the raw counts of a sensor's three axes, and how to map them."""
+    """Describe the raw counts of a sensor's axes, and their mapping."""
     axes = [a for a in (f"{what[0]}{i}" for i in "xyz") if a in columns]
     if what[0] == "a":
         gravity = columns.norm(axes)
@@ -172,7 +169,7 @@ def place(columns: Columns, role: Role) -> dict[str, Found]:
 def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
     """Return True for texts with marks of degrees or letters of hemispheres: 48°07'02.3"N, 11 31.5 E, N48.12.
 
-    If degrees and minutes are one number in the latitudes, they must be so in the longitudes.
+    Degrees and minutes must be one number in both latitudes and longitudes, or in neither.
     """
     if lat.dtype != pl.String or lon.dtype != pl.String:
         return False
@@ -223,7 +220,7 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
 
 
 def degrees_as_meters(columns: Columns, role: Role) -> str:
-    """Describe x and y that are likely degrees, since they change by less than 1 mm from row to row; else return ""."""
+    """Describe x and y that are likely degrees, since they change by less than 1 mm per row; else return ""."""
     values = [columns.numbers(what) for what in ("x", "y")]
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]

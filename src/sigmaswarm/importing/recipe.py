@@ -1,4 +1,4 @@
-"""A recipe: the settings by which a log becomes a drive, which can be saved as TOML and used again."""
+"""A recipe: the settings by which a log becomes a drive, as a TOML file."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -70,7 +70,7 @@ class Recipe:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a recipe that was written by ``save`` or by hand."""
+        """Read a recipe from ``save`` or written by hand."""
         try:
             text = read_toml_text(path)
         except OSError as error:
@@ -89,14 +89,13 @@ class Recipe:
         return cls(roles={role: tuple(_parts(content[role], role, path)) for role in there}, **settings)
 
     def to_toml(self) -> str:
-        """Return the recipe as TOML that ``load`` reads."""
         content: dict[str, Any] = {k: v for k in _SETTINGS if (v := getattr(self, k)) != getattr(Recipe, k)}
         for role, parts in self.roles.items():
             content[role] = [{"table": part.table, **part.columns} for part in parts]
         return tomli_w.dumps(content)
 
     def said(self) -> Iterator[str]:
-        """Describe the recipe as options of ``--map``, one line for each table."""
+        """Describe the recipe as options of ``--map``, one line per table."""
         for role, parts in self.roles.items():
             for part in parts:
                 of = f" of {part.table}" if part.table else ""
@@ -139,9 +138,9 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
 def with_maps(
     roles: Mapping[Role, tuple[Part, ...]], maps: Sequence[str], times: Mapping[Role, str]
 ) -> dict[Role, tuple[Part, ...]]:
-    """Replace expressions by mappings of the user, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
+    """Replace expressions by the user's, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
 
-    ``times`` contains the time of the tables of a role, unless the user maps it.
+    ``times``: time of a role's tables, unless the user maps it.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()
@@ -172,7 +171,7 @@ def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
 
 
 def _entry(text: str) -> tuple[Role, str, str]:
-    """Split ``[role.]column=expression`` into role, column and expression."""
+    """Split ``[role.]column=expression``."""
     target, equals, expression = text.partition("=")
     prefix, dot, column = target.strip().rpartition(".")
     if not equals:

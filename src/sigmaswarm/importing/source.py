@@ -18,15 +18,15 @@ from sigmaswarm.wording import quoted, shown
 Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
-"""Rows of a batch, if they are decoded one by one."""
+"""Rows of a batch."""
 FILES = "columns"
-"""Kind of a table that is a file, under the file's name."""
+"""Kind of a table that is a file."""
 Progress = Callable[[float], None]
-"""Called with the share of the log that is read, 0 to 1."""
+"""Function of the share of the log that is read, 0 to 1."""
 Wanted = Mapping[str, Collection[str]]
 """Columns to read, by table."""
 Batch = tuple[str, pl.DataFrame, float]
-"""A table, some of its rows with the wanted columns, and the share of the log that is read, 0 to 1."""
+"""A table, rows with its wanted columns, and the share of the log that is read, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """Return the names that are not empty. The limit counts empty names too, since their fields take time."""
+        """Return the names that are not empty. Empty names count for the limit, since their fields take time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
@@ -68,13 +68,13 @@ class Limits:
         return tuple(name for name in found if name)
 
     def less(self, columns: int) -> "Limits":
-        """Return the limits that remain for the other tables of a log."""
+        """Return the limits that remain for the other tables."""
         return replace(self, columns=self.columns - columns)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a log: its columns, its type in the terms of the format, and its number of rows where known."""
+    """A table of a log: columns, type in terms of the format, and number of rows where known."""
 
     columns: tuple[str, ...]
     kind: str = ""
@@ -230,7 +230,7 @@ def of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """Return the parts whose tables exist; of a tuple of expressions, take the first with existing columns."""
+    """Return the parts of existing tables; of a tuple of expressions, take the first with existing columns."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:
@@ -248,7 +248,7 @@ EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support pyyaml", "logs": "pyubx2 py
 
 
 def library(name: str, extra: str) -> Any:
-    """Import the library of a format; the error without it states how to install it."""
+    """Import a format's library; if it is missing, state how to install it."""
     try:
         return import_module(name)
     except ImportError:
@@ -265,7 +265,7 @@ def require_distinct(columns: Sequence[str], path: Path) -> None:
 
 
 def first_bytes(path: Path, count: int = 4096) -> bytes:
-    """Return the beginning of a file, by which formats are recognized; empty for a folder."""
+    """Return the beginning of a file; empty for a folder."""
     if not path.is_file():
         return b""
     with path.open("rb") as file:
@@ -286,7 +286,6 @@ def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -
 def broken(
     path: Path, error: Exception, what: str = "", remedy: str = "record or copy it again"
 ) -> InputError:
-    """Return the error of a library about a damaged file in one line."""
     said = " ".join(str(error).split()) or type(error).__name__
     said = shown(re.sub(r"^b'(.*)'$", r"\1", said), 160)
     return InputError(f"{path}: {what or 'is cut short or broken'} ({said}); {remedy}")

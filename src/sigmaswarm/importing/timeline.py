@@ -24,17 +24,17 @@ WRAPS: tuple[tuple[int, str], ...] = (
 FEWEST_ROWS = 20
 """Smallest number of rows of a separate recording; fewer rows out of order are sorted."""
 LEAST_FALL, STEPS = 0.2, 2
-"""Smallest step back of a clock at which a second recording begins: s, and median steps."""
+"""Smallest step back of a clock between recordings: s, and median steps."""
 REPEATED = 0.02
 """Share of rows with the time of the row before, above which rows share stamps."""
 UNEVEN = 0.1
-"""Largest share of stamps whose number of rows differs from the usual one."""
+"""Largest share of stamps with an unusual number of rows."""
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Convert times of day whose digits are hhmmss (115959.98) to seconds; also return a sentence about it or "".
+    """Convert times of day with digits hhmmss (115959.98) to seconds; also return a sentence about it or "".
 
-    Seconds have gaps of 40 s at each minute only if they have these digits.
+    Only these digits have gaps of 40 s at each minute.
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:
@@ -89,7 +89,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
-    """Return the rows of the chosen recording, and a sentence or ""; of several recordings, one must be chosen."""
+    """Return the rows of the chosen recording, and a sentence or ""; of several, one must be chosen."""
     parts = recordings(time)
     if len(parts) == 1:
         return parts[0], f"{where}: its clock does not restart; all its rows are used" if part else ""
@@ -103,7 +103,7 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
 
 
 def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
-    """Spread rows that share a stamp evenly up to the next one; refuse stamps whose number of rows varies."""
+    """Spread rows that share a stamp evenly up to the next; refuse stamps with varying numbers of rows."""
     new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
     repeated = 1 - len(new) / len(time)
     if len(time) > 2 and len(new) < 2:
@@ -145,7 +145,7 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
 def in_order(
     time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
 ) -> tuple[Nanoseconds, NDArray[np.int64]]:
-    """Return a table's times (n,), strictly increasing, and the indices of their rows in the table."""
+    """Return a table's times (n,), strictly increasing, and the indices of their rows."""
     time, digits = from_digits(time)
     if digits:
         say(f"{where}: {digits}")
@@ -171,7 +171,7 @@ def in_order(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse times with steps that are impossible for a sensor of a car: their unit is not seconds."""
+    """Refuse steps that are impossible for a car's sensor: the unit is not seconds."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
     if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
         return

@@ -1,4 +1,4 @@
-"""Find the time of a table: its column or columns, and the expression in seconds."""
+"""Find the time of a table: its columns, and the expression in seconds."""
 
 import re
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
-"""Largest likely interval between samples, s."""
+"""Largest likely interval of samples, s."""
 SHORTEST_STEP = 1e-4
 """Shortest interval of a car's sensor, s."""
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
@@ -38,9 +38,9 @@ DATE_FORMATS = (
     "%H:%M:%S:%3f",
     "%I:%M:%S%.f %p",
 )
-"""Formats of dates in text, in the order of trial; the first is ISO 8601."""
+"""In the order of trial; the first is ISO 8601."""
 LEAST_FITTING = 0.99
-"""Least share of dates that their format fits; others are damaged."""
+"""Least share of dates that fit their format; others are damaged."""
 COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
 _CALENDAR = {word: word for word in CALENDAR} | {
@@ -49,11 +49,11 @@ _CALENDAR = {word: word for word in CALENDAR} | {
     "min": "minute",
     "sec": "second",
 }
-"""Words at the end of the names of a date's six columns."""
+"""Last words in the names of a date's six columns."""
 UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
-"""Units of times, s; the usual units of clock counters come first."""
+"""Units of times, s; those of clock counters come first."""
 _DATES_S = (3e8, 4e9)
-"""Range of dates, s since 1970, from 1979 to 2096."""
+"""Range of dates, s since 1970: 1979 to 2096."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Found:
 
 
 def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find the time of a table by its columns' names and values; None if there is none."""
+    """Find the time of a table by its columns' names and values."""
     names = read_names(frame.columns)
     several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
     pairs = [] if several else _dates_and_times(names, frame)
@@ -84,7 +84,7 @@ def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
-    """Return the expression of a table's time, if a column looks like it."""
+    """Return the expression of a table's time, if there is one."""
     found = find_time(frame, role)
     return found.expression or None if found else None
 
@@ -104,12 +104,12 @@ def numbers_of(values: pl.Series) -> pl.Series:
 
 
 def median_of(values: pl.Series) -> float:
-    """Return the median of numbers, 0 where there are none."""
+    """Return the median, 0 of no numbers."""
     return float(values.median() or 0.0)  # pyright: ignore[reportArgumentType]
 
 
 def step_of(values: pl.Series) -> float:
-    """Return the median of a time's forward steps; rows that share a stamp share a step."""
+    """Return the median forward step of a time; rows that share a stamp share a step."""
     steps = numbers_of(values).diff().drop_nulls()
     forward = steps.filter(steps > 0)
     shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
@@ -121,7 +121,7 @@ def _scaled(text: str, unit: str) -> str:
 
 
 def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find the stamp of a message's header, which is preferred to the time of recording."""
+    """Find the stamp of a message's header; it precedes the time of recording."""
     stamp = next((n for n in names if n.is_one(STAMP)), None)
     if stamp is None or not (numbers_of(frame[stamp.column]) > 0).any():
         return None
@@ -152,7 +152,7 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Found | None,
 
 
 def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Find whole seconds in one column, and the rest of a second in another whose name begins like it."""
+    """Find whole seconds in one column, and the rest of a second in another with the same beginning of its name."""
     pairs = [
         (first, rest, PARTS_OF_SECONDS[rest.words[-1]])
         for first in names
@@ -172,7 +172,6 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | Non
 
 
 def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
-    """Find GPS week and time of week."""
     week = next((n for n in names if n.is_one(WEEK)), None)
     tow = next((n for n in names if n.is_one(TIME_OF_WEEK)), None)
     if week is None or tow is None or not len(numbers_of(frame[week.column])):
@@ -186,10 +185,10 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
 
 
 def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, Found]]:
-    """Read pairs of a day in one column of text and the time of day in another.
+    """Read a day in one column of text and the time of day in another.
 
-    Return the clock, whether the names are the usual ones, and the time. Clocks with half as many distinct times as the
-    finest clock, or fewer, come last.
+    Return the clock, whether the names are the usual ones, and the time of each pair. Clocks with half as many distinct
+    times as the finest, or fewer, come last.
     """
     texts = [n for n in names if frame.schema[n.column] == pl.String and not len(numbers_of(frame[n.column]))]
     days, clocks = _prefixed(names, "date|day"), _prefixed(texts, "time|time_of_day|clock")
@@ -216,9 +215,9 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find a column with a name of a time, unless it is always 0 (unset stamps); or else a clock that increases.
+    """Find a column with a name of a time, preferably one that changes; else a clock that increases.
 
-    A time that changes is preferred.
+    A column that is always 0 (unset stamps) is ignored.
     """
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
@@ -290,14 +289,14 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
 
 
 def _read_by(texts: pl.Series, form: str) -> pl.Series:
-    """Return the times of texts in a format, null where it does not fit."""
+    """Read texts in a format, null where it does not fit."""
     dates = pl.col("date")
     dates = dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates)
     return texts.to_frame("date").select(parse_dates(dates, form).alias("date"))["date"]
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
-    """Read a time in numbers without a unit: by their size, if they count from 1970, else by a likely step."""
+    """Read numbers without a unit: by their size, if they count from 1970, else by a likely step."""
     numbers = numbers_of(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
@@ -315,7 +314,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
 
 
 def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
-    """Read a time with steps too short for seconds: days of a spreadsheet or of MATLAB, or a share of a day."""
+    """Read steps too short for seconds: days of a spreadsheet or of MATLAB, or a share of a day."""
     low, high = float(numbers.min()), float(numbers.max())  # pyright: ignore[reportArgumentType]
     likely = SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role]
     for begin, end, epoch, whose in ((2e4, 8e4, EXCEL_EPOCH, "1900"), (6.5e5, 8e5, MATLAB_EPOCH, "year 0")):

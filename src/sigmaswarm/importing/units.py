@@ -11,9 +11,8 @@ from typing import Literal
 Dimension = Literal["time", "acceleration", "rate", "angle", "length", "speed"]
 
 G = 9.80665
-"""Standard gravity, m/s2."""
+"""m/s2"""
 LONGEST = 40
-"""Largest number of characters of a unit."""
 
 _DEGREE = math.pi / 180
 _BASE_WORDS = {
@@ -34,7 +33,7 @@ _BASE_WORDS = {
         **{2 * math.pi: "rev revolutions turn turns", math.pi / 200: "gon"},
     },
 }
-"""Words for base units of length, time and angle, by their factors to m, s and rad."""
+"""Words for units of length, time and angle, by their factors to m, s and rad."""
 _BASES = {
     word: (kind, factor)
     for kind, words in _BASE_WORDS.items()
@@ -43,7 +42,6 @@ _BASES = {
 }
 SECONDS = frozenset(_BASE_WORDS["T"][1.0].split())
 PARTS_OF_SECONDS = {w: f for w, (kind, f) in _BASES.items() if kind == "T" and f < 1}
-"""Words for parts of a second, with their factors."""
 _DIMENSIONS: dict[tuple[int, int, int], Dimension] = {
     (1, 0, 0): "length",
     (0, 1, 0): "time",
@@ -99,7 +97,7 @@ _TOKEN = re.compile(r"(/|per\b)|([a-z]+)\s*((?:\^|\*\*)?\s*-?\s*\d)?|([*.\s])")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as it was written, its dimension, and its factor to SI; None and 0 where the unit is unknown."""
+    """A unit as written, its dimension, and its factor to SI; None and 0 for an unknown unit."""
 
     text: str
     dimension: Dimension | None
