@@ -26,7 +26,7 @@ from sigmaswarm.importing.source import (
 )
 
 MOST_SKIPPED = 200_000
-"""Bytes outside of messages, which pymavlink needs a second to skip."""
+"""Bytes outside of messages, which pymavlink skips in a second."""
 MAGIC, TEXTS = b"\xa3\x95\x80", (b"FMT, 128,", b"FMT,128,")
 _T = {"t": "TimeUS*1e-6"}
 _PLACE = _T | {"lat": "Lat", "lon": "Lng", "alt": "Alt"}
@@ -49,7 +49,7 @@ _COLUMNS = {
 
 
 class _Skipped(StringIO):
-    """Sink for pymavlink's report of each skipped byte, which refuses a long file of other bytes."""
+    """Sink for pymavlink's report of each skipped byte; it refuses a long file of other bytes."""
 
     count = 0
 

@@ -20,11 +20,10 @@ from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 CHUNK = 100_000
-"""Rows of a batch."""
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table file, by its name or first lines, or a folder of table files or as EuRoC's, by names."""
+    """Return True for a table file, by name or first lines, or a folder of table files or like EuRoC's, by names."""
     return bool(_files(path)) or (path.is_file() and is_table(path))
 
 
@@ -58,7 +57,7 @@ def of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, scanned on use; by default roles are guessed by columns' names."""
+    """Make a log of tables in files, scanned on use; by default columns' names give the roles."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
@@ -85,8 +84,7 @@ def of_files(
 def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
     """Scan a table file; the types of a CSV's columns are found over all its rows.
 
-    ``shown_as`` is the name of an unpacked file in messages; ``remarks`` receives sentences on repeated names of
-    columns.
+    ``shown_as`` is the name of an unpacked file in messages; ``remarks`` receives sentences on repeated names.
     """
     if first_bytes(file, 4) == b"PAR1":
         _require_decodable(file, shown_as, limits)
@@ -214,7 +212,7 @@ def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
 
 
 def _require_closed_quotes(file: Path, shown_as: Path) -> None:
-    """Refuse a text with an odd number of quotes: the rest of the file would count as one cell."""
+    """Refuse an odd number of quotes: the rest of the file would count as one cell."""
     with file.open("rb") as stream:
         quotes = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
     if quotes % 2:
@@ -222,7 +220,7 @@ def _require_closed_quotes(file: Path, shown_as: Path) -> None:
 
 
 def _expected_rows(file: Path) -> int:
-    """Estimate the number of rows of a file by the length of its first ones."""
+    """Estimate the number of rows by the length of the first ones."""
     head = first_bytes(file, 65536)
     return int(file.stat().st_size / max(len(head) / max(head.count(b"\n"), 1), 1.0)) if file.is_file() else 1
 

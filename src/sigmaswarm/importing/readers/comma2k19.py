@@ -26,7 +26,7 @@ _SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "speed": (("CAN/speed",), ("speed",)),
 }
-"""By table: the folders that may contain it, and its columns."""
+"""By table: folders that may contain it, and columns."""
 _FIX = {
     **{"t": "t", "lat": "latitude", "lon": "longitude", "alt": "altitude"},
     **{"speed": "speed", "course": "radians(90 - bearing)"},

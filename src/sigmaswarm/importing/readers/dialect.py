@@ -1,4 +1,4 @@
-"""Find the dialect of a text table by its first lines: separator, header, units, decimal commas."""
+"""The dialect of a text table by its first lines: separator, header, units, decimal commas."""
 
 import csv
 import math
@@ -18,15 +18,15 @@ from sigmaswarm.wording import names_shown
 HEAD = 4_000_000
 """Bytes in which a header is searched."""
 SAMPLE, MOST_LINES = 200_000, 300
-"""Characters and lines of rows by which the dialect is found."""
+"""Characters and lines of rows that are examined."""
 SEPARATORS = (";", "\t", "|", ",")
-"""In the order of preference if two fit equally well: commas may be decimal."""
+"""By preference, if two fit equally well: commas may be decimal."""
 BLANKS = " "
-"""The separator of cells that are separated by any number of blanks."""
+"""Separator of any number of blanks."""
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
-"""A date and a time of day without separators between their parts."""
+"""A date and a time of day without separators."""
 _EMPTY = ("", "nan", "null", "none", "na", "n/a", "-", "inf", "-inf")
 Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
@@ -39,7 +39,7 @@ _MESSAGES = {
     ],
     18: [*_HEADER, *_FIX, *_COVARIANCE, "type"],
 }
-"""Fields of sensor_msgs/Imu and sensor_msgs/NavSatFix, by their number."""
+"""Fields of sensor_msgs/Imu and NavSatFix, by their number."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Dialect:
     ----------
     names : of the columns, with the unit of a units row in brackets
     skip : number of lines above the first row of values
-    comma_columns : indices of the columns whose numbers have decimal commas
+    comma_columns : indices of the columns with decimal commas
     surplus : True if each row ends in a separator, so that an empty column follows
     remarks : one sentence each
     """
@@ -147,7 +147,7 @@ def is_table(file: Path) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True if a column contains numbers with commas, and no texts with commas, as dates."""
+    """Return True for numbers with commas, and no texts with commas, as dates."""
     filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
     numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in filled)
     return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)
@@ -191,7 +191,7 @@ def split(line: str, separator: str) -> list[str]:
 
 
 def is_value(cell: str) -> bool:
-    """Return True if a cell is a number or begins as a date or a time of day does."""
+    """Return True for a number, or the beginning of a date or a time of day."""
     cell = cell.strip()
     if len(cell) > 40 or not cell or not {*cell}.isdisjoint({*SEPARATORS} - {","}):
         return False
@@ -215,7 +215,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _numeric_columns(rows: Rows) -> list[int]:
-    """Return the indices of columns with values in at least half of the rows in which they are not empty."""
+    """Return the indices of columns with values in at least half of their filled rows."""
     filled, values = Counter[int](), Counter[int]()
     for row in rows:
         for k, cell in enumerate(row):
@@ -226,7 +226,7 @@ def _numeric_columns(rows: Rows) -> list[int]:
 
 
 def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
-    """Return True if at least half of the filled cells of the columns of numbers are values."""
+    """Return True if at least half of the filled cells in columns of numbers are values."""
     if len(cells) < 2 or not numeric:
         return False
     filled = [cells[k] for k in numeric if k < len(cells) and cells[k].strip().lower() not in _EMPTY]
@@ -239,8 +239,8 @@ def _header(
 ) -> tuple[list[str], bool]:
     """Read the names from the lines above the rows; return them, and True if the rows end in a separator.
 
-    ``width`` and ``most`` are the usual and the largest number of cells of a row; ``open_end`` is True if the last of
-    ``width`` cells is always empty.
+    ``width`` and ``most``: usual and largest number of cells of a row; ``open_end``: the last of ``width`` cells is
+    always empty.
     """
     fitting = [_fitting(line, separator, width, most, open_end) for line in above]
     place = next((k for k in range(len(above) - 1, max(len(above) - 4, -1), -1) if fitting[k]), None)
@@ -261,7 +261,7 @@ def _header(
 
 
 def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
-    """Split a line by the rows' separator or another; return its cells if there is one for each column, else []."""
+    """Split a line by the rows' separator or another into one cell for each column; else return []."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():

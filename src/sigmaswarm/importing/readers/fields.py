@@ -1,6 +1,6 @@
 """Numbers of messages by their paths, such as ``linear_acceleration.x`` or ``covariance[0]``, and header stamps.
 
-`columns_of` lists the paths of a definition in rosbags' type store; `getter` reads a number from a message.
+`columns_of` lists the paths of a definition in rosbags' type store; `getter` reads a number.
 """
 
 import re
@@ -17,7 +17,7 @@ MOST_ELEMENTS = 36
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """Return a function that reads a column's number from a message, or None if a message in JSON has none."""
+    """Return a function that reads a column's number from a message; None if a message in JSON has none."""
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)

@@ -12,13 +12,12 @@ from sigmaswarm.importing.source import Placement, Table
 BASES = ("base_link", "base_footprint")
 """Names of the vehicle's frame, x forward, y left, z up (REP-105)."""
 Pose = tuple[Array, Array]
-"""Pose of a frame in another one: rotation (3, 3) and translation (3,), m."""
+"""Rotation (3, 3) and translation (3,), m, of a frame in another."""
 Tree = Mapping[str, tuple[str, Pose]]
-"""The parent of each frame, and its pose in it."""
+"""The parent of each frame, and its pose in the parent."""
 
 
 def static_topic(tables: Mapping[str, Table]) -> str | None:
-    """Return the topic of the static transforms, if the log has one."""
     return next(
         (t for t, table in tables.items() if t.endswith("tf_static") and "tf" in table.kind.lower()), None
     )
@@ -32,7 +31,7 @@ def frame_of(message: Any) -> str:
 
 
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
-    """Find the poses of the IMU and the antenna in the vehicle; None if the transforms do not connect the IMU to it.
+    """Find the poses of the IMU and the antenna in the vehicle; None if no transforms connect IMU and vehicle.
 
     ``messages`` are of type tf2_msgs/TFMessage; the last of a repeated transform counts.
     """
@@ -57,7 +56,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """Convert a transform to rotation and translation; None if its quaternion is not one of a rotation."""
+    """Convert a transform to rotation and translation; None if its quaternion is no rotation."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))

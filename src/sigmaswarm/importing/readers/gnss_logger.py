@@ -1,4 +1,4 @@
-"""Android's GnssLogger: one text with lines of several kinds; comments at the top name the columns of each kind.
+"""Android's GnssLogger: one text with lines of several kinds; comments at the top name their columns.
 
 LOGGING.md of the app: Fix (degrees, m/s, AccuracyMeters the radius of a circle with 68%, bearing from north), Accel or
 UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRealtimeNanos`` is one clock for all kinds; in older
@@ -81,7 +81,7 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the clock of the others: its comment is damaged, and UTC is another clock."""
+    """Refuse a sensor without the common clock: its comment is damaged, and UTC is another clock."""
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)

@@ -1,6 +1,6 @@
 """MATLAB files, ``.mat`` up to version 7, through SciPy.
 
-Each struct is read as a table, and so are the remaining vectors of equal length.
+Each struct is a table, and so are the remaining vectors of equal length.
 """
 
 import io
@@ -21,16 +21,16 @@ from sigmaswarm.importing.source import FILES, Choice, Guess, Limits, Log, first
 from sigmaswarm.wording import shown
 
 LOOSE = "variables"
-"""The table of the vectors outside of structs."""
+"""Table of the vectors outside of structs."""
 DEEPEST = 5
 MOST_STRUCTS = 100_000
 MOST_PARTS = 9
-"""Largest number of columns of a matrix that become separate columns."""
+"""Columns of a matrix that become separate columns."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
 """Types of elements in a file of version 5 to 7 (MathWorks, "MAT-File Format")."""
 _NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
-"""Types of elements that are numbers or text."""
+"""Types of numbers and text."""
 _OF_ARRAYS = (1, 2, 3, 16, 17)
 """Classes of arrays of arrays: cell, struct, object, function, opaque."""
 _SPARSE, _OPAQUE_CLASS, _COMPLEX = 5, 17, 0x800
@@ -43,7 +43,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read all variables; the refusal of timetables and of version 7.3 states what to type in MATLAB."""
+    """Read all variables; the refusal of timetables and of version 7.3 states commands for MATLAB."""
     from scipy.io import loadmat, whosmat
 
     if _HDF5 in first_bytes(path, 1024):
@@ -116,7 +116,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
 
 
 def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> None:
-    """Refuse elements that are not arrays, and an array whose class, shape and content do not agree."""
+    """Refuse elements that are not arrays, and an array with contradictory class, shape and content."""
     if kind != _ARRAY or depth > _DEEPEST_ARRAY:
         raise ValueError(f"an element of type {kind}, at depth {depth}, instead of an array")
     elements = _elements(file, file.tell() + size, order)

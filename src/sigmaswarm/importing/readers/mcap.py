@@ -15,7 +15,7 @@ from sigmaswarm.importing.source import Limits, Log, Table, first_bytes, library
 
 Decode = Callable[[bytes], Any]
 LOOKED_AT = 20
-"""Number of messages without a definition from which a topic's columns are determined."""
+"""Messages without a definition that determine a topic's columns."""
 _LZ4_RATIO = 255
 """Largest expansion of a byte of LZ4."""
 MAGIC = b"\x89MCAP0\r\n"

@@ -1,4 +1,4 @@
-"""Logs of messages on topics: each topic is a table, and each number in its messages a column named by its path.
+"""Logs of messages: each topic is a table, and the path of each number in its messages a column.
 
 ``received`` is the time of recording and ``stamp`` the time in the header, both in ns.
 """
@@ -35,11 +35,11 @@ from sigmaswarm.importing.source import (
 from sigmaswarm.importing.times import time_of
 
 LATE = 0.1
-"""Median difference of header stamps from receive times, s, above which a remark is made."""
+"""Reported median difference of header stamps from receive times, s."""
 Message = tuple[str, int, Any]
 """Topic, receive time in ns, and the message with its fields as attributes or keys."""
 Stream = Callable[[Collection[str]], Iterator[Message]]
-"""The messages of some topics, decoded, in the order of the log."""
+"""Decoded messages of some topics, in the order of the log."""
 
 
 def message_log(path: Path, tables: Mapping[str, Table], stream: Stream, unread: Sequence[str] = ()) -> Log:
@@ -102,7 +102,7 @@ class _Messages:
         return replace(guess, placed=self._placement(guess))
 
     def _placement(self, guess: Guess) -> Placement | None:
-        """Find the poses of IMU and antenna by the static transforms of the log."""
+        """Find the poses of IMU and antenna by the static transforms."""
         static = static_topic(self.tables)
         if static is None or "imu" not in guess.roles:
             return None
@@ -143,7 +143,7 @@ class _Messages:
 
 @dataclass
 class _Collector:
-    """Rows of one topic, and the delays of its receive times after the stamps, s."""
+    """Rows of one topic, and the delays of receive times after the stamps, s."""
 
     topic: str
     columns: list[str]

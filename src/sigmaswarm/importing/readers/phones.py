@@ -1,4 +1,4 @@
-"""Exports of phones: folders or zips of CSVs, and the mounting of a phone."""
+"""Exports of phones: folders or zips of CSVs, and a phone's mounting."""
 
 import shutil
 import tempfile
@@ -19,7 +19,7 @@ RADIUS_68 = 1.515
 
 
 def names_in(path: Path) -> set[str]:
-    """List the names of a folder's or a zip's files, without their folders."""
+    """List the files in a folder or a zip, without their folders."""
     if path.is_dir():
         return {file.name for file in path.iterdir() if file.is_file()}
     if path.suffix.lower() == ".zip" and zipfile.is_zipfile(path):
@@ -32,7 +32,7 @@ def names_in(path: Path) -> set[str]:
 
 
 def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:
-    """Open the named tables of a folder or a zip; those of a zip are unpacked to a temporary folder."""
+    """Open the named tables of a folder or a zip, which is unpacked to a temporary folder."""
     folder = path if path.is_dir() else Path(stack.enter_context(tempfile.TemporaryDirectory()))
     if not path.is_dir():
         with whole(path, "is cut short or no zip", "export it again"), zipfile.ZipFile(path) as archive:

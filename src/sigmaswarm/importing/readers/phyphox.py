@@ -1,9 +1,8 @@
 """phyphox: an experiment exported as CSV, a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
 Column names carry their units: "Time (s)" since the start on one clock, "Acceleration x (m/s^2)" with gravity,
-"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. Android's axes on both systems.
-In other languages files and columns have other names. Their tables are found by the units, in the order of the app
-(phyphox/phyphox-experiments).
+"Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" from north. Android's axes on both systems. In
+other languages the units identify the tables, in the order of the app (phyphox/phyphox-experiments).
 """
 
 import re
@@ -37,12 +36,12 @@ _COLUMNS: tuple[tuple[Role, str, dict[str, str], dict[str, str]], ...] = (
         },
     ),
 )
-"""The plain names of columns, and the expressions over them, by role and file."""
+"""Plain names of columns, and the expressions over them, by role and file."""
 _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 
 
 _PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
-"""The first columns of the location, and their units."""
+"""First columns of the location, and their units."""
 _META = {"time.csv", "device.csv"}
 LEAST_GRAVITY = 5.0
 """Smallest median of an acceleration with gravity, m/s2; the linear acceleration has the same columns."""
@@ -122,7 +121,6 @@ def _by_units(log: Log) -> dict[str, tuple[str, dict[str, str]]]:
 
 
 def _has_gravity(log: Log, table: str, axes: dict[str, str]) -> bool:
-    """Return True if the first rows of an acceleration contain gravity."""
     for _, rows, _ in log.batches({table: [axes[i] for i in "xyz"]}):
         squares = [rows[axes[i]].cast(pl.Float64, strict=False) ** 2 for i in "xyz"]
         return median_of((squares[0] + squares[1] + squares[2]).sqrt()) > LEAST_GRAVITY

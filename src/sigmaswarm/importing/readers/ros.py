@@ -72,7 +72,7 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
 
 
 def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
-    """Limit the unpacked size of a ROS 1 bag's chunks, which is not known before."""
+    """Limit the unpacked size of a ROS 1 bag's chunks."""
     lz4 = library("lz4.frame", "ros")
     streams = {bz2.decompress: bz2.BZ2Decompressor, lz4.decompress: lz4.LZ4FrameDecompressor}
     for bag in reader.readers:

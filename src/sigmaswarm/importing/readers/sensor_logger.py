@@ -24,7 +24,7 @@ _FIX: dict[str, str | tuple[str, ...]] = {
     "speed": ("where(speed >= 0, speed, 0/0)",),
     "course": ("where(bearing >= 0, radians(90 - bearing), 0/0)",),
 }
-"""Expressions in a tuple are left out if the export lacks their column."""
+"""An expression in a tuple is left out if the export lacks its column."""
 
 
 def recognizes(path: Path) -> bool:

@@ -21,14 +21,14 @@ _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
 _POSITION = {"x": "position.x", "y": "position.y"}
 _ORIENTATION = {i: f"orientation.{i}" for i in "wxyz"}
 _SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
-"""Paths of the speed of the wheels in messages: nav_msgs and geometry_msgs, Autoware's reports, and others."""
+"""Paths of the wheels' speed: nav_msgs, geometry_msgs, Autoware's reports, and others."""
 _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
 _HEADING = re.compile(r"heading|compass", re.IGNORECASE)
 _SATELLITES = re.compile(r"gps|gnss", re.IGNORECASE)
 STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_FIX, _POSITION)}
-"""The paths of numbers in standard messages, by role."""
+"""Paths of numbers in standard messages, by role."""
 
 
 def _yaw(at: str) -> str:
@@ -60,7 +60,7 @@ class Topics:
     notes: list[str] = field(default_factory=list[str])
 
     def guess(self) -> Guess:
-        """Find the topics of IMU, fixes with their velocity and heading, truth, and odometer."""
+        """Find the topics of IMU, fixes with velocity and heading, truth, and odometer."""
         roles: dict[Role, tuple[Part, ...]] = {}
         metadata: dict[str, Any] = {}
         inertial = self._having(_IMU)
@@ -106,7 +106,7 @@ class Topics:
         return {t for t, table in self.tables.items() if prefix(table, paths) is not None}
 
     def _topic(self, role: str, candidates: Collection[str]) -> str | None:
-        """Return the topic that the user chose, or the one with the most messages."""
+        """Return the topic that the user chose, or that with the most messages."""
         chosen = self.choice.tables.get(role)
         if chosen is not None:
             near = {chosen, "/" + chosen.lstrip("/")} & set(self.tables)
@@ -134,7 +134,7 @@ class Topics:
         return {name: at + path for name, path in paths.items()}
 
     def _speed(self, topic: str) -> str:
-        """Return the path of a forward speed in a topic's messages; empty if there is none."""
+        """Return the path of a forward speed; empty if there is none."""
         found = ((prefix(self.tables[topic], {"speed": path}), path) for path in _SPEEDS)
         return next((at + path for at, path in found if at is not None), "")
 
@@ -147,7 +147,7 @@ class Topics:
         return found
 
     def _stated_noise(self, topic: str) -> dict[str, Any]:
-        """Return the variances of gz and ax that the first message states, for drive.toml, if it states them."""
+        """Return the variances of gz and ax in the first message, for drive.toml, if they are stated."""
         before = self._named(topic, _IMU)["ax"].removesuffix(_IMU["ax"])
         columns = [f"{before}angular_velocity_covariance[8]", f"{before}linear_acceleration_covariance[0]"]
         message = self.first(topic)
@@ -176,7 +176,7 @@ class Topics:
         return found
 
     def _heading(self, topic: str) -> dict[str, str]:
-        """Return the yaw of an Imu message, without an orientation if its first covariance is -1."""
+        """Return the yaw of an Imu message; a first covariance of -1 means that it has no orientation."""
         at = self._named(topic, _ORIENTATION)["w"].removesuffix("w")
         covariance = at.removesuffix(".") + "_covariance"
         found = {"heading": _yaw(at)}
@@ -212,7 +212,6 @@ class Topics:
         return Part(topic, {"t": time, **columns})
 
     def _note_frame(self, topic: str) -> None:
-        """Note the frame of an IMU's values."""
         message = self.first(topic)
         header = getattr(message[2], "header", None) if message else None
         if name := getattr(header, "frame_id", ""):

@@ -124,7 +124,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per time of week, from all its messages; the week is the last one in NAV-SOL."""
+    """Yield one row per time of week, from all its messages; the week is the last in NAV-SOL."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
@@ -165,7 +165,7 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
 def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
     """Yield messages with a right checksum, and None for damaged bytes; each with the share that is read.
 
-    The length of a damaged message is unreliable, so the next one is searched right after its first bytes.
+    The length of a damaged message is unreliable, so the next is searched right after its first bytes.
     """
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as stream:
         at, damaged = stream.find(SYNC), False
