@@ -46,7 +46,6 @@ class CachedDrive:
         return BYTES_PER_COLUMN_BYTE * sum(column.nbytes for column in columns)
 
     def once(self, key: Hashable, make: Callable[[Drive], T]) -> T:
-        """Return the stored result of this key, computed at the first call."""
         if key not in self.results:
             self.results[key] = make(self.drive)
         return self.results[key]

@@ -137,7 +137,6 @@ class _Fit:
         return regress(position, columns, own, np.ones(own[0].shape), rounds)
 
     def learn(self, found: Regression, late: float) -> None:
-        """Store M, and the bias of each window."""
         self._matrix = found.solution[:4].reshape(2, 2)
         self._usual = self._usual + found.solution[5:]
         position, columns, own = self._terms(late)

@@ -76,7 +76,6 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
 
 
 def _gravity(drive: Drive) -> Agreement:
-    """Compare the smoothed specific force with its value at rest: gravity on az."""
     imu, ends = drive.imu, drive.imu.time[[0, -1]]
     at = np.arange(ends[0], ends[1], 1 / RATE)
     names = [name for name in ("ax", "ay", "az") if getattr(imu, name) is not None]

@@ -66,7 +66,6 @@ def finding_of(
     confidence: float,
     repair: Repair | None = None,
 ) -> Finding:
-    """Convert a remark of the reader to a finding."""
     where = f"{remark.file}, {remark.columns}"
     return Finding(remark.code, severity, remark.what, where, span, confidence, remark.remedy, repair)
 

@@ -69,7 +69,6 @@ def _off_line(time: Array, position: Complex) -> Complex:
 
 
 def course_of(time: Array, position: Complex) -> Course:
-    """Compute speed and course from straight lines through short sequences of fixes."""
     interval, noise = float(np.median(np.diff(time))), white_noise(position)
     # a line through n fixes over T: std = noise sqrt(12 / n) / T
     span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN))

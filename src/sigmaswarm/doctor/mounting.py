@@ -206,7 +206,7 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
 def _converged(
     drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
 ) -> tuple[Array, _Round | None]:
-    """Rotate the levelled axes in rounds until the rotation is zero; return the rotation and the last round."""
+    """Rotate the levelled axes in rounds until the rotation is zero."""
     rotation, seen = level(imu), None
     for _ in range(ROUNDS):
         seen = _round(replace(drive, imu=turned(imu, rotation)), course, seen, None if seen else yaw_fit)
@@ -250,7 +250,7 @@ def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | 
 
 
 def _mean(*estimates: tuple[float, float]) -> tuple[float, float]:
-    """Return the weighted mean of independent estimates, and its standard deviation."""
+    """Return the inverse-variance weighted mean, and its standard deviation."""
     weight = np.array([1 / std**2 for _, std in estimates])
     return float(weight @ [value for value, _ in estimates] / weight.sum()), 1 / math.sqrt(weight.sum())
 

@@ -44,7 +44,6 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
 
 
 def _with(sensor: str, drive: Drive, **columns: Any) -> Drive:
-    """Replace columns of a sensor, if the drive has that sensor."""
     table = getattr(drive, sensor)
     return replace(drive, **{sensor: table and replace(table, **columns)})
 
@@ -55,13 +54,12 @@ def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
 
 
 def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
-    """Leave out the rows at these times, s."""
     table = getattr(drive, sensor)
     return replace(drive, **{sensor: table.select(~np.isin(table.time, times))})
 
 
 def _rotate(drive: Drive, *rotation: float) -> Drive:
-    """Rotate all six axes by a matrix (3, 3), given row by row."""
+    """Rotate all six axes by a matrix, given row by row."""
     return replace(drive, imu=turned(drive.imu, np.reshape(rotation, (3, 3))))
 
 

@@ -50,8 +50,6 @@ STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
 
 @dataclass(frozen=True)
 class NoStart:
-    """The reason why no filter can start on a drive, and the remedy."""
-
     what: str
     remedy: str
 

@@ -36,7 +36,7 @@ _WINDOW = 5.0
 
 @dataclass(frozen=True)
 class Remark:
-    """A probable fault of a drive; ``code`` is the doctor's code for it (docs/doctor.md)."""
+    """A probable fault; ``code`` is the doctor's (docs/doctor.md)."""
 
     code: str
     file: str
@@ -69,7 +69,7 @@ def checked(imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """Describe a shortage that makes a drive unusable: no common time of IMU and GPS, or too few samples of either."""
+    """Describe a shortage that makes a drive unusable."""
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -89,7 +89,6 @@ def shortage_of(imu: Imu, gps: Gps) -> str | None:
 
 @np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
 def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
-    """List faults: times in another unit, gaps, rates in deg/s, accelerations in g, gravity on another axis."""
     if spoiled := spoiled_times(imu, gps):
         return spoiled
     gravity = gravity_on(imu) or gravity_up(imu)
@@ -98,7 +97,7 @@ def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
 
 
 def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
-    """List faults of the times that make all other checks meaningless: another unit, or a clock that jumps."""
+    """List faults of the times that make other checks meaningless: another unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
     remedy = "delete the rows with wrong times; if the logger paused, make one drive of each part"
@@ -111,7 +110,7 @@ def spoiled_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for times in ms, us or ns: of one sensor, from the durations, or of both sensors, from the rates."""
+    """Check for ms, us or ns: of one sensor by the durations, of both by the rates."""
     lasts = float(np.ptp(imu)), float(np.ptp(gps))
     if min(lasts) <= 0:
         return None
@@ -137,7 +136,6 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
 
 
 def gravity_on(imu: Imu) -> Remark | None:
-    """Check for gravity on a horizontal axis."""
     median = {"ax": float(np.median(imu.ax)), "ay": float(np.median(imu.ay))}
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
@@ -182,7 +180,6 @@ def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
 
 
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
-    """Describe the gaps of all files in one sentence, with the remedy for the most important sensor."""
     crossed = (
         "a filter crosses a gap with the mean of the samples around it, and its covariance grows; if the car "
         "maneuvered there, split the drive"
@@ -205,7 +202,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def unshared_times(imu: Array, gps: Array) -> Remark | None:
-    """Describe fixes outside of the IMU's time, and long parts of this time without fixes at its start or end."""
+    """Describe fixes outside of the IMU's time, and long parts of it without fixes at its ends."""
     early, late = imu[0] - gps[0], gps[-1] - imu[-1]
     alone = ""
     if max(-early, -late) > max(UNSHARED, UNSHARED_IMU * (imu[-1] - imu[0])):

@@ -31,7 +31,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """Read the keys of drive.toml and check all except ``frame``, which depends on gps.csv."""
+    """Read drive.toml; ``frame`` is not checked, since it depends on gps.csv."""
     if not path.is_file():
         raise DriveError(
             f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
@@ -54,7 +54,7 @@ def read_description(path: Path) -> dict[str, Any]:
 
 
 def require_name(name: object, where: object) -> None:
-    """Raise `DriveError` if a value, given in ``where``, can't name a drive and its folder."""
+    """Raise `DriveError` if a value, given in ``where``, can't name a folder."""
     if not isinstance(name, str) or not name.strip():
         raise DriveError(
             f'{where}: name = {value_shown(name)} is not text; write for example name = "monday"'
@@ -92,7 +92,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame, which must agree with the columns, or that of the columns."""
+    """Return the stated frame, which must agree with the columns, or theirs."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')

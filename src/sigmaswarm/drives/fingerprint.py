@@ -16,7 +16,7 @@ START_RULE = (
 
 
 class DriveRecord(BaseModel):
-    """Description of a drive in the file of a result."""
+    """A drive in the file of a result."""
 
     name: str
     duration_s: float | None = None
@@ -35,7 +35,6 @@ class DriveRecord(BaseModel):
 
 
 def described(drive: Drive) -> dict[str, Any]:
-    """Describe a drive by its name, its size, and a fingerprint of its numbers."""
     return {
         "name": drive.name,
         "duration_s": round(drive.duration, 3),
@@ -47,7 +46,6 @@ def described(drive: Drive) -> dict[str, Any]:
 
 
 def fingerprint(drive: Drive) -> str:
-    """Hash all numbers of a drive, without its name."""
     digest = hashlib.sha256()
     if drive.lever_arm.any():
         digest.update(b"lever arm" + drive.lever_arm.tobytes())

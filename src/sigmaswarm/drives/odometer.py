@@ -59,7 +59,6 @@ def _measure_all(
     turn: NDArray[np.bool_],
     rows: Array,
 ) -> int:
-    """Fill in the arrays of `measurements_of`; return the number of rows."""
     n, r, last_slot, taken, before = 0, 0, -1.0, start, start
     for k in range(len(end)):
         if sampled[k]:

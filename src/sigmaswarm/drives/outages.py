@@ -103,7 +103,6 @@ def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) ->
 
 
 def _checked(windows: ArrayLike) -> Array:
-    """Convert windows to an array (k, 2), and check that each starts before its end."""
     w = np.asarray(windows, dtype=np.float64)
     if w.size == 0:
         return np.empty((0, 2))

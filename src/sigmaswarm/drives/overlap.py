@@ -26,7 +26,7 @@ from sigmaswarm.geodesy import enu_to_geodetic
 Whole = NDArray[np.int64]
 
 SEEN_FILE = "seen.npz"
-"""File in a tuning's folder with the landmarks of its training drives."""
+"""File of a tuning's landmarks."""
 MICRO = 1_000_000
 SAME_TIME = 1000  # us, largest difference of one landmark's times, without the clock offset
 SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), of one fix in two files
@@ -105,12 +105,11 @@ def landmarks(drive: Drive) -> Landmarks:
 
 
 def whole_drive(name: str, sha256: str, duration: float) -> Landmarks:
-    """Make the landmarks of a drive with a known fingerprint only."""
     return Landmarks(name, sha256, (0.0, duration), False, np.zeros((0, 3), np.int64), np.zeros((0, 2)))
 
 
 def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
-    """Compute the duration, s, of the parts of a drive that other drives contain, and name these drives."""
+    """Return the duration, s, of the parts that other drives contain, and their names."""
     found = [(other.name, part) for other in others if (part := _common(drive, other)) is not None]
     covered, until = 0.0, -math.inf
     for start, end in sorted(part for _, part in found):
@@ -120,7 +119,7 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
-    """Compute `overlap_of`; None if nothing is found and parts of some other drives can't be recognized."""
+    """Return `overlap_of`; None if nothing is found and parts of some other drives can't be recognized."""
     found = overlap_of(drive, others)
     return found if found or all(other.tell_parts for other in others) else None
 
@@ -145,7 +144,6 @@ def _by_fixes(one: Landmarks, other: Landmarks) -> float | None:
 
 
 def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
-    """Return the clock offset, s, from equal yaw rates."""
     width = min(one.width, other.width)
 
     def rates(marks: Landmarks) -> Array:
@@ -213,7 +211,7 @@ def save_landmarks(
 
 @dataclass(frozen=True)
 class SavedLandmarks(Sequence[Landmarks]):
-    """Landmarks in a file of `save_landmarks`, read on use."""
+    """Landmarks in a file, read on use."""
 
     path: Path
     names: tuple[tuple[str, str], ...]

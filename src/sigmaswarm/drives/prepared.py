@@ -1,4 +1,4 @@
-"""Prepare a drive for filters: compute its start and its time lines once."""
+"""A drive prepared for filters: its start and its time lines, computed once."""
 
 from functools import cached_property
 
@@ -78,7 +78,6 @@ class PreparedDrive:
 def prepared(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> PreparedDrive:
-    """Prepare a drive; return a prepared one unchanged, unless another start is given."""
     if isinstance(drive, PreparedDrive):
         if initial is None or initial is drive.initial:
             return drive

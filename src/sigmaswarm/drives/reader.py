@@ -14,11 +14,10 @@ from sigmaswarm.drives.urls import A_DRIVE, drive_urls, is_url, local_copy, with
 from sigmaswarm.errors import DriveError, SigmaswarmWarning
 
 Location = str | Path
-"""A folder, or a URL that fsspec reads."""
 
 
 def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
-    """Return the drives at locations: a drive itself, or all drives in a folder or below a URL, sorted by name."""
+    """Return drives, and all drives in folders or below URLs, sorted by name."""
     return [
         drive
         for location in locations
@@ -27,7 +26,7 @@ def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
 
 
 def drive_folders(path: Path) -> list[Path]:
-    """Return a drive folder itself, or all drive folders inside a folder, sorted by name."""
+    """Return a drive folder itself, or all drive folders in it, sorted by name."""
     if not path.is_dir() or has_table(path, "imu") or has_table(path, "gps"):
         return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
@@ -37,7 +36,6 @@ def drive_folders(path: Path) -> list[Path]:
 
 
 def has_table(folder: Path, table: str) -> bool:
-    """Return whether a folder contains a table, such as ``imu``, in any format."""
     return bool(_files_of(folder, table))
 
 

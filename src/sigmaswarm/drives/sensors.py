@@ -46,7 +46,6 @@ class SuggestedFilter:
 
     @property
     def options(self) -> str:
-        """The options of the command line."""
         return f"--model {self.model} --use {' '.join(self.use)}"
 
 
@@ -84,7 +83,6 @@ class Sensors:
 
 
 def sensors_of(drive: Drive | Sensors) -> Sensors:
-    """Describe the sensors of a drive; return a description unchanged."""
     if isinstance(drive, Sensors):
         return drive
     gps, imu = drive.gps, drive.imu
@@ -224,7 +222,6 @@ def has_lasting_errors(drive: Drive) -> bool:
 
 
 def enough_for_fix_error(drives: Iterable[Sensors]) -> bool:
-    """Return whether all drives together have enough fixes for states of correlated errors."""
     return sum(drive.fixes for drive in drives) >= FIXES_FOR_FIX_ERROR
 
 

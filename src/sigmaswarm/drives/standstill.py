@@ -71,7 +71,6 @@ def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
 
 
 def new_memory() -> Array:
-    """Make the memory of a detector that has no samples yet."""
     memory = np.zeros((N_MEMORY, 8))
     memory[LEVEL, :3] = -1.0
     memory[LEVEL, NUMBER] = memory[LEVEL, LAST] = -np.inf
@@ -97,7 +96,6 @@ def _find_standstills(
 
 @cached
 def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
-    """Add a sample; return True if the last second is calm."""
     number, level = np.floor(t / BLOCK), memory[LEVEL]
     if not abs(number) < 1e15:  # an impossible time
         return False
@@ -174,7 +172,6 @@ def _begin_block(memory: Array, begun: int) -> None:
 
 @cached
 def _merge_quarter(memory: Array) -> None:
-    """Merge the complete blocks of the last quarter of a second."""
     part, place = memory[PART], int(memory[LEVEL, PLACE])
     if place < QUARTER:
         _copy(memory[SECOND - QUARTER + place], part)
@@ -184,7 +181,6 @@ def _merge_quarter(memory: Array) -> None:
 
 @cached
 def _merge(total: Array, block: Array) -> None:
-    """Merge a block into the total of the blocks before it."""
     if total[COUNT] == 0.0:
         _copy(block, total)
     elif block[COUNT] > 0.0:

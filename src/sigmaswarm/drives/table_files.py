@@ -145,7 +145,6 @@ class TableFile:
                 raise self._fault(int(broken.arg_max() or 0), name, what, 'close the quote (") before it')
 
     def _numbers(self, column: str) -> Array:
-        """Return a column (n,) as finite numbers within its range."""
         text = self.cells[column]
         if text.dtype == pl.String and self.path.suffix == CSV:
             text = text.str.strip_chars()
@@ -169,7 +168,6 @@ class TableFile:
         return values.to_numpy()
 
     def _require_increasing(self, time: Array) -> None:
-        """Refuse times that do not increase, or follow an implausibly long interval."""
         late, i = np.flatnonzero(np.diff(time) <= 0), _leap(time)
         what, remedy = "lies too far after", "delete the row with the damaged time"
         if late.size:
@@ -224,7 +222,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """Read a file of finite numbers with plain names; return None for other files."""
+    """Read a file of finite numbers with plain names; None for other files."""
     if _has_lone_quote(path):
         return None
     try:
@@ -252,7 +250,7 @@ def _empty(path: Path) -> DriveError:
 
 
 def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
-    """Return an error on the first row with another number of cells than the header."""
+    """Return an error on the first row with a wrong number of cells."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.reader(file)
         try:

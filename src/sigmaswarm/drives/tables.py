@@ -162,7 +162,6 @@ RECORDS: dict[str, type[Table]] = {"imu": Imu, "gps": Gps, "truth": Truth, "odom
 
 
 def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the required and the optional columns, by their names in files."""
     required = {("t" if f.name == "time" else f.name): f.default is MISSING for f in fields(table)}
     return tuple(c for c, r in required.items() if r), tuple(c for c, r in required.items() if not r)
 
@@ -170,4 +169,4 @@ def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 COLUMNS = {name: _columns(table) for name, table in RECORDS.items()}
 COLUMNS["enu"] = COLUMNS["gps"]
 COLUMNS["wgs84"] = ("t", "lat", "lon"), tuple(c for c in COLUMNS["gps"][1] if c not in ("lat", "lon"))
-"""The required and the optional columns of each table, and of gps by frame."""
+"""Required and optional columns of each table, and of gps by frame."""

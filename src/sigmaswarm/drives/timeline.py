@@ -215,7 +215,6 @@ def build_timeline(
 
 
 def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
-    """Mark the fixes of the drive that a time line uses."""
     time = drive.gps.time
     return (time > start) & (time <= drive.imu.time[-1]) & (kinds < FROZEN)
 
@@ -247,7 +246,6 @@ def _fixes_of(gps: Gps) -> dict[str, Any]:
 
 
 def _is_last(ends: Array) -> NDArray[np.bool_]:
-    """Mark the steps that are the last to end at their time."""
     return np.append(ends[1:] != ends[:-1], True)
 
 

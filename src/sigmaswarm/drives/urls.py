@@ -19,7 +19,6 @@ A_DRIVE = "a drive is a folder with imu.csv, gps.csv and drive.toml"
 
 
 def is_url(location: str | Path) -> bool:
-    """Return True if fsspec reads this location."""
     return "://" in str(location)
 
 
@@ -68,7 +67,6 @@ def local_copy(url: str) -> Generator[Path]:
 
 
 def _opened(url: str) -> tuple[Any, str]:
-    """Open the file system of a URL; return it and the path in it."""
     try:
         import fsspec
     except ImportError:

@@ -81,7 +81,6 @@ def assemble(
 
 
 def assemble_imu(parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
-    """Make only the IMU's table, as `assemble`."""
     time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
     return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)
 
@@ -166,7 +165,6 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
 
 
 def _assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: Origin) -> str:
-    """Describe the assumed origin of a truth in meters, and the distance of fixes in degrees."""
     said = "truth is in meters: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])

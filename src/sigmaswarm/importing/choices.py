@@ -46,7 +46,6 @@ UNUSED = ""
 TARGETS: dict[str, str] = {UNUSED: "not used"} | {
     f"{role}.{name}": f"{NAMES[role]}: {SAID.get(name, name)}" for role in ROLES for name in COLUMNS[role]
 }
-"""The uses of a column, with their labels."""
 CUSTOM = "expression"
 GIVEN = ("gps", "truth", "tables", "maps")
 FLAGS = {
@@ -75,7 +74,6 @@ def uses_of(look: Look) -> Uses:
 
 
 def mentions(text: str, column: str) -> bool:
-    """Return True if a text contains a column's name as a word."""
     return re.search(rf"(?<![\w.]){re.escape(column)}(?![\w.])", text) is not None
 
 
@@ -114,7 +112,6 @@ def assign(choices: dict[str, Any], look: Look, table: str, column: str, target:
 
 
 def settings_of(choices: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert choices to settings of `import_log` and `inspect_log`."""
     settings = {key: choices[key] for key in (*GIVEN, *FLAGS) if choices.get(key)}
     if arm := settings.get("gps_lever_arm_m"):
         try:
@@ -126,7 +123,6 @@ def settings_of(choices: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def command_of(log: Path, out: Path, choices: Mapping[str, Any]) -> str:
-    """Return the `sigmaswarm import` command that makes the same drive."""
     words = ["sigmaswarm", "import", str(log), "--out", str(out)]
     for key in ("gps", "truth"):
         words += [f"--{key}", choices[key]] if choices.get(key) else []

@@ -146,7 +146,6 @@ def _read(
 
 @contextmanager
 def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Guess]]]:
-    """Open the logs of a request, and make each reader's guess."""
     with ExitStack() as stack:
         logs: dict[Path, Log] = {}
         for path in dict.fromkeys(map(request.home, ROLES)):
@@ -228,7 +227,6 @@ def _require_sensors(
     guesses: Guesses,
     roles: Sequence[Role],
 ) -> None:
-    """Refuse logs without an IMU or fixes."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that contains them as SOURCE"),
         ("gps", "position fixes", "name a log that contains them with --gps"),
@@ -258,7 +256,6 @@ def _require_sensors(
 def _gather_all(
     request: Request, logs: Mapping[Path, Log], recipe: Recipe, progress: Progress
 ) -> dict[Role, list[Gathered]]:
-    """Read each log once, for all its roles."""
     gathered: dict[Role, list[Gathered]] = {}
     sizes = {path: _size(path) for path in logs}
     total, before = sum(sizes.values()), 0

@@ -190,7 +190,6 @@ class _Compiler:
         self.uses = 1
 
     def build(self, node: ast.AST) -> pl.Expr:
-        """Compile one node of the tree, if it is allowed."""
         if (name := _column_name(node)) is not None:
             return self._column(name)
         match node:
@@ -258,7 +257,6 @@ class _Compiler:
         return pl.col(name)
 
     def _compare(self, a: ast.expr, op: ast.cmpop, b: ast.expr) -> pl.Expr:
-        """Compile a comparison; a column and a text are compared as texts."""
         name = _column_name(a)
         if isinstance(b, ast.Constant) and isinstance(b.value, str) and name is not None:
             return _OPERATORS[type(op)](self._use(name).cast(pl.String), pl.lit(b.value))

@@ -34,7 +34,6 @@ A module has ``recognizes(path)``: True if name or first bytes of a file or fold
 format's library. ``open_log(path, limits, stack)`` returns a `Log`; the stack closes its files.
 """
 _MIXED = ("nmea", "gnss-logger")
-"""Formats of text with lines of several types."""
 _TEXTS = (*_MIXED, "rtklib", "csv")
 _LINES_OF_ROW, _TITLES = 10, 1000
 """Most lines of a mixed text per row of a table, and most lines above the rows."""

@@ -44,7 +44,6 @@ class Gathered:
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
-        """Evaluate the part's expressions on some rows of its table."""
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
         if ROW not in frame.columns:
             frame = frame.with_columns(pl.int_range(self.seen, self.seen + len(frame)).alias(ROW))

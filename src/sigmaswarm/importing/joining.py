@@ -24,7 +24,6 @@ SPARSE = 0.1
 """Largest share of empty rows of an optional column; above it the column is left out, instead of the rows."""
 POSITIONS = ("lat", "lon", "x", "y")
 TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
-"""Columns that are left out together."""
 
 
 def join(
@@ -84,7 +83,6 @@ def _between(time: Array, known: Array, values: Array, turn: float | None) -> Ar
 
 
 def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple[Nanoseconds, Values]:
-    """Return a part's rows with strictly increasing times."""
     time, values = part.finish()
     table = shown(part.part.table)
     where = f"{role}: {table}"

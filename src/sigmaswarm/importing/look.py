@@ -166,7 +166,6 @@ def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[st
 
 
 def beginnings(log: Log) -> dict[str, pl.DataFrame]:
-    """Read the first rows of every table."""
     wanted = {name: table.columns for name, table in log.tables.items() if table.columns}
     rows: dict[str, pl.DataFrame] = {name: pl.DataFrame() for name in log.tables}
     for some in [wanted] if log.mixed else [{name: columns} for name, columns in wanted.items()]:

@@ -26,7 +26,6 @@ from sigmaswarm.importing.times import written
 LEAST_TURN = 180
 """Range of directions, deg, that determines the hard iron."""
 BIN = 10
-"""Bin of directions, deg."""
 LEAST_SAMPLES = 5
 DRIFT = 10.0
 """Interval of corrections of the gyro's heading by the course, s."""
@@ -95,7 +94,6 @@ def part_of(table: str, columns: Sequence[str]) -> Part:
 def with_magnetometer(
     drive: Drive, parts: Sequence[Gathered], recipe: Recipe, say: Say, recording: int | None
 ) -> Drive:
-    """Add the heading of a magnetometer to a drive's fixes."""
     if drive.gps.heading is not None:
         raise InputError("mag: the fixes have a heading already; omit one of the two with --map")
     stamps, values = join(parts, "mag", ("mx", "my"), say, recording)

@@ -65,7 +65,6 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("bearing", "bearing|track|heading|cog"),
     ("theta", "theta|yaw"),
 )
-"""Columns of a drive, and their plain names as regular expressions."""
 _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 _TOTAL = {"gfx", "gfy", "gfz"}
 """Physics Toolbox's accelerations in g."""
@@ -126,7 +125,6 @@ class Name:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Words of the whole name, including its unit."""
         return tuple(plain_words(self.column))
 
     def is_one(self, pattern: str) -> bool:

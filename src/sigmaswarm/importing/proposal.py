@@ -215,7 +215,6 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
 
 
 def _times(expression: str, factor: float) -> str:
-    """Multiply an expression by a factor: a sign, g, or degrees."""
     if factor < 0:
         return _times(expression[1:] if expression.startswith("-") else f"-{expression}", -factor)
     if math.isclose(factor, math.pi / 180, rel_tol=1e-6):

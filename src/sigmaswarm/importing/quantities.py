@@ -37,8 +37,6 @@ _GYROS = (
 
 @dataclass
 class Columns:
-    """A table's first rows, and its columns by quantity."""
-
     frame: pl.DataFrame
     names: dict[str, Name] = field(default_factory=dict[str, Name])
 
@@ -132,7 +130,6 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
 
 
 def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
-    """Write the option that maps columns, with {} for the column."""
     return "--map " + " ".join(f'"{role}.{what}={form.format(columns.text(what))}"' for what in whats)
 
 

@@ -70,7 +70,6 @@ class Recipe:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a recipe from ``save`` or written by hand."""
         try:
             text = read_toml_text(path)
         except OSError as error:
@@ -171,7 +170,6 @@ def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
 
 
 def _entry(text: str) -> tuple[Role, str, str]:
-    """Split ``[role.]column=expression``."""
     target, equals, expression = text.partition("=")
     prefix, dot, column = target.strip().rpartition(".")
     if not equals:

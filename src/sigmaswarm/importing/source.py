@@ -18,13 +18,10 @@ from sigmaswarm.wording import quoted, shown
 Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000
-"""Rows of a batch."""
 FILES = "columns"
-"""Kind of a table that is a file."""
 Progress = Callable[[float], None]
 """Function of the share of the log that is read, 0 to 1."""
 Wanted = Mapping[str, Collection[str]]
-"""Columns to read, by table."""
 Batch = tuple[str, pl.DataFrame, float]
 """A table, rows with its wanted columns, and the share of the log that is read, 0 to 1."""
 

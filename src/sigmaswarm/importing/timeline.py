@@ -71,7 +71,6 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 
 
 def recordings(time: Nanoseconds) -> list[slice]:
-    """Return the rows between restarts of a clock."""
     falls = np.flatnonzero(np.diff(time) < 0) + 1
     whole = [slice(0, len(time))]
     if not len(falls) or len(falls) > max(len(time) // FEWEST_ROWS, 1):

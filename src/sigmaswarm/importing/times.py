@@ -66,7 +66,6 @@ class Found:
 
 
 def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
-    """Find the time of a table by its columns' names and values."""
     names = read_names(frame.columns)
     several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
     pairs = [] if several else _dates_and_times(names, frame)
@@ -104,7 +103,6 @@ def numbers_of(values: pl.Series) -> pl.Series:
 
 
 def median_of(values: pl.Series) -> float:
-    """Return the median, 0 of no numbers."""
     return float(values.median() or 0.0)  # pyright: ignore[reportArgumentType]
 
 
@@ -246,7 +244,6 @@ def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
 
 
 def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
-    """Describe a unit that can't be converted."""
     known = name.unit is not None and name.unit.known
     kind = f"a unit of {name.unit.dimension}, not of {dimension}" if name.unit and known else "not known"
     said = f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
@@ -289,7 +286,6 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
 
 
 def _read_by(texts: pl.Series, form: str) -> pl.Series:
-    """Read texts in a format, null where it does not fit."""
     dates = pl.col("date")
     dates = dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates)
     return texts.to_frame("date").select(parse_dates(dates, form).alias("date"))["date"]

@@ -50,7 +50,6 @@ _DIMENSIONS: dict[tuple[int, int, int], Dimension] = {
     (1, -2, 0): "acceleration",
     (0, -1, 1): "rate",
 }
-"""Powers of length, time and angle."""
 _MORE: tuple[tuple[Dimension, float, str], ...] = (
     ("acceleration", G, "g g0 gs gee"),
     ("acceleration", G / 1e3, "mg milli-g millig"),
@@ -75,7 +74,6 @@ _MORE: tuple[tuple[Dimension, float, str], ...] = (
     ("speed", 1e-3, "mmps"),
     ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7"),
 )
-"""Words for units that are not products of base units."""
 _WORDS: dict[str, tuple[Dimension, float]] = {
     word: (dimension, factor) for dimension, factor, text in _MORE for word in text.split()
 }
@@ -87,7 +85,6 @@ NONE = (
 )
 """Words in brackets that are not units."""
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
-"""Units of a sensor's raw counts."""
 _PLAIN = str.maketrans(
     {"µ": "u", "μ": "u", "²": "2", "°": "deg", "·": " ", "⋅": " ", "−": "-", "⁻": "-", "¹": "1"}
 )
@@ -135,7 +132,6 @@ def parse_unit(text: str) -> Unit | None:
 
 
 def in_si(unit: Unit, text: str) -> str:
-    """Write the expression of a column in SI units."""
     if math.isclose(unit.factor, 1.0):
         return text
     if unit.dimension in ("rate", "angle") and math.isclose(unit.factor, _DEGREE, rel_tol=1e-12):

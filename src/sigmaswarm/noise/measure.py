@@ -137,7 +137,6 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
 
 
 def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[str]) -> AxisNoise:
-    """Measure one axis on its static stretches; add its faults to the remarks."""
     longest = max(values, key=len)
     found = fit(spectrum_of(values, interval), len(longest) * interval)
     tau, deviation = allan_deviation(values, interval)

@@ -100,7 +100,6 @@ class Noise:
         return [known.get(a, usual) for a in axes]
 
     def mean(self, sensor: str, value: Callable[[AxisNoise], float]) -> float:
-        """Return the RMS over the axes of a sensor."""
         return math.sqrt(float(np.mean(np.square(self.of(sensor, value)))))
 
     def table(self) -> Table:

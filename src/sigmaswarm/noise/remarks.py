@@ -26,7 +26,6 @@ COARSE = 0.5  # reported ratio of the quantization step to the standard deviatio
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
-    """Remark on the noise terms that the stretches determine."""
     total, longest = sum(lengths), max(lengths)
     remarks: list[str] = []
     if stretches.gaps:
@@ -70,7 +69,6 @@ def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
 
 
 def on_step(axis: str, values: Array) -> list[str]:
-    """Remark on an axis if quantization adds to its noise."""
     step, deviation = step_of(values), float(np.std(values))
     if step <= COARSE * deviation:
         return []

@@ -104,7 +104,6 @@ def _calm_blocks(
 
 
 def _runs(calm: NDArray[np.bool_], fresh: NDArray[np.bool_]) -> list[slice]:
-    """Return the runs of calm blocks without a gap."""
     runs: list[slice] = []
     first = 0
     for i in range(1, len(calm) + 1):
@@ -115,7 +114,6 @@ def _runs(calm: NDArray[np.bool_], fresh: NDArray[np.bool_]) -> list[slice]:
 
 
 def _drives(imu: Imu, gps: Gps, part: slice) -> bool:
-    """Return whether the fixes move during a stretch."""
     first, last = imu.time[part.start], imu.time[part.stop - 1]
     inside = (gps.time >= first) & (gps.time <= last)
     if np.count_nonzero(inside) < 3:

@@ -98,7 +98,7 @@ def _size(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """Check the mean of ax and ay minus the acceleration of the car."""
+    """Check for gravity in ax and ay: their mean minus the acceleration of the car."""
     assert evidence.acceleration is not None
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
@@ -162,7 +162,6 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
-    """Check the median magnitude of the specific force, averaged over half a second."""
     imu = evidence.drive.imu
     count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
     force = unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)

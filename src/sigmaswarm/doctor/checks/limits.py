@@ -19,7 +19,6 @@ LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows tha
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
-    """Report the faults that the motion of the fixes cannot show."""
     span = evidence.span
     start = find_start(evidence.drive)
     if isinstance(start, NoStart):

@@ -26,7 +26,6 @@ WHITE = 0.7
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:
-    """Find a wrong stated standard deviation, correlated errors, and outliers."""
     yield from _stated(evidence)
     gps, off = evidence.drive.gps, evidence.outlying
     time = gps.time[off]

@@ -135,7 +135,6 @@ def _gain(time: Array, values: Array, at: Array, span: float) -> Array:
 
 
 def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[Finding]:
-    """Check the distance of the wheels over nearly straight paths."""
     found, span = _ratios(odometer, course, evidence), evidence.span
     if len(found) < FEWEST:
         return

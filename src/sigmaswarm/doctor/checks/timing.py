@@ -28,7 +28,6 @@ SIGMAS = 3.0
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
-    """Find a clock offset, or report the smallest visible offset."""
     late, std, span, fit = evidence.clock.late, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if late > 0 else "early", "gps.csv, t", f"{abs(late):.2f} s"
     move = f"subtract {size} from" if late > 0 else f"add {size} to"

@@ -35,7 +35,6 @@ def _files(path: Path) -> list[Path]:
 
 
 def below(folder: Path) -> list[Path]:
-    """List the tables of a folder like EuRoC's: imu0/data.csv, also in mav0."""
     found = [*folder.glob("*/data.csv"), *folder.glob("mav0/*/data.csv")]
     names = "imu|gps|gnss|rtk|cam|leica|vicon|baro|mag|odom|wheel|state_groundtruth_estimate"
     sensors = [file for file in found if re.fullmatch(rf"(?:{names})\d", file.parent.name)]
@@ -191,7 +190,6 @@ def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: A
 
 
 def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
-    """Strip names of spaces, and rename repeated ones as polars does."""
     plain: dict[str, None] = {}
     numbers: dict[str, Iterator[int]] = {}  # a header may repeat one name a hundred thousand times
     others: dict[str, list[str]] = {}
@@ -220,7 +218,6 @@ def _require_closed_quotes(file: Path, shown_as: Path) -> None:
 
 
 def _expected_rows(file: Path) -> int:
-    """Estimate the number of rows by the length of the first ones."""
     head = first_bytes(file, 65536)
     return int(file.stat().st_size / max(len(head) / max(head.count(b"\n"), 1), 1.0)) if file.is_file() else 1
 

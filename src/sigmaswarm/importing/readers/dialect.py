@@ -65,7 +65,6 @@ class Dialect:
 
 
 def dialect_of(file: Path, shown_as: Path) -> Dialect:
-    """Find the dialect of a file; ``shown_as`` is its name in messages."""
     lines, encoding = _lines(file, shown_as)
     stated = re.fullmatch(r'"?sep=(.)"?', lines[0].strip(" \r")) if lines else None
     begin = 1 if stated else 0
@@ -154,7 +153,6 @@ def _has_decimal_commas(cells: Sequence[str]) -> bool:
 
 
 def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
-    """Return the first lines of a file, and polars' name for its encoding."""
     head = first_bytes(file, HEAD)
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
@@ -168,7 +166,6 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
 
 
 def _first_lines(lines: Sequence[str], begin: int) -> list[int]:
-    """Return the indices of the first lines, up to `SAMPLE` characters."""
     size, places = 0, list[int]()
     for i, line in enumerate(lines[begin : begin + MOST_LINES], begin):
         size += len(line)
@@ -191,7 +188,6 @@ def split(line: str, separator: str) -> list[str]:
 
 
 def is_value(cell: str) -> bool:
-    """Return True for a number, or the beginning of a date or a time of day."""
     cell = cell.strip()
     if len(cell) > 40 or not cell or not {*cell}.isdisjoint({*SEPARATORS} - {","}):
         return False

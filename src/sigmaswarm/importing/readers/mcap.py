@@ -26,7 +26,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open an MCAP file by the index at its end."""
     reading = library("mcap.reader", "ros")
     file = stack.enter_context(path.open("rb"))
     with whole(path):

@@ -102,7 +102,6 @@ class _Messages:
         return replace(guess, placed=self._placement(guess))
 
     def _placement(self, guess: Guess) -> Placement | None:
-        """Find the poses of IMU and antenna by the static transforms."""
         static = static_topic(self.tables)
         if static is None or "imu" not in guess.roles:
             return None
@@ -167,7 +166,6 @@ class _Collector:
         return pl.DataFrame({c: _numbers(v) for c, v in zip(self.columns, values, strict=True)})
 
     def remarks(self) -> Iterator[str]:
-        """Yield a sentence if stamps and receive times differ."""
         delay = float(np.median(self.delays)) if self.delays else 0.0
         if abs(delay) > LATE:
             when = "before" if delay > 0 else "after"

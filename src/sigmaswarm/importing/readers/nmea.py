@@ -47,7 +47,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a log, which is decoded when its rows are read."""
     pynmeagps = library("pynmeagps", "logs")
     remarks: list[str] = []
     return of_rows(path, "fixes", COLUMNS, lambda: _rows(path, pynmeagps, remarks), GUESS, remarks)

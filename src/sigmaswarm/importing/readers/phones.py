@@ -19,7 +19,6 @@ RADIUS_68 = 1.515
 
 
 def names_in(path: Path) -> set[str]:
-    """List the files in a folder or a zip, without their folders."""
     if path.is_dir():
         return {file.name for file in path.iterdir() if file.is_file()}
     if path.suffix.lower() == ".zip" and zipfile.is_zipfile(path):

@@ -51,7 +51,6 @@ _KINDS: dict[Role, tuple[str, ...]] = {"imu": ("SensorCombined",), "gps": ("Sens
 
 
 def part_of(topic: str, table: Table, role: Role) -> Part | None:
-    """Return the part of a role from a topic of px4_msgs."""
     package, _, kind = table.kind.rpartition("/")
     if not package.startswith("px4_msgs") or kind not in _KINDS.get(role, ()):
         return None
@@ -64,7 +63,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the topics of a drive; others are skipped."""
     core = library("pyulog.core", "logs")
     with whole(path), _Log(io.FileIO(path)) as file, redirect_stdout(io.StringIO()):  # it prints its findings
         log = core.ULog(file, message_name_filter_list=list(_TOPICS))

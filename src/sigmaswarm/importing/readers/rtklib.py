@@ -30,7 +30,6 @@ def recognizes(path: Path) -> bool:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Read the header, and the rows on use."""
     system, columns = _header(path)
     targets = {target: name for target, name in _TARGETS.items() if name in columns}
     notes = {
@@ -46,7 +45,6 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _header(path: Path) -> tuple[str, list[str]]:
-    """Return the time system, and the columns after the time."""
     header = ""
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:

@@ -32,7 +32,6 @@ STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_F
 
 
 def _yaw(at: str) -> str:
-    """Return the expression of a quaternion's yaw."""
     w, x, y, z = (at + i for i in "wxyz")
     return f"atan2(2*({w}*{z} + {x}*{y}), 1 - 2*({y}*{y} + {z}*{z}))"
 
@@ -124,7 +123,6 @@ class Topics:
         return ranked[0] if ranked else None
 
     def _named(self, topic: str, paths: Mapping[str, str]) -> dict[str, str]:
-        """Return the columns with their prefix; the topic must have them."""
         at = prefix(self.tables[topic], paths)
         if at is None:
             wanted = ", ".join(paths.values())
@@ -134,7 +132,6 @@ class Topics:
         return {name: at + path for name, path in paths.items()}
 
     def _speed(self, topic: str) -> str:
-        """Return the path of a forward speed; empty if there is none."""
         found = ((prefix(self.tables[topic], {"speed": path}), path) for path in _SPEEDS)
         return next((at + path for at, path in found if at is not None), "")
 

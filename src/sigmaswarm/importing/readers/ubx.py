@@ -41,13 +41,11 @@ RAW = "raw measurements: make fixes of them with RTKLIB (convbin, rnx2rtkp) and 
 
 
 def recognizes(path: Path) -> bool:
-    """Return True if UBX messages begin in the first bytes of the file, or its name ends in .ubx."""
     head = first_bytes(path, 65536)
     return path.suffix.lower() == ".ubx" or SYNC + NAV_PVT in head or SYNC + NAV_POSLLH in head
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
-    """Open a stream, which is decoded when its rows are read."""
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: contains no UBX messages; name the format with --format")
