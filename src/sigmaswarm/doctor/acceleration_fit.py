@@ -25,7 +25,7 @@ WINDOW = 10.0
 BIAS_SPREAD = (0.1, 0.5)
 """Bounds of the spread of tilt, slope and bias between windows, m/s2."""
 FEW = 8.0
-"""With this number of windows the covariance is doubled."""
+"""Number of windows at which the covariance is doubled; the factor is 1 + FEW / number."""
 LEAST_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over some seconds
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try

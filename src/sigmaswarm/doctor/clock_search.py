@@ -15,8 +15,9 @@ SPAN = 5.0  # s, interval over which turns are compared
 LEAST, CLEARLY = 0.8, 0.15
 """Share of the turns that an offset must explain, and its smallest lead over any other offset."""
 FEWER = 4.0
-"""Alternative to the lead: smallest ratio of the shares left unexplained. Repeated turns let other offsets explain a
-large share.
+"""Alternative to the lead: smallest factor by which any other offset leaves more unexplained.
+
+If turns repeat, other offsets may also explain a large share.
 """
 FEWEST = 20
 LEAST_TURN = 0.15  # rad, smallest RMS change of the course within `SPAN`

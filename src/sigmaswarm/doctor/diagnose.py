@@ -31,8 +31,8 @@ CHECKS = (
     check_observability,
     check_use,
 )
-"""Order of findings of equal severity."""
-KEPT = 32  # diagnoses that are cached: commands and pages ask several times
+"""All checks, in the order of findings of equal severity."""
+KEPT = 32  # diagnoses in the cache; commands and pages need them several times
 _kept: dict[tuple[str, str], Diagnosis] = {}
 
 

@@ -21,12 +21,12 @@ SEARCHED = 2.3
 """Largest offset that the fit finds, s; the tried delays end at 2.5 s."""
 LEAST_SEARCHED = 0.3  # s, smallest offset that the search finds
 USUAL = 1.0
-"""Largest usual delay of a receiver, s; a larger one needs a search that finds no other offset."""
+"""Largest usual delay of a receiver, s. A larger delay counts only if the search finds no other offset."""
 AS_RECORDED = Yaw(known=True)
 """Another column, sign or unit is accepted only if no offset explains the data."""
 FEWEST = 20  # fixes, for the checks that need motion
 KEPT = 256
-"""Drives with a cached scatter, which a tuning needs in each repetition."""
+"""Number of drives with a cached scatter: a tuning needs the scatter in each repetition."""
 _scatters: dict[str, float] = {}
 
 
@@ -144,7 +144,7 @@ def _spread(v: Complex) -> float:
 
 
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
-    """Return the indices of fixes that are far from the IMU's path in every window."""
+    """Return the indices, among the used fixes, of fixes far from the IMU's path in every window."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
     off = size > 0.2 + 4 * float(
         np.quantile(size, 0.9)

@@ -112,7 +112,7 @@ _HIGHEST_CONFIDENCE = 0.999
 
 
 def confidence_of(deviations: float) -> float:
-    """Return the confidence, 0 to 1, in a difference of some standard deviations."""
+    """Return the confidence, 0 to 1, in a difference of ``deviations`` standard deviations."""
     return round(min(math.erf(abs(deviations) / math.sqrt(2)), _HIGHEST_CONFIDENCE), 3)
 
 

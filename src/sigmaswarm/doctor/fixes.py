@@ -13,7 +13,7 @@ Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3
 """Fixes on each side that predict the fix between them."""
-HARDEST = 8.0  # m/s2, largest acceleration of a car
+HARDEST = 8.0  # m/s2, largest acceleration of a car, which does not count as a jump
 SPAN = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 SLOWEST = 3.0  # m/s; at lower speeds the course is noise

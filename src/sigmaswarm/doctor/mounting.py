@@ -27,13 +27,13 @@ ROUNDS = 12
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """Largest total standard deviation, rad, with confidence "sure", and with "likely"."""
 LEAST_SHARE = 0.5
-"""Share of the course's changes that the levelled gyro must explain."""
+"""Smallest share of the course's changes that the levelled gyro explains."""
 OTHER_WAY = 25.0
-"""Lead in chi-square over any mounting that is rotated by 90 degrees or more."""
+"""Smallest lead in chi-square over any mounting that is rotated by 90 degrees or more."""
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
 """Smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases), rad."""
 YAW_FLOOR = math.radians(0.8)
-TRAVEL_FLOOR = math.radians(0.8)  # rad, of the direction of travel: slip, suspension
+TRAVEL_FLOOR = math.radians(0.8)  # rad, noise of the direction of travel: slip, suspension
 ALIKE = 0.025
 """Tolerance of an entry of M, due to slip and to tilt in maneuvers."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
@@ -159,7 +159,7 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 
 
 def _leaning(imu: Imu) -> Array:
-    """Measure the leaning outward in turns, and backward at gains of speed: (2,), each from -1 to 1.
+    """Return the leaning of the body outward in turns, and backward at gains of speed, (2,), each from -1 to 1.
 
     On springs both are positive. A reversed axis makes one negative, although turns and accelerations agree with the
     fixes.

@@ -19,7 +19,7 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array, Imu
 
 WINDOW, DEGREE = 20.0, 2
-"""Duration, s, and degree of the polynomial in time of a window."""
+"""Duration of a window, s, and degree of its polynomial in time."""
 FORWARD = 4.0
 """Ratio of the velocity's noise along and across the direction of travel."""
 LEAST_STRAIGHT = 0.5
@@ -29,8 +29,8 @@ LEAST_STRAIGHT = 0.5
 def direction_of_travel(imu: Imu, course: Course, late: float) -> tuple[Array, Array] | None:
     """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
 
-    The IMU's axes must nearly agree with the vehicle's. ``late`` is the delay of the fixes, s. None without a usable
-    window.
+    The IMU's axes must nearly agree with the vehicle's; ``late`` is the delay of the fixes, s. Return None without a
+    usable window.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:

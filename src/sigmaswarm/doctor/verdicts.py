@@ -20,7 +20,7 @@ LEAST_SHARE = 0.2
 LEAST_TURN = 0.05
 """RMS change of the course within 20 s above which the course shows the mounting, rad.
 
-Below it the course is mostly noise, and only a CERTAIN yaw rate, or one with LARGE_SHARE, may differ from the recorded.
+Below it the course is mostly noise. A yaw rate other than as recorded must then be CERTAIN, or have LARGE_SHARE.
 """
 LARGE_SHARE = 0.5
 CERTAIN = 12.0
@@ -37,11 +37,11 @@ ALIKE = 0.05
 SCALE = 0.12
 """Tolerance on the diagonal: roll and pitch of the body add 5 to 10% to the acceleration."""
 SHOWN = 0.25
-"""Standard deviation below which the drive shows an entry of M."""
+"""Standard deviation of an entry of M below which the drive shows the entry."""
 LEAST_OFFSET = 0.1
-"""Offset, s, below which the receiver's noise hides an offset."""
+"""Smallest reported offset, s; the receiver's noise hides smaller offsets."""
 CLEAR_OFFSET = (2.5, 3.3, 4.5)
-"""Ratios to the standard deviation of an offset that is a note, a warning with a repair, or serious."""
+"""Ratios of an offset to its standard deviation for a note, a warning with a repair, and a serious finding."""
 MOUNTED = math.radians(40)  # rad, rotation above which axes count as exchanged
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
@@ -56,7 +56,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None) -> Yaw:
-    """Find the column, sign and unit of the gyro by the course; without evidence, those of the format."""
+    """Find the column, sign and unit of the gyro by the course; without evidence return those of the format."""
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw()

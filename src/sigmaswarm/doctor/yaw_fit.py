@@ -13,9 +13,9 @@ from sigmaswarm.drives.drive import Array, Drive
 WINDOW = 20.0
 """Window length, s: long enough for turns, and so short that the integral of a bias is a straight line."""
 EXPLAINED = 0.7
-"""Share of the course's changes that makes gz the yaw rate without trial of other columns."""
+"""Share of the course's changes above which gz is the yaw rate, and other columns are not tried."""
 CLEARLY_BETTER = 0.3
-"""Smallest lead in this share of another column over gz."""
+"""Smallest lead of another column over gz in this share."""
 AHEAD = (0.8, 0.8)
 """Mean and standard deviation of the antenna's distance ahead of the rear axle, m.
 

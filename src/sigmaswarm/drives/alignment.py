@@ -22,7 +22,7 @@ from sigmaswarm.geodesy import wrap_angle
 MIN_DURATION, MAX_DURATION = 4.0, 6.0
 """Shortest and longest duration of an alignment, s; as the gyro's bias accumulates, older fixes hardly improve the fit.
 """
-MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading: 12 km/h
+MIN_TRAVEL = 20.0  # m within `MAX_DURATION`, for an accurate heading; requires 12 km/h
 ALIGNMENT_FIXES = 4  # within `MAX_DURATION`; one fix every 3 s is not enough
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL  # m from the first to the last fix, a cheap test before the fit
 MAX_MISFIT = 0.3
@@ -35,15 +35,16 @@ SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
 """Smallest travel, m, and mean speed, m/s, in these windows; the fixes of a parked receiver drift less."""
 SLOW_CHORD = 1.5 * MIN_TRAVEL  # m between two fixes within `MAX_DURATION`, of a drive that is not slow
-SLOW_HEADING_STD = np.radians(12.0)  # rad, in `SLOW_DURATIONS`, with the effect of the gyro's bias
+SLOW_HEADING_STD = np.radians(12.0)  # rad, largest in these windows, with the effect of the gyro's bias
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
-"""In these windows: fewest fixes; smallest interval of used fixes, s, since closer errors are alike; time between
-trials, s.
+"""In these windows: smallest number of fixes; smallest interval of used fixes, s; time between trials, s.
+
+Errors of closer fixes are alike.
 """
 SLOW_BIAS_STD = np.radians(1.0)  # rad/s, prior of the gyro's bias in these windows
 
 STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed deviation of a stated heading
-MOST_STATED_STD = np.radians(12.0)  # rad, of a fix's heading with which a filter starts
+MOST_STATED_STD = np.radians(12.0)  # rad, largest of a stated heading that starts a filter
 STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
 """Standard deviations of a start with a stated heading: position, m per axis; speed forward and to the left, m/s."""
 

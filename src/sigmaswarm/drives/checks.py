@@ -21,7 +21,7 @@ IMU_GAP = (10.0, 0.1)
 GPS_GAP = (5.0, 2.0)
 """A gap of fixes or truth exceeds both this many usual intervals and this many s."""
 UNSHARED = 10.0
-"""Reported time of fixes or IMU without the other sensor at the start or end, s."""
+"""Smallest reported time without the other sensor at the start or end, s."""
 UNSHARED_IMU = 0.1
 """The same as a share of the IMU's time; many logs begin before the receiver has its first fix."""
 GRAVITY = 9.80665  # m/s2, standard gravity

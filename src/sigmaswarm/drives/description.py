@@ -92,7 +92,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame, which must agree with the columns, or theirs."""
+    """Return the stated frame, which must agree with the columns; by default that of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')

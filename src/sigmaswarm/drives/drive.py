@@ -62,6 +62,9 @@ class Drive:
     ) -> "Drive":
         """Make a drive from data frames of pandas or polars, or from mappings of column names to arrays.
 
+        Times are seconds or dates, in a column ``t`` or ``time`` or as a pandas index. Dates become seconds since the
+        first IMU sample, whose Unix time is ``metadata["time_origin_s"]``.
+
         Parameters
         ----------
         imu : frame with columns t, ax, ay, gz and optionally az, gx, gy
@@ -75,12 +78,6 @@ class Drive:
             Position of x = y = 0; by default the first fix that has lat and lon.
         columns : mapping, optional
             Names of your columns and the names above: ``{"acc_x": "ax"}``.
-
-        Returns
-        -------
-        Drive
-            Times may be seconds or dates, in a column ``t`` or ``time`` or as a pandas index. Dates become seconds
-            since the first IMU sample, whose Unix time is ``metadata["time_origin_s"]``.
 
         Raises
         ------

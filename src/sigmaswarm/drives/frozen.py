@@ -19,7 +19,7 @@ NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
 FROZEN: slower than `NO_REST`; FROZEN_MOVING: faster, so that the repeat is not evidence of a standstill.
 """
 
-BEFORE = 3.0  # s before a fix, in which an equal one is searched, and always the previous fix
+BEFORE = 3.0  # s, search for an equal fix; the previous fix is always compared
 SPEED_WINDOW = 2.5
 """Length of the window of the fixes, at least two, that give the speed, s; three fixes at 1 Hz still show braking."""
 REST = 0.8  # m/s; at most this speed the car is at rest; equal to `standstill.FIX_SPEED`

@@ -16,8 +16,9 @@ UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0
 """Number of standard deviations above which an alignment subtracts a bias about the vertical axis."""
 STRANGE = 1e-5
-"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms this. 1e-3 would
-make the bias of a good gyro less certain by 0.07 deg/s.
+"""Prior probability that the gyro is far worse than that of the tuning; a bias of five sigmas confirms this.
+
+A prior of 1e-3 would increase the uncertainty of a good gyro by 0.07 deg/s.
 """
 STRANGE_STD = 0.2
 """Standard deviation of the bias of such a gyro, rad/s; an uncalibrated MPU-6050 may have 20 deg/s."""

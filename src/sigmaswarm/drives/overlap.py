@@ -32,7 +32,7 @@ SAME_TIME = 1000  # us, largest difference of one landmark's times, without the 
 SAME_PLACE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), of one fix in two files
 SAME_RATE = 2e-4
 """Largest difference between the logarithms of one yaw rate in two units with 8 decimals."""
-MOVING = 1.5  # m/s to a neighboring fix, if a fix is a landmark
+MOVING = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 UNITS = math.log(180 / math.pi)
 """ln of the ratio of rad/s to deg/s: landmarks are the logarithms of yaw rates modulo this."""
 WIDTH = 0.4

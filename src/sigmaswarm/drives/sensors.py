@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Drive
 
 VARIES = 1.5
 """Ratio of the 95% to the 5% quantile above which stated standard deviations are informative."""
-STARTED = 20.0  # m from the first fix, if the car has moved
+STARTED = 20.0  # m from the first fix, beyond which the car has moved
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of gravity."""
 
@@ -109,9 +109,8 @@ def sensors_of(drive: Drive | Sensors) -> Sensors:
 def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     """Choose the filter for cars by the sensors that all logs have; no filter runs.
 
-    - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and braking
-      are
-    not taken for motion. Otherwise **planar8**.
+    - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and
+      braking are not taken for motion. Otherwise **planar8**.
     - **lateral** and **standstill** always: they determine the heading, which position fixes do not.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states standard deviations, and these vary.

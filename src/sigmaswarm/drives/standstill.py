@@ -29,7 +29,7 @@ CALM = 2.5
 """Largest ratio of the standard deviations in a calm second to the usual ones at rest."""
 SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
-"""Rise of the estimated noise at rest while the car is nearly calm, per s: it must not depend on one second."""
+"""Rise of the estimated noise at rest while the car is nearly calm, per s: the estimate needs more than one second."""
 DEPARTS = 0.12  # m/s2, change of the acceleration, forward or left, of a car that departs
 FOLLOWS = 1.0
 """Time constant, s, with which the stored acceleration of the stop follows sensors that warm up."""

@@ -73,7 +73,7 @@ class Imu(Table):
     gy: Array | None = None
 
 
-NO_HEADING = np.pi  # rad; a larger stated standard deviation means that a fix has no heading
+NO_HEADING = np.pi  # rad; a fix with this stated standard deviation or more has no heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +87,7 @@ class Gps(Table):
     lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, of two antennas or a compass; a filter can start with this heading
-    without travel
+    heading : rad, counter-clockwise from east, of two antennas or a compass; with it a filter starts without travel
     std_heading : rad, stated standard deviation of the heading; `NO_HEADING` or more if the fix has no heading
     """
 

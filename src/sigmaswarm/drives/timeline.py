@@ -44,8 +44,7 @@ class Timeline:
     ----------
     start : s
     end : (k,) s, end of each step
-    steps : (k, 3) dt (s), q_scale (dt / nominal interval), and gap: length, s, of the IMU gap that contains the step,
-    or 0
+    steps : (k, 3) dt, s; q_scale, dt / nominal interval; gap, s, length of the IMU gap around the step, or 0
     sample : (k,) int, index of the IMU sample that drives each step
     driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, that drive the steps up to each of its samples; all
         shared by all time lines of a drive

@@ -13,7 +13,7 @@ MARKOV_PEAK = 0.3811
 """Largest Allan variance of a first-order Gauss-Markov process of unit variance, at 1.89 correlation times."""
 PER_DECADE = 8  # averaging times
 LONGEST = 5
-"""Ratio of the longest stretch to the longest averaging time; a smaller one scatters the estimate by more than half."""
+"""Ratio of the longest stretch to the longest averaging time; estimates at longer times scatter by more than half."""
 PIECE = 32_768  # samples per batch, which fits into the processor's cache
 
 

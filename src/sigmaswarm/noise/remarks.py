@@ -16,13 +16,14 @@ from sigmaswarm.wording import counted
 LONG = 1800.0  # s, shortest stretch that shows bias instability and rate random walk
 LONG_TREND = 300.0  # s, shortest stretch whose trend is tested
 STATIC = 0.95  # share of a static log at rest
-UNLIKELY = 0.1  # relative difference of the specific force from gravity that suggests another unit
-ROUGH_GYRO = 3e-3  # rad/s/sqrt(Hz), 10 deg/sqrt(h): less in rad/s, usually more in deg/s
+UNLIKELY = 0.1  # relative error of gravity that suggests another unit
+ROUGH_GYRO = 3e-3
+"""10 deg/sqrt(h) in rad/s/sqrt(Hz): a gyro in rad/s has less white noise, a gyro in deg/s usually more."""
 MANY = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
-MISFIT = 1.5  # reported ratio of the Allan deviation to the model, or its inverse
+MISFIT = 1.5  # smallest reported ratio of the Allan deviation to the model, or its inverse
 TREND = 4.0
-"""Reported ratio of a trend to its standard deviation under the fitted processes."""
-COARSE = 0.5  # reported ratio of the quantization step to the standard deviation
+"""Smallest reported ratio of a trend to its standard deviation under the fitted processes."""
+COARSE = 0.5  # smallest reported ratio of the quantization step to the standard deviation
 
 
 def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:

@@ -21,11 +21,11 @@ from scipy.fft import prev_fast_len, rfft
 from sigmaswarm.drives.tables import Array
 
 BAND = 0.1
-"""Highest frequency used over the sampling rate; above it sensors filter, and engines vibrate."""
+"""Ratio of the highest used frequency to the sampling rate; above it sensors filter, and engines vibrate."""
 ENOUGH = 200
-"""Fewest frequencies used, if necessary up to half the sampling rate."""
+"""Smallest number of used frequencies, if necessary up to half the sampling rate."""
 FIRST = 2
-"""Lowest frequency used, periods per stretch: most of lower frequencies is in the subtracted trend."""
+"""Lowest used frequency, periods per stretch; the subtracted trend contains most of lower frequencies."""
 PER_DECADE = 24  # frequency bands, over which the periodogram is averaged
 TAPER = 1.5  # neighboring frequencies that the sine taper correlates
 CERTAIN = 5.99

@@ -11,13 +11,13 @@ from sigmaswarm.drives.tables import Array, Gps, Imu
 from sigmaswarm.errors import InputError
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
-SHORTEST = 10.0  # s, of a stretch
-FEWEST = 50  # samples of a stretch
+SHORTEST = 10.0  # s, shortest stretch
+FEWEST = 50  # samples of the shortest stretch
 BLOCK = 1.0  # s, length of the blocks whose mean and standard deviation show motion
-SMALLEST = 20  # samples of a block: the standard deviation of fewer scatters too much
+SMALLEST = 20  # samples of a block; the standard deviation of fewer samples scatters too much
 JUMP = {"a": 0.1, "g": np.radians(0.5)}  # m/s2, rad/s: change of the mean between blocks that shows motion
 RESTLESS = 3.0
-"""Ratio of a moving block's standard deviation to that of the quietest blocks, above `CALM`."""
+"""Ratio to the quietest blocks at which a block's standard deviation shows motion, if above `CALM`."""
 CALM = {"a": 0.02, "g": np.radians(0.1)}  # m/s2, rad/s: standard deviation without motion
 ROUGH = 0.3  # m/s2, standard deviation of an accelerometer in motion
 FIX_SPEED = 0.5  # m/s, speed of the line through a stretch's fixes that shows motion

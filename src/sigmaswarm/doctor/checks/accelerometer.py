@@ -14,16 +14,18 @@ from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array, Imu
 
-MOUNTING = (math.radians(5), math.radians(10))  # rad about z: warning, serious
+MOUNTING = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
 TILT = (0.5, 1.2)
-"""Residuals of ax, ay, m/s2: warning, serious. Roads and cheap sensors' biases stay below the second."""
+"""Residuals of ax, ay for a warning and for a serious finding, m/s2. Roads and biases of cheap sensors stay below the
+second.
+"""
 SIZE = (0.3, 1.0)
-"""Errors of the median specific force, m/s2: note, warning.
+"""Errors of the median specific force for a note and for a warning, m/s2.
 
 Cheap sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 """
 LIKELY, CLEAR = 2.5, 3.5
-"""Ratios of a rotation to its standard deviation: note, repair."""
+"""Ratios of a rotation to its standard deviation for a note, and for a repair."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4  # m/s2, smallest spread of the acceleration that shows its scale
 WHERE = "imu.csv, ax, ay"

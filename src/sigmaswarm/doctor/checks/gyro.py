@@ -19,8 +19,8 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
 
 WRONG = 0.1  # smallest reported difference of a gain from 1
-LEAST_TURN = np.radians(1.0)  # rad within some seconds; smaller changes of course are swaying
-BIAS = (np.radians(0.1), np.radians(1.0))  # rad/s: note, warning
+LEAST_TURN = np.radians(1.0)  # rad; smaller changes of course within some seconds are swaying
+BIAS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 SMOOTHED, LAG = 0.3, 0.5
 """Windows, s, for the mean of the force, and for the change of its direction.
@@ -29,10 +29,10 @@ Longer windows contain more of the car's acceleration, shorter windows more vibr
 sign is significant by 9.5 standard deviations or more.
 """
 CLEAR = 7.0
-"""Standard deviations of a significant sign; many, since neighboring changes share samples."""
+"""Number of standard deviations of a significant sign; it is high, since neighboring changes share samples."""
 CLEARER = 2.0
 """Smallest ratio of a column's significance to the other's."""
-OUTLYING = 3.0  # standard deviations of an outlier
+OUTLYING = 3.0  # standard deviations from which a change is an outlier
 
 Follows = tuple[int, float, float]
 """Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations."""

@@ -20,9 +20,9 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from east": np.negative,
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
-"""The first convention is that of a drive."""
+"""Conventions of a heading; the first is that of a drive."""
 ALIKE = math.radians(15)  # rad, largest median difference from the course, apart from a constant
-TURNED = math.radians(2), math.radians(10)  # rad, constant differences from the course: warning, serious
+TURNED = math.radians(2), math.radians(10)  # rad from the course, for a warning and a serious finding
 LATE, WORSE = 0.15, 0.8
 """Delay of a warning, s, and largest ratio of the misfits with and without it."""
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared

@@ -14,7 +14,7 @@ from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, s
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
-"""RMS change of the course within windows, in standard deviations, that only turns cause."""
+"""RMS change of the course within windows, in standard deviations, above which the car turns."""
 LEAST_TURN = np.radians(5.0)  # rad, RMS change of the course within windows that swaying does not cause
 
 

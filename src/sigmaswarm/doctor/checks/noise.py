@@ -20,9 +20,10 @@ TOO_LARGE = 6.5
 """Largest ratio of stated noise to observed white noise; high, since slow errors are not observed."""
 LASTS = 2.5
 """Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer."""
-FAR_FIRST = 1000.0  # m; a first fix farther from the others displaces the whole drive, as its origin
+FAR_FIRST = 1000.0
+"""Distance of the first fix from the others, m, above which it displaces the drive as its origin."""
 WHITE = 0.7
-"""Ratio of noise from fix to fix to the scatter about 10 s of path, below which errors are correlated; white: 1."""
+"""Ratio of the noise from fix to fix to the scatter about a path of 10 s: 1 for white noise, less if correlated."""
 
 
 def check_noise(evidence: Evidence) -> Iterator[Finding]:

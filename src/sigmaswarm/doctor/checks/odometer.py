@@ -37,7 +37,7 @@ JUMP = 2.5
 A slope of 10% causes an apparent change of 1 m/s, a delay of 0.3 s a change of 2 m/s during full braking.
 """
 WITHIN, LASTS_AT_MOST = 1.0, 10.0  # s: longest jump, longest time until the wheels return
-AGREE = 0.5  # m/s, largest median difference of speed changes; else slip cannot be checked
+AGREE = 0.5  # m/s, largest median difference of speed changes; above it slip cannot be checked
 
 Spans = list[tuple[float, float]]  # start and end, s
 SPEED = "odometer.csv, speed"

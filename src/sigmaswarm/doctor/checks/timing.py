@@ -24,7 +24,7 @@ LEAST_MISSED = 0.3
 """Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes."""
 AROUND = 2.0  # s on each side of a gap in which the speed is measured
 SIGMAS = 3.0
-"""Standard deviations that distinguish a pause from a jump of the clock."""
+"""Number of standard deviations that distinguishes a pause from a jump of the clock."""
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
