@@ -20,7 +20,7 @@ Complex = NDArray[np.complex128]
 Way = Complex
 """Motion from each fix to the last one by the IMU, (3, f), in the body frame at the last fix.
 
-Rows: the part per m/s of speed at this fix (s), the part per m/s2 of tilt and bias (s2), the accelerometer's part (m).
+Rows: per m/s of speed at this fix (s), per m/s2 of tilt and bias (s2), and by the accelerometer (m).
 """
 
 SLIP_STD = np.radians(1.0)  # rad, angle between course and heading at the IMU in ordinary driving
@@ -96,7 +96,6 @@ class Fit:
         direction = np.exp(1j * (psi - psi[-1]))
 
         def until_end(integrand: Complex) -> Complex:
-            """Integrate from each fix to the last one (trapezoidal rule)."""
             pieces = 0.5 * (integrand[1:] + integrand[:-1]) * np.diff(grid)
             since_start = np.concatenate([[0.0], np.cumsum(pieces)])
             return since_start[-1] - np.interp(time, grid, since_start)
@@ -119,7 +118,7 @@ class Fit:
         return replace(fit, yaw_std=std)
 
     def with_bias_variance(self, variance: float) -> "Fit":
-        """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the unknowns' covariance."""
+        """Add a variance of the gyro's bias, (rad/s)^2, to the unknowns' covariance."""
         covariance = self.covariance.copy()
         covariance[:4, :4] += variance * np.outer(self.turns, self.turns)
         return replace(self, covariance=covariance)

@@ -229,8 +229,7 @@ def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.com
     """Return the motion of the fixes over windows, and the integral of an IMU column.
 
     The arrays are: the mean velocity (k,), m/s east + i north; the integral of ``body_rate`` and the change of course,
-    rad, between the middles of consecutive windows, (k - 1,). Windows without fixes are left out, which limits their
-    number.
+    rad, between the middles of consecutive windows, (k - 1,). Windows without fixes are left out.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))
@@ -245,7 +244,6 @@ def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.com
 
 
 def impossible_rate(gz: Array) -> bool:
-    """Return True if a yaw rate gz (n,), rad/s, is impossible for a car."""
     return bool(np.quantile(np.abs(gz), 0.99) > IMPOSSIBLE_RATE)
 
 

@@ -16,7 +16,6 @@ T = TypeVar("T")
 
 
 def listed(given: Iterable[T] | T) -> list[T]:
-    """Return one item, or several, as a list."""
     return list(cast("Iterable[T]", given)) if isinstance(given, Iterable) else [given]
 
 
@@ -112,7 +111,7 @@ class Drive:
 
     @property
     def nominal_interval(self) -> float:
-        """Median time between IMU samples, s: the step to which the process noise refers."""
+        """Median time between IMU samples, s, to which the process noise refers."""
         return float(np.median(np.diff(self.imu.time)))
 
     @property
@@ -138,7 +137,6 @@ class Drive:
         return float(self.imu.time[-1] - self.imu.time[0])
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the recorded data, and a map of fixes and truth."""
         tables: dict[str, Table | None] = {"IMU": self.imu, "fixes": self.gps, "truth": self.truth}
         rows: list[tuple[object, ...]] = []
         for name, table in tables.items():

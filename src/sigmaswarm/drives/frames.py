@@ -20,10 +20,7 @@ _TIMES = ("t", "time")
 def tables_from_frames(
     frames: Mapping[str, Any], renamed: Mapping[str, str], origin: Origin | None
 ) -> tuple[dict[str, Any], dict[str, Any], list[SigmaswarmWarning]]:
-    """Convert the tables of `Drive.from_frames`, data frames or mappings of arrays.
-
-    Return the records, further arguments of `Drive` (frame, origin, metadata), and warnings of ignored columns.
-    """
+    """Return records, further arguments of `Drive`, and warnings of ignored columns, for `Drive.from_frames`."""
     arrays = {name: _columns_of(frame, name, renamed) for name, frame in frames.items()}
     start = _to_seconds(arrays)
     frame: Frame = "wgs84" if "x" not in arrays["gps"] else "enu"

@@ -1,8 +1,7 @@
 """Find stale fixes: a receiver without satellites repeats its last position exactly while the car drives on.
 
 A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes show whether the
-car had stopped before the first repeat. The decision uses only this fix and earlier ones, so drives and live filters
-share the function.
+car had stopped before the first repeat. Later fixes are not used, so live filters share the function.
 """
 
 import math
@@ -54,8 +53,8 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix k; rows of ``fixes``, by time, begin with t, x, y, and ``kinds`` contains the kinds of earlier rows.
 
-    The fix is compared with all fixes of the last seconds, so each of two receivers is compared with itself. The first
-    fix of a run of repeats decides for the run.
+    All fixes of the last seconds are compared, so each of two receivers is compared with itself. The first fix of a run
+    of repeats decides for the run.
     """
     now = fixes[k, 0]
     last = k - 1
@@ -76,8 +75,8 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
     """Estimate the car's speed (m/s) at a time from the new fixes of the seconds up to row ``last``.
 
-    It is the smaller of the speeds of a line, and of a parabola along this line at the given time: a car that brakes to
-    a halt was fast a second before. In a log that begins with repeated fixes it is 0.
+    It is the smaller of the speeds of a line, and of a parabola along it at that time: a car that brakes to a halt was
+    fast a second before. In a log that begins with repeated fixes it is 0.
     """
     origin, n = fixes[last, 0], 0.0
     t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0

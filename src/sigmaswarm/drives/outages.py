@@ -12,7 +12,7 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
     """Return a mask of the fixes (n,) s in an outage (k, 2) s, both ends included.
 
-    Drift is measured at the end of a window, before any new fix, so a fix exactly at the end is hidden, too.
+    Drift is measured at the end of a window, before any new fix.
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(_checked(windows), axis=0).T
@@ -84,9 +84,8 @@ def balanced_windows(
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), in order of time, so that each ends exactly on an IMU sample (n,), s.
 
-    An end moves to the first sample at or after it, or to a later sample if the window would be closer than ``apart``
-    to the previous one; the length is unchanged. An end after the last sample moves back to it; a window that is then
-    too close to the previous one is left out.
+    An end moves to the first sample at or after it, or later to keep ``apart`` s from the previous window; the length
+    is unchanged. An end after the last sample moves back to it; a window that is then too close is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -48,10 +48,9 @@ SHARE = 0.5  # of the landmarks in the common time that must agree
 class Landmarks:
     """The landmarks of a drive, a thousandth of its size.
 
-    ``sha256`` is the `fingerprint` of the drive; ``span`` is start and end of the IMU samples, s. ``fixes`` (n, 3) has
-    time (us) and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2) has
-    time (s) and the yaw rate as ln|gz| modulo ``UNITS``, the same in rad/s and deg/s and for both signs; rates below
-    ``width`` are landmarks.
+    ``sha256``: `fingerprint` of the drive; ``span``: start and end of the IMU samples, s; ``fixes`` (n, 3): time (us)
+    and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm); ``rates`` (k, 2): time (s) and
+    yaw rate as ln|gz| modulo ``UNITS``, below ``width``, the same in rad/s and deg/s and for both signs.
     """
 
     name: str
@@ -64,7 +63,7 @@ class Landmarks:
 
     @property
     def tell_parts(self) -> bool:
-        """True if parts of the drive can be recognized, not only the whole drive by its fingerprint."""
+        """True if parts of the drive can be recognized, not only the whole drive."""
         return max(len(self.fixes), len(self.rates)) >= FEWEST
 
 
@@ -191,7 +190,7 @@ def _equal(a: Array, b: Array, tolerance: float) -> tuple[Whole, Whole]:
 def save_landmarks(
     seen: Iterable[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
 ) -> None:
-    """Save the landmarks of drives; with ``names`` (name, fingerprint) given, they may be computed one by one."""
+    """Save landmarks of drives; with ``names`` (name, fingerprint), they may be computed one by one."""
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
@@ -227,7 +226,7 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; None if it does not exist, as in tunings of early versions."""
+    """Load a file of `save_landmarks`; None without one, as in tunings of early versions."""
     if not path.exists():
         return None
     try:

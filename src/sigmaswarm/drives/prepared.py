@@ -14,7 +14,7 @@ SMALL = 500_000  # steps of a time line that is kept in memory: more than an hou
 
 
 class PreparedDrive:
-    """A drive with the start and the time lines of filters, shared by all filters that run over it.
+    """A drive with the start and the time lines of all filters that run over it.
 
     The start is ``initial``, by default that of the alignment. ``as_recorded``, for diagnosis and the paper's protocol:
     use stale fixes, and treat gaps in the IMU as ordinary steps.
@@ -40,7 +40,7 @@ class PreparedDrive:
 
     @property
     def frozen(self) -> NDArray[np.bool_]:
-        """Mask of stale fixes, (number of fixes,), which filters don't use as positions."""
+        """Mask of stale fixes, (number of fixes,)."""
         return self.kinds >= FROZEN
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
@@ -66,7 +66,7 @@ class PreparedDrive:
     def forget(self) -> None:
         """Drop the time lines, each a quarter of a gigabyte for ten hours at 100 Hz.
 
-        A small time line of all fixes is kept, since others are derived from it.
+        A small time line of all fixes is kept, since it gives the others.
         """
         self._timelines = {
             (hidden, removed): line

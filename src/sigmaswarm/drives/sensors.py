@@ -1,4 +1,4 @@
-"""The sensors of a log, and the filter that suits them: the rule behind the default of `tune`."""
+"""The sensors of a log, and the filter that suits them: the default of `tune`."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ On eight simulated M8 logs of 142 s at 1 Hz, these states made the drift over 30
 
 @dataclass(frozen=True)
 class SuggestedFilter:
-    """A filter for some logs: its model, the measurements in addition to positions, and the sensors that suggest it."""
+    """A filter: its model, measurements in addition to positions, and the sensors that suggest it."""
 
     model: str
     use: tuple[str, ...]
@@ -209,8 +209,8 @@ def has_white_errors(drive: Drive) -> bool:
 def has_lasting_errors(drive: Drive) -> bool:
     """Return whether white errors of size `receiver_std` would be visible from fix to fix, but are not.
 
-    Then the errors are correlated, or the receiver is more accurate than it states. If a white error of this size is
-    small compared with the motion between fixes, as with RTK, nothing is known. A repeated fix counts once.
+    Then the errors are correlated, or the receiver is more accurate than it states. If motion between fixes would hide
+    such errors, as with RTK, nothing is known. A repeated fix counts once.
     """
     position, least = drive.gps.x + 1j * drive.gps.y, WHITE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)

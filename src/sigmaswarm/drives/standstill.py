@@ -209,9 +209,8 @@ def _clear(block: Array) -> None:
 def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
     """Return True if the acceleration still agrees with that at the beginning of the stop.
 
-    It is called when IMU and fixes are calm. ``stop`` (2,) is the stop's ax, ay, changed in place; ``passed`` (s) is
-    the time since the last call. ``means`` (4,) are those of ax, ay over the last second, then over its last quarter,
-    m/s2.
+    ``stop`` (2,) is the stop's ax, ay, changed in place; ``passed`` (s) is the time since the last call; ``means`` (4,)
+    are those of ax, ay over the last second, then over its last quarter, m/s2.
     """
     if not passed <= FORGETS:
         stop[0] = means[0]
@@ -229,9 +228,9 @@ def is_as_it_was(stop: Array, passed: float, means: Array) -> bool:
 def fixes_stand(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
     """Return True if a straight-line fit to the last seconds' fixes has a low speed; rows begin with t, x, y.
 
-    Of the first ``n`` rows, those up to ``now`` are read. The result is valid until ``until[0]`` if no fix is added.
-    ``kinds`` has the kind of each fix, see `frozen`; stale fixes of a driving car are not used. After an outage the
-    window must first be full: half a window has three times the noise, and a departing car would appear to stand.
+    Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a driving car (``kinds``, see
+    `frozen`). The result is valid until ``until[0]`` if no fix is added. After an outage the window must first be full:
+    half a window has three times the noise, and a departing car would appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

@@ -125,13 +125,11 @@ class Timeline:
 
     @cached_property
     def wheels(self) -> Wheels | None:
-        """Odometer measurements of the steps, if the drive has any."""
         odometer = self.drive.odometer
         return None if odometer is None else measurements_of(odometer, self.start, self.end, self.sampled)
 
     @cached_property
     def alignments(self) -> Alignments:
-        """Alignments of the fixes that a filter uses, for the divergence monitor."""
         return Alignments(self.drive, usable=self.kinds < FROZEN)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
@@ -175,8 +173,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the fixes, if they
-    were classified together with more fixes.
+    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,) of the fixes may be given if
+    more fixes were classified with them.
     """
     imu = drive.imu
     if kinds is None:

@@ -81,7 +81,6 @@ def require_replaceable(
 
 
 def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
-    """Return the contents of each file of a drive's folder, by name."""
     wgs84 = drive.frame == "wgs84"
     if wgs84 and (drive.gps.lat is None or drive.gps.lon is None or drive.origin is None):
         raise DriveError(

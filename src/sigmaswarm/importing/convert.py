@@ -212,7 +212,7 @@ def faults_left(request: Request, recipe: Recipe, guesses: Guesses) -> list[str]
 
 
 def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
-    """Return the readers' notes; those on a downward axis only if no mounting is given."""
+    """Return the readers' notes; those on a downward axis only without a given mounting."""
     made, found = recipe.mount, guesses.values()
     notes = [note for guess in found for note in guess.notes]
     notes += [n for guess in found if guess.placed for n in guess.placed.notes(made, recipe.gps_lever_arm_m)]

@@ -31,7 +31,7 @@ class Gathered:
     Attributes
     ----------
     rows : in chunks
-    seen, unkept, timeless : number of rows of the table; of rows left out for a false ``keep``, and for a missing time
+    seen, unkept, timeless : number of rows; of rows with a false ``keep``; of rows without a time
     placeholders : by column of the table, the marker of missing values, and its count
     """
 

@@ -36,7 +36,7 @@ STEEL = 4.0, 0.03
 AROUND = 1.0
 """Time before and after such a deviation without headings, s."""
 WORST = np.radians(20)
-"""Largest standard deviation of a magnetometer that is fixed to the vehicle, rad."""
+"""Largest standard deviation of a heading from a magnetometer that is fixed to the vehicle, rad."""
 LEAST_STD = np.radians(0.5)
 """Smallest stated standard deviation, rad."""
 LONGEST_GAP = 1.0

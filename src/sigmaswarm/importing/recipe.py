@@ -51,7 +51,7 @@ class Recipe:
     ----------
     roles : the parts of imu, gps, truth, odometer and mag (magnetometer)
     mount : mounting of the IMU in the vehicle, as ``parse_mount`` takes it
-    gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times of fixes, of truth and of the odometer
+    gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times
     origin : latitude (deg), longitude (deg), altitude (m) of the local frame
     gps_lever_arm_m : m forward, left, up from the IMU to the antenna
     declination_deg : deg from true to magnetic north, east positive; None to find it by the course

@@ -28,7 +28,7 @@ Batch = tuple[str, pl.DataFrame, float]
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an import; they can be raised.
+    """Limits of an import.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Placement:
     Attributes
     ----------
     mount : roll, pitch and yaw of the IMU in the vehicle, deg, as ``parse_mount`` takes them
-    lever_arm : m forward, left, up from the IMU to the antenna; None where it is not known
+    lever_arm : m forward, left, up from the IMU to the antenna; None if unknown
     frames : names of the vehicle's frame, the IMU's and the antenna's
     """
 
@@ -125,11 +125,11 @@ class Placement:
 
 @dataclass(frozen=True)
 class Guess:
-    """Recipe of a reader for a log, and its assumptions, one sentence each.
+    """Recipe of a reader for a log, and its assumptions.
 
     Attributes
     ----------
-    roles : the parts of each role; the first part's times count, further parts are interpolated to them
+    roles : parts of each role, at the times of the first part, to which others are interpolated
     notes : sentences for the user
     origin : latitude (deg), longitude (deg), altitude (m) of the truth's frame, if the format defines it
     metadata : keys for drive.toml
@@ -156,8 +156,8 @@ class Choice:
     Attributes
     ----------
     tables : by role, the chosen table
-    receive_times : True to use times of receipt instead of the stamps of headers
-    mapped : roles whose columns the user maps; any table can be chosen for them
+    receive_times : True to use times of receipt instead of header stamps
+    mapped : roles with columns that the user maps; any table can be chosen for them
     """
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -167,14 +167,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Log:
-    """An open log, as every reader returns it.
+    """An open log of any reader.
 
     Attributes
     ----------
     batches : reads the wanted columns, in the order of the log
     guess : makes a recipe
     remarks : sentences on the log; some are added while batches are read
-    mixed : True if rows of the tables alternate, so that all tables occur at the beginning of the log
+    mixed : True if rows of the tables alternate, so that all tables occur at the beginning
     """
 
     path: Path

@@ -146,7 +146,7 @@ def is_table(file: Path) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True for numbers with commas, and no texts with commas, as dates."""
+    """Return True for numbers with commas, and no other texts with commas, as dates."""
     filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
     numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in filled)
     return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)
@@ -222,7 +222,6 @@ def _numeric_columns(rows: Rows) -> list[int]:
 
 
 def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
-    """Return True if at least half of the filled cells in columns of numbers are values."""
     if len(cells) < 2 or not numeric:
         return False
     filled = [cells[k] for k in numeric if k < len(cells) and cells[k].strip().lower() not in _EMPTY]

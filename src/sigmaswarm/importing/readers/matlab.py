@@ -30,7 +30,6 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
 """Types of elements in a file of version 5 to 7 (MathWorks, "MAT-File Format")."""
 _NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
-"""Types of numbers and text."""
 _OF_ARRAYS = (1, 2, 3, 16, 17)
 """Classes of arrays of arrays: cell, struct, object, function, opaque."""
 _SPARSE, _OPAQUE_CLASS, _COMPLEX = 5, 17, 0x800

@@ -142,8 +142,6 @@ class _Messages:
 
 @dataclass
 class _Collector:
-    """Rows of one topic, and the delays of receive times after the stamps, s."""
-
     topic: str
     columns: list[str]
     rows: list[list[Any]] = field(default_factory=list[list[Any]])

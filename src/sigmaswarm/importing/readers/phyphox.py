@@ -36,12 +36,10 @@ _COLUMNS: tuple[tuple[Role, str, dict[str, str], dict[str, str]], ...] = (
         },
     ),
 )
-"""Plain names of columns, and the expressions over them, by role and file."""
 _REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 
 
 _PLACE = {"time": "s", "latitude": "°", "longitude": "°", "height": "m", "velocity": "m/s", "direction": "°"}
-"""First columns of the location, and their units."""
 _META = {"time.csv", "device.csv"}
 LEAST_GRAVITY = 5.0
 """Smallest median of an acceleration with gravity, m/s2; the linear acceleration has the same columns."""

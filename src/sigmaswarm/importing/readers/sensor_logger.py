@@ -24,7 +24,6 @@ _FIX: dict[str, str | tuple[str, ...]] = {
     "speed": ("where(speed >= 0, speed, 0/0)",),
     "course": ("where(bearing >= 0, radians(90 - bearing), 0/0)",),
 }
-"""An expression in a tuple is left out if the export lacks its column."""
 
 
 def recognizes(path: Path) -> bool:

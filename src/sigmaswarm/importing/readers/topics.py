@@ -28,7 +28,6 @@ _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.
 _HEADING = re.compile(r"heading|compass", re.IGNORECASE)
 _SATELLITES = re.compile(r"gps|gnss", re.IGNORECASE)
 STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_FIX, _POSITION)}
-"""Paths of numbers in standard messages, by role."""
 
 
 def _yaw(at: str) -> str:
