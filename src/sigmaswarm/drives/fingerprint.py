@@ -16,7 +16,7 @@ START_RULE = (
 
 
 class DriveRecord(BaseModel):
-    """A drive in the file of a result."""
+    """Description of a drive in the file of a result."""
 
     name: str
     duration_s: float | None = None

@@ -19,7 +19,7 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role
 
 SEED, MOST_FIXES = 0, 10_000_000
-"""Fixes made from the truth: seed of their noise, and largest number."""
+"""Seed of the noise of fixes made from the truth, and their largest number."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m)."""
@@ -193,7 +193,7 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
 
 
 def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
-    """Return the truth's columns; positions and course give a missing velocity or heading."""
+    """Return the truth's columns; compute a missing velocity or heading from positions and course."""
     if "forward" in values and "theta" in values:
         body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
         east_north = body * np.exp(1j * values["theta"])

@@ -119,7 +119,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
-    """Read the IMU of a log without fixes, and the assumptions of the import."""
+    """Read the IMU of a log, which needs no fixes; return it and the assumptions of the import."""
     recipe, gathered, notes, _ = _read(request, ("imu",), lambda done: None)
     try:
         imu = assemble_imu(gathered["imu"], recipe, notes.append, request.part)
@@ -156,7 +156,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """Return the reader's guess; the only table of a log that is named for a role counts for it."""
+    """Return the reader's guess; if a log is named for a role and has one table, that table has the role."""
     tables = dict(request.choice.tables)
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:

@@ -22,7 +22,7 @@ _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
     re.IGNORECASE,
 )
-"""Tables with x, y, z of neither a position nor the IMU."""
+"""Names of tables in which x, y, z are neither a position nor the IMU's axes."""
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok)?|(?:gps|gnss)_?(?:quality|valid)"
 """Names of columns that are 0 without a fix, or -1 if 0 is a fix, as in ROS."""
 MOST_DROPPED = 0.2

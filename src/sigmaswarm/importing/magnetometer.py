@@ -28,13 +28,14 @@ LEAST_TURN = 180
 BIN = 10
 LEAST_SAMPLES = 5
 DRIFT = 10.0
-"""Interval of corrections of the gyro's heading by the course, s."""
+"""Interval at which the course corrects the gyro's heading, s."""
 MOST_ROWS = 20_000
 """Rows for the calibration, evenly over the drive."""
 STEEL = 4.0, 0.03
-"""Deviation of the field's size (relative) and direction (rad) near steel: in standard deviations, and at least."""
+"""Deviation near steel of the field's size (relative) or direction (rad): in standard deviations, and smallest value.
+"""
 AROUND = 1.0
-"""Time before and after such a deviation without headings, s."""
+"""Time before and after this deviation in which fixes get no heading, s."""
 WORST = np.radians(20)
 """Largest standard deviation of a heading from a magnetometer that is fixed to the vehicle, rad."""
 LEAST_STD = np.radians(0.5)

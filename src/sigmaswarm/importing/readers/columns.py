@@ -56,7 +56,7 @@ def of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of tables in files, scanned on use; by default columns' names give the roles."""
+    """Make a log of tables in files, scanned on use; without a reader's guess, columns' names give the roles."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
