@@ -1,6 +1,6 @@
 """Check whether a drive is plausible: too little data, and units, axes and gaps that look wrong.
 
-The doctor checks most of these faults in more detail, with the messages of this file.
+The doctor checks most of these faults in more detail, with the same messages.
 """
 
 from collections.abc import Callable, Iterator

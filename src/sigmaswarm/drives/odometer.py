@@ -1,8 +1,8 @@
 """Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
 Errors of readings are not white (scale, quantization, tires), so this mean contains as much information as readings of
-83 Hz, with less quantization error. Its latency is the mean age of the readings. At low speed there are few pulses, and
-the odometer may read zero while the car moves.
+83 Hz, with less quantization error. At low speed there are few pulses, and the odometer may read zero while the car
+moves.
 """
 
 from dataclasses import dataclass

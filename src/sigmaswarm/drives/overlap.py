@@ -1,9 +1,9 @@
 """Find the part of a drive that other drives contain, even in renamed, cut or repaired copies.
 
-Two kinds of landmarks are equal in all copies of a drive and differ in all other drives: positions with the receiver's
-noise, and yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between two clocks (as in
-Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps at least one kind: the yaw rates if
-fixes are left out, shifted or replaced, and the fixes if the IMU is rotated or interpolated.
+Landmarks are equal in all copies of a drive and differ in all other drives: positions with the receiver's noise, and
+yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between two clocks (as in Wang, "An
+Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes are left out, shifted or
+replaced, and the fixes if the IMU is rotated or interpolated.
 """
 
 import math

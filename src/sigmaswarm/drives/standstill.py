@@ -2,14 +2,14 @@
 
 At constant speed on a smooth road the IMU is as calm as at a standstill, so the fixes must also be constant. Fixes show
 a departure late, so the IMU must also be calm. During a gentle departure the IMU is calm, but the acceleration changes,
-so it must agree with that at the beginning of the stop. Drives and live filters share the functions.
+so it must agree with that at the beginning of the stop.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
-last second is the current, incomplete block and the 20 before it; the last quarter of a second is the current block and
-the 5 before it. Blocks are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise
-algorithm for computing sample variances, 1979), and never subtracted, so that rounding errors do not accumulate. They
-form two stacks of 20. Each block of the older stack is merged with the later blocks of this stack; those of the newer
-stack are stored singly, and their merged total is in FRESH.
+last second is the current block and the 20 before it, the last quarter of a second the current block and the 5 before
+it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing sample
+variances, 1979), and never subtracted, since rounding errors would accumulate. They form two stacks of 20. Each block
+of the older stack is merged with the later blocks of this stack. Blocks of the newer stack are single; FRESH is their
+total.
 """
 
 import math

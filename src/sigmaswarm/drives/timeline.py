@@ -1,11 +1,10 @@
 """The merged time line: the steps of a filter, and the measurements at their ends.
 
-The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both driven by
-the same sample, and updates the filter at its own time. Two fixes with equal times, from two receivers, update the
-filter one after the other; the second has a step of length 0. Process noise is the variance added per nominal interval
-(the median) and scales with dt / nominal.
+The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits this step in two, both driven by
+the same sample, and updates the filter at its own time. The second of two fixes with equal times, from two receivers,
+has a step of length 0. Process noise is the variance per nominal interval (the median) and scales with dt / nominal.
 
-In a gap of the IMU the input is the mean of the samples before and after it (`drives.gaps`). Stale fixes are left out
+In a gap of the IMU the input is the mean of the samples around it (`drives.gaps`). Stale fixes are left out
 (`drives.frozen`). With ``as_recorded`` both rules are off.
 """
 

@@ -1,7 +1,4 @@
-"""URLs of drives, which fsspec reads (s3, gs, abfs, sftp, https ...).
-
-A temporary copy of the drive is read with the same reader and checks.
-"""
+"""URLs of drives, which fsspec reads (s3, gs, abfs, sftp, https ...), through a temporary copy."""
 
 import re
 import shutil
