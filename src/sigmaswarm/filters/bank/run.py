@@ -1,4 +1,4 @@
-"""Run a filter bank over a whole drive: a `LiveFilterBank` processes each sample and fix."""
+"""A run of a `LiveFilterBank` over a whole drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,9 +24,8 @@ from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.geodesy import wrap_angle
 
 SETTLED_OVER = 60.0
-"""Length of the end of a drive over which offsets are averaged, s."""
-LOG_INTERVAL = 1.0
-"""Interval between two rows of the log, s."""
+"""Duration at the end of a drive over which offsets are averaged, s."""
+LOG_INTERVAL = 1.0  # s
 _AT_ONCE = 500
 """Number of samples per computation of mixtures."""
 
@@ -43,9 +42,9 @@ class BankLog:
         s
     weights : ndarray, shape (k, LANES)
     moved : ndarray, shape (k, d)
-        Offsets of the mixture from the tuning in decades; offset of the rear axle in m.
+        Mean offsets of the mixture from the tuning in decades; that of the rear axle in m.
     groups : mapping of str to list of int
-        See `Spread.groups`.
+        Lanes of each group.
     """
 
     names: tuple[str, ...]
@@ -62,7 +61,7 @@ class BankLog:
 
     @property
     def settled(self) -> Array:
-        """Mean offset from the tuning in the last minute, (d,)."""
+        """Mean offsets from the tuning in the last minute, (d,)."""
         return self.moved[self.time >= self.time[-1] - SETTLED_OVER].mean(axis=0)
 
     @property
@@ -71,7 +70,7 @@ class BankLog:
         return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
 
     def to_frame(self) -> pl.DataFrame:
-        """Table of the log: t, lane of the largest weight, effective number, each offset, weight of each lane."""
+        """Return t, the lane of the largest weight, the effective number, each offset and the weight of each lane."""
         columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
         columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
         columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
@@ -163,13 +162,12 @@ class BankRun:
 
     @property
     def log(self) -> BankLog:
-        """The log of the pieces so far."""
         time, weights, moved = (np.array(column) for column in zip(*self._log, strict=True))
         return BankLog(self.bank.spread.names, time, weights, moved, self.bank.spread.groups)
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far; each sample has the innovation of the last fix before it."""
+        """Innovations of the mixture in the pieces so far; each has the time of the IMU sample after the fix."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 
@@ -181,7 +179,7 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
 
 
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
-    """Fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
+    """Return fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
     gps, wheels = drive.gps, drive.odometer
     has_velocity = gps.speed is not None and gps.course is not None
     has_std = gps.std_x is not None and gps.std_y is not None

@@ -1,7 +1,6 @@
 """Offsets of a bank's filters from the tuning, most of them in decades of variance.
 
-An offset changes one quantity, such as the noise of the IMU or the receiver, or the position of the rear axle. A matrix
-maps the offsets to constants of the kernel.
+An offset changes one quantity, such as the noise of the IMU or the receiver, or the position of the rear axle.
 """
 
 from dataclasses import dataclass, replace
@@ -15,20 +14,18 @@ from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0
-"""Degrees of freedom of Student's t, the distribution of the offsets: most are small, but another sensor has large
-offsets."""
+"""Degrees of freedom of Student's t, the distribution of the offsets: most are small, those of another sensor are
+large."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
 R_DOWN_STD = 0.45
-"""Standard deviation in the penalty of an R below that of the tuning, decades. It is small, since fixes in a city are
-accurate until they jump.
-"""
+"""Standard deviation, decades, in the penalty of an R below that of the tuning. It is small, since fixes in a city are
+accurate until they jump."""
 SCALE_STD = 0.7
-"""Standard deviation of a common factor of all variances, decades; this factor hardly changes the estimates."""
+"""Standard deviation of a common factor of all variances, decades; the factor hardly changes the estimates."""
 START_STD = 1.5
-"""Standard deviation of the biases' initial variance, decades; this variance is never below that of the tuning."""
-AXLE_STD = 0.7
-"""Standard deviation of the offset of the rear axle's position, m."""
+"""Standard deviation of the biases' initial variance, decades. In the first offsets it is never below the tuning's."""
+AXLE_STD = 0.7  # m
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = (
     {},
@@ -54,7 +51,7 @@ _MEANS = {
 
 @dataclass(frozen=True)
 class Spread:
-    """The offsets that the filters of a bank can have from a tuning."""
+    """The offsets from a tuning that the filters of a bank can have."""
 
     tuning: FilterParameters
 
@@ -74,7 +71,6 @@ class Spread:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the offsets, in order."""
         return tuple(self.deviations)
 
     @cached_property
@@ -88,7 +84,7 @@ class Spread:
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
-        """Offsets at the start of a bank, (LANES, d). Lane 0 is the tuning."""
+        """Draw the offsets at the start of a bank, (LANES, d). Lane 0 is the tuning."""
         offsets = rng.standard_normal((LANES, len(self.names))) * self.std
         if START in self.names:
             start = self.names.index(START)
@@ -101,7 +97,6 @@ class Spread:
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        """Lanes by the name of their group."""
         biased = [lane for lane, by in enumerate(FIXED) if START in by and R not in by]
         receivers = [lane for lane, by in enumerate(FIXED) if R in by]
         others = [*range(len(FIXED), LANES)]
@@ -119,7 +114,7 @@ class Spread:
         }
 
     def penalty(self, offsets: Array) -> Array:
-        """Log-prior penalty of offsets (m, d), (m,): -log of Student's t of each, in standard deviations."""
+        """Return the log-prior penalty of offsets (m, d), (m,): the sum of -log of Student's t, without constants."""
         relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
@@ -144,7 +139,7 @@ class Spread:
         return found
 
     def constants(self, tuned: Array, offsets: Array) -> Array:
-        """The kernel's constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
+        """Return the constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
         found = tuned * 10.0 ** (self._decades @ offsets.T)
         if AXLE in self.names:
             found[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
@@ -153,7 +148,7 @@ class Spread:
     def warnings(self, moved: Array) -> tuple[str, ...]:
         """Return warnings of offsets (d,) that are too large for the vehicle of the tuning.
 
-        There is one warning for a common factor of all variances; the other offsets are relative to this factor.
+        A common factor of all variances gives one warning; the other offsets are relative to it.
         """
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]
@@ -174,7 +169,7 @@ class Spread:
     said = warnings  # deprecated name
 
     def parameters(self, offsets: Array) -> FilterParameters:
-        """The tuning with offsets (d,) as parameters."""
+        """Return the tuning with offsets (d,) as parameters."""
         p, by = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
         shared = [f"q_{state.shared}" for state in MODELS[p.model].states]
         scale = 10.0 ** by[SCALE]
