@@ -20,10 +20,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
-ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
-"""Filter types with an R that changes at each fix."""
-SAMPLES = 10_000
-"""Number of IMU samples in a piece (9 MB for planar8)."""
+ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")  # R changes at each fix
+SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +48,13 @@ class Piece:
 
 
 def joined(pieces: Iterable[Piece]) -> Piece:
-    """Join pieces."""
     parts = list(pieces)
     return Piece(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Piece)))
 
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Innovations of a filter: each fix minus the prediction of the fix, before the update.
+    """Innovations of a filter: each fix minus its prediction, before the update.
 
     Attributes
     ----------
@@ -88,7 +85,7 @@ class Innovations:
 class Recording:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    The length of the pieces does not affect the joined pieces and the sums.
+    The length of the pieces does not affect the results.
 
     Parameters
     ----------
@@ -139,7 +136,6 @@ class Recording:
         return self._pieces
 
     def whole(self) -> Piece:
-        """Return all pieces as one."""
         return joined(self)
 
     def finished(self) -> Self:
@@ -163,8 +159,8 @@ class Recording:
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
         """Run to the last of the stops, (r,), which follow IMU samples; return where the filter is lost, (r,).
 
-        Stopping for each check would take longer than the steps. So the filter first runs to the end and is then
-        checked from its record. At a divergence, it is reset and runs again from that step.
+        To stop for each check would take longer than the steps. So the filter first runs to the end and is then checked
+        from its record. At a divergence, it is reset and runs again from that step.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -188,7 +184,7 @@ class Recording:
         return lost
 
     def _next_check(self, stops: NDArray[np.intp], row: int) -> int:
-        """Return the number of stops from a row to the next check."""
+        """Return the number of stops up to the next check."""
         assert self._checks is not None
         if self._monitor.lost:
             return row + 1
@@ -220,7 +216,6 @@ class Recording:
         return len(steps) - 1 if k is None else int(rows[sound[k]]), start
 
     def _check_at(self, k: int, mean: Array, covariance: Array) -> Check:
-        """Return the k-th check, for a state estimate."""
         line, times = self._replay.timeline, self._checks
         assert times is not None
         alignments, step, fix, ends = line.alignments, times.step[k], times.fix[k], int(self._ends[k])

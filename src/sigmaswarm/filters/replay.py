@@ -24,8 +24,7 @@ from sigmaswarm.filters.schedule import (
 )
 from sigmaswarm.filters.table import tables_of
 
-NO_SPEEDS = np.empty((0, 3))
-"""Odometer readings for a filter without an odometer."""
+NO_SPEEDS = np.empty((0, 3))  # for a filter without an odometer
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +55,11 @@ class Targets:
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
-        """Make targets without any time."""
         weight, x, y, theta, counts, noise = run.NO_TARGETS
         return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), noise)
 
     @property
     def columns(self) -> run.TargetColumns:
-        """The targets in the form that the kernel reads."""
         weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
         return weight, x, y, theta, self.counts, run.kept(self.noise)
 
@@ -74,7 +71,6 @@ class Targets:
 
     @property
     def n_positions(self) -> int:
-        """Number of positions that are compared."""
         return len(self.weight)
 
     @cached_property
@@ -84,7 +80,6 @@ class Targets:
 
     @cached_property
     def heading_weight(self) -> float:
-        """Total weight of the squared errors of heading."""
         return float(self.noise[self.counts, 1].sum()) if len(self.noise) else float(self.counts.sum())
 
 
@@ -100,7 +95,6 @@ class Replay:
 
     @cached_property
     def n_hidden(self) -> int:
-        """Number of fixes that are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
     def arrays(self, used: frozenset[str]) -> "DriveArrays":
@@ -131,7 +125,6 @@ def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParame
 
 
 def run_array(replays: Sequence[Replay], array: KernelArray) -> Sums:
-    """Run the parameter sets of an array over each replay."""
     rows = start_replays(replays, array)
     for replay, block in zip(cycle(replays), rows, strict=False):
         run_steps(replay, array, block, run.new_place(), len(replay.timeline.dt))

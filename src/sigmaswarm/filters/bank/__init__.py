@@ -1,1 +1,1 @@
-"""Filter bank (multiple-model estimation): filters with different parameters, whose mixture is the estimate."""
+"""Filter bank (multiple-model estimation): the estimate is the mixture of filters with different parameters."""

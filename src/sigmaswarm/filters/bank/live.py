@@ -1,7 +1,7 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-The bank replaces lanes in a past state that no late fix can change, and then processes the later samples again. So the
-results depend only on samples and fixes, not on how late a fix or a search result arrives.
+Lanes are replaced in a past state that no late fix can change; then the later samples are processed again. So the
+results depend only on samples and fixes.
 """
 
 import os
@@ -34,18 +34,12 @@ from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
 
-SEARCH_EVERY = 10.0
-"""Interval between the starts of two searches, s."""
-SEARCH_TAKES = 1.0
-"""Time of samples from the start of a search to the use of its result, s. A search takes about 15 ms."""
-REPLAYED = 60.0
-"""Duration of the samples that a search replays, s."""
-FASTER = 2.0
-"""Speed below which the bank replaces no lanes, m/s: there, fixes hardly determine headings and biases."""
-REPLACED = 7
-"""Number of lanes that are replaced after a search: one by the result, the others by changed copies of good lanes."""
-JITTER = 0.6
-"""Standard deviation of the random changes of copies, in standard deviations of an offset."""
+SEARCH_EVERY = 10.0  # s between the starts of two searches
+SEARCH_TAKES = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
+REPLAYED = 60.0  # s of samples that a search replays
+FASTER = 2.0  # m/s; no replacement at lower speeds, at which fixes hardly determine headings and biases
+REPLACED = 7  # lanes replaced per search: one by its result, the others by changed copies of good lanes
+JITTER = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,16 +74,12 @@ class Mixture:
 class _Snapshot:
     """A state from which a replay can begin."""
 
-    taped: int
-    """Number of steps in the log."""
+    taped: int  # number of logged steps
     time: float
-    fixed_at: float
-    """Time of the last fix before the snapshot, s."""
-    lanes: Array
-    """(N_KEPT, LANES)"""
+    fixed_at: float  # of the last fix before the snapshot, s
+    lanes: Array  # (N_KEPT, LANES)
     evidence: Array
-    ancestors: NDArray[np.intp]
-    """Indices of the snapshot's lanes from which the current lanes were copied, (LANES,)."""
+    ancestors: NDArray[np.intp]  # (LANES,): the snapshot's lanes from which the current lanes were copied
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,15 +109,15 @@ class _Pending:
 class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
-    Each filter (lane) predicts the fixes. Their likelihood is the evidence of the lane and gives its weight; evidence
-    fades within a minute. Lane 0 is the tuning and gives the same results as a `LiveFilter`. Some lanes represent other
-    receivers. Every 10 s of driving, the bank replaces the worst lanes: one by the result of a search over the last
-    minute, the others by changed copies of good lanes. So the bank adapts to other sensors or other reception. On the
-    car of the tuning it is not more accurate than the filter. If the mixture diverges, the bank resets lanes 1 to 15
-    like a `LiveFilter`. The alignment then uses the known gyro bias, and most lanes keep their biases.
+    The likelihood of the fixes is the evidence of each filter (lane) and gives its weight; evidence fades within a
+    minute. Lane 0 is the tuning and gives the results of a `LiveFilter`. Some lanes represent other receivers. Every 10
+    s of driving, the worst lanes are replaced: one by the result of a search over the last minute, the others by
+    changed copies of good lanes. So the bank adapts to other sensors or other reception. On the car of the tuning it is
+    not more accurate than the filter. If the mixture diverges, lanes 1 to 15 are reset; most lanes then keep their
+    biases.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
-    results. After a reset of some lanes, all lanes ignore fixes from before the reset.
+    results. After a reset, all lanes ignore fixes from before it.
 
     Parameters
     ----------
@@ -211,7 +201,6 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def _numbers(self) -> Array:
-        """The lanes' numbers, stored after the state of lane 0."""
         return self._belief[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
@@ -227,7 +216,7 @@ class LiveFilterBank(LiveFilter):
         swarm.weigh(self._belief)
 
     def _started(self, start: InitialState) -> Array:
-        """Return the rows of all lanes at a start, (N_KEPT, LANES)."""
+        """Return rows (N_KEPT, LANES)."""
         sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
         return KernelArray(sets).start([start], [self._interval])[0]
 
@@ -316,7 +305,7 @@ class LiveFilterBank(LiveFilter):
         return tape[np.arange(first, last) % length]
 
     def _replace(self, found: Found, replayed: int, led: int) -> None:
-        """Replace the worst lanes by the search result and changed copies of good lanes; reprocess the last samples."""
+        """Replace the worst lanes, and reprocess the last samples."""
         mark = self._settled_mark()
         if mark is None:
             return
@@ -404,7 +393,7 @@ class LiveFilterBank(LiveFilter):
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Keep the known biases of a state estimate (n,), (n, n), except in lanes that start with other biases.
+        """Keep the known biases, except in lanes that start with other biases.
 
         The bias of the alignment is used if it is more precise than the known bias or contradicts it.
         """
@@ -444,7 +433,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def bank_restarts(self) -> list[float]:
-        """Times at which lanes 1 to 15 were reset because the mixture had diverged, s."""
+        """Times of the resets of lanes 1 to 15 after a divergence of the mixture, s."""
         return [] if self._together is None else self._together.restarts
 
     @property
@@ -503,7 +492,7 @@ class LiveFilterBank(LiveFilter):
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:
-        """Return the current state rows (s, LANES) and weights (LANES,), for mixing many samples at once."""
+        """Return the current state rows (s, LANES) and weights (LANES,)."""
         return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:
@@ -536,7 +525,7 @@ def _is_definite(covariance: Array) -> bool:
 
 @cache
 def _searcher() -> ThreadPoolExecutor:
-    """Return the thread for the searches of all filter banks of a process."""
+    """Return the thread for the searches of all banks of a process."""
     return ThreadPoolExecutor(1, thread_name_prefix="swarm")
 
 

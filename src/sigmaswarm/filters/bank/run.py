@@ -23,11 +23,9 @@ from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.geodesy import wrap_angle
 
-SETTLED_OVER = 60.0
-"""Duration at the end of a drive over which offsets are averaged, s."""
+SETTLED_OVER = 60.0  # s at the end of a drive over which offsets are averaged
 LOG_INTERVAL = 1.0  # s
-_AT_ONCE = 500
-"""Number of samples per computation of mixtures."""
+_AT_ONCE = 500  # samples per computation of mixtures
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ class BankLog:
 
     @property
     def effective(self) -> Array:
-        """Effective number of filters in the mixture, (k,); 0 where all filters had failed."""
+        """Effective number of filters in the mixture, (k,); 0 where all have failed."""
         squares = np.square(self.weights).sum(axis=1)
         return np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
 
@@ -70,7 +68,7 @@ class BankLog:
         return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
 
     def to_frame(self) -> pl.DataFrame:
-        """Return t, the lane of the largest weight, the effective number, each offset and the weight of each lane."""
+        """Return t, lane of the largest weight, effective number, offsets and weights as a table."""
         columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
         columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
         columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
@@ -78,10 +76,9 @@ class BankLog:
 
 
 class BankRun:
-    """A run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
+    """Run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
 
-    ``seed``, ``searches``, ``recover`` and ``as_recorded``: see `LiveFilterBank`. ``failure`` states the first time, in
-    the pieces so far, at which all lanes had failed.
+    ``failure`` states the first time, in the pieces so far, at which all lanes had failed.
     """
 
     def __init__(
@@ -167,7 +164,7 @@ class BankRun:
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far; each has the time of the IMU sample after the fix."""
+        """Innovations of the mixture in the pieces so far, at the IMU sample after each fix."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 

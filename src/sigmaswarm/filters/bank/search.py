@@ -31,14 +31,10 @@ from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
-WEIGHT, CROSSOVER = 0.7, 0.9
-"""F and CR of differential evolution."""
-NOT_SCORED = 2.0
-"""Unscored time at the start of a replay, s, in which a filter with new offsets converges."""
-FEWEST_SCORED_FIXES = 8
-"""Smallest number of scored fixes for which a search has a result."""
-FARTHEST = 8.0
-"""Bound of an offset, in its standard deviations."""
+WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
+NOT_SCORED = 2.0  # s at the start of a replay, in which a filter with new offsets converges
+FEWEST_SCORED_FIXES = 8  # fewer scored fixes: no result
+FARTHEST = 8.0  # bound of an offset, in its standard deviations
 
 
 @dataclass(frozen=True)
@@ -65,10 +61,9 @@ class Steps:
     lever: Array
 
     def run(self, lanes: Array) -> Array:
-        """Run lanes (N_KEPT, m) over all steps, in place; return each lane's loss over the fixes, (m,).
+        """Run lanes (N_KEPT, m) over all steps, in place; return each lane's loss over the scored fixes, (m,).
 
-        The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``. The fixes of
-        the first `NOT_SCORED` seconds do not count.
+        The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``.
         """
         place = self._place
         scored = (
@@ -160,8 +155,7 @@ class Found:
     """The best filter's offsets (d,), and the population (LANES, d) for the next search."""
 
     offsets: Array
-    lane: Array
-    """The filter at the end of the replay, (N_KEPT,)."""
+    lane: Array  # (N_KEPT,), at the end of the replay
     known: Evidence
     population: Array
 
@@ -213,7 +207,7 @@ def search(
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
-    """Make a trial for each member: a second member plus the scaled difference of two more, crossed with the first."""
+    """Make a trial for each member: another member plus the scaled difference of two more, crossed with the member."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

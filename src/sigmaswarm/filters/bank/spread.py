@@ -1,7 +1,4 @@
-"""Offsets of a bank's filters from the tuning, most of them in decades of variance.
-
-An offset changes one quantity, such as the noise of the IMU or the receiver, or the position of the rear axle.
-"""
+"""Offsets of a bank's filters from the tuning, most of them in decades of variance."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,18 +10,12 @@ from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
-OFFSET_DOF = 4.0
-"""Degrees of freedom of Student's t, the distribution of the offsets: most are small, those of another sensor are
-large."""
+OFFSET_DOF = 4.0  # of Student's t, the distribution of offsets: most are small, another sensor's are large
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
-R_DOWN_STD = 0.45
-"""Standard deviation, decades, in the penalty of an R below that of the tuning. It is small, since fixes in a city are
-accurate until they jump."""
-SCALE_STD = 0.7
-"""Standard deviation of a common factor of all variances, decades; the factor hardly changes the estimates."""
-START_STD = 1.5
-"""Standard deviation of the biases' initial variance, decades. In the first offsets it is never below the tuning's."""
+R_DOWN_STD = 0.45  # in the penalty of a smaller R; small, since fixes in a city are accurate until they jump
+SCALE_STD = 0.7  # of a common factor of all variances, which hardly changes the estimates
+START_STD = 1.5  # of the biases' initial variance, which is never below the tuning's in the first offsets
 AXLE_STD = 0.7  # m
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = (
@@ -37,11 +28,9 @@ FIXED = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the first lanes, which are never replaced: the tuning; other biases; other receivers, two of these lanes
-with other biases."""
+"""Offsets of the first lanes, which are never replaced: the tuning, other biases, other receivers."""
 
-FAR, FAR_AXLE = 0.5, 0.5
-"""Largest offsets without a warning, in decades and in m."""
+FAR, FAR_AXLE = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
     R: "R is {times}: another receiver?",
     SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
@@ -57,7 +46,7 @@ class Spread:
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Name and standard deviation of each offset, in decades of variance; for the rear axle in m."""
+        """Standard deviation of each offset by name, in decades of variance; for the rear axle in m."""
         p, found = self.tuning, dict[str, float]()
         for state in MODELS[p.model].states:
             found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
@@ -75,7 +64,6 @@ class Spread:
 
     @cached_property
     def std(self) -> Array:
-        """Standard deviations of the offsets, (d,)."""
         return np.array(list(self.deviations.values()))
 
     @cached_property
@@ -114,7 +102,7 @@ class Spread:
         }
 
     def penalty(self, offsets: Array) -> Array:
-        """Return the log-prior penalty of offsets (m, d), (m,): the sum of -log of Student's t, without constants."""
+        """Return the log-prior penalty (m,) of offsets (m, d): the sum of -log of Student's t, without constants."""
         relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
@@ -146,10 +134,7 @@ class Spread:
         return found
 
     def warnings(self, moved: Array) -> tuple[str, ...]:
-        """Return warnings of offsets (d,) that are too large for the vehicle of the tuning.
-
-        A common factor of all variances gives one warning; the other offsets are relative to it.
-        """
+        """Return warnings of offsets (d,) that are too large for the vehicle of the tuning."""
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]
         if abs(common) > FAR:

@@ -24,12 +24,11 @@ class Log:
     time : ndarray, shape (k,)
         s, strictly increasing.
     measurement_time : ndarray, shape (f,)
-        Times of the measurements, s, strictly increasing; they need not be among ``time``.
+        s, strictly increasing; the times need not be among ``time``.
     measurements : ndarray, shape (f, m)
         (f,) stands for (f, 1).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Mean and covariance of the state at ``time[0]``, at which the filter starts. They must not be computed from
-        truth.
+        State estimate at ``time[0]``, where the filter starts. It must not be computed from truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; (k,) stands for (k, 1). None: the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
@@ -40,7 +39,7 @@ class Log:
     Raises
     ------
     InputError
-        If a shape or a value can't be used.
+        If a shape or a value cannot be used.
     """
 
     name: str
@@ -80,7 +79,6 @@ class Log:
             )
 
     def wrong(self, what: str) -> InputError:
-        """Return an error about this log."""
         return InputError(f"log {self.name}: {what}")
 
     def _keep(self, name: str, column: Array) -> Array:
@@ -141,9 +139,7 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps of a filter over a log.
-
-    The first step has length zero, for a measurement at the first time.
+    """Steps of a filter over a log. The first step has length zero, for a measurement at the first time.
 
     Attributes
     ----------

@@ -14,19 +14,9 @@ from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
 class TextbookModel:
     """A textbook filter of a model on a log's steps.
 
-    Parameters
-    ----------
-    model, steps
-    scaling : ndarray, shape (3,)
-        alpha, beta, kappa.
-    p : the model's record
-
-    Attributes
-    ----------
-    filter : GaussianFilter
-    nis, nll : ndarray, shape (f,)
-        Normalized innovation squared and negative log-likelihood of each measurement before its update. NaN before the
-        measurement's update.
+    ``scaling`` (3,) is alpha, beta, kappa; ``p`` the model's record. ``nis`` and ``nll`` (f,) are the normalized
+    innovation squared and the negative log-likelihood of each measurement before its update, NaN for later
+    measurements.
     """
 
     def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any) -> None:

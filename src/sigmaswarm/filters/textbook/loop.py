@@ -1,7 +1,5 @@
 """Run any textbook filter over the steps of a drive or a log, and smooth its estimates (Rauch, Tung and Striebel).
 
-References
-----------
 H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3, 1965.
 S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE Transactions on Automatic Control 53(3), 2008.
 """
@@ -50,7 +48,6 @@ class Trajectory:
 
     @classmethod
     def empty(cls, k: int, n: int, *, covariances: bool = True, failed: int = -1) -> "Trajectory":
-        """Make a trajectory of NaN, of n states at k times."""
         return cls(np.full((k, n), np.nan), np.full((k if covariances else 0, n, n), np.nan), failed)
 
 
