@@ -36,18 +36,10 @@ SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 
 @dataclass(frozen=True, eq=False)
 class CheckTimes:
-    """Times at which a filter is checked.
+    """Times at which a filter is checked."""
 
-    Attributes
-    ----------
-    step : ndarray of int, shape (l,)
-        Indices of the time line's steps before the checks; each step ends at an IMU sample.
-    fix : ndarray of int, shape (l,)
-        Indices of the last fix before each check.
-    """
-
-    step: NDArray[np.intp]
-    fix: NDArray[np.intp]
+    step: NDArray[np.intp]  # (l,), index of the step before each check; the step ends at an IMU sample
+    fix: NDArray[np.intp]  # (l,), index of the last fix before each check
 
 
 def check_times(line: Timeline) -> CheckTimes:
@@ -70,32 +62,19 @@ def check_times(line: Timeline) -> CheckTimes:
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """One check: a filter's state after an IMU sample, and the fixes that it is compared with.
+    """One check: a filter's state after an IMU sample, and the fixes that it is compared with."""
 
-    Attributes
-    ----------
-    time : s
-    mean, covariance : (n,), (n, n)
-    fix_time, fix : s; (2,) m: the last fix
-    fix_variance : (2,) m2
-    lever : (2,) m forward and left from the IMU to the antenna
-    latency : s
-    since : function that returns the steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
-    heading : function that returns a rough heading at the check from the log alone, rad, or NaN
-    align : function that returns the alignment that ends at the fix, or None; slow
-    """
-
-    time: float
-    mean: Array
-    covariance: Array
-    fix_time: float
-    fix: Array
-    fix_variance: Array
-    lever: Array
-    latency: float
-    since: Callable[[], Array]
-    heading: Callable[[], float]
-    align: Callable[[], InitialState | None]
+    time: float  # s
+    mean: Array  # (n,)
+    covariance: Array  # (n, n)
+    fix_time: float  # of the last fix, s
+    fix: Array  # (2,), m
+    fix_variance: Array  # (2,), m2
+    lever: Array  # (2,), m forward and left from the IMU to the antenna
+    latency: float  # s
+    since: Callable[[], Array]  # steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
+    heading: Callable[[], float]  # rough heading at the check from the log alone, rad, or NaN
+    align: Callable[[], InitialState | None]  # alignment that ends at the fix, or None; slow
 
     @property
     def position_contradicts(self) -> bool:

@@ -36,7 +36,6 @@ class Appended:
         return measured + state[-2:] if self.gain else measured
 
     def jacobian(self, state: Array) -> Array:
-        """Return H, (m, n)."""
         own = self.own.jacobian(state[:-2])
         return np.hstack([own, self.gain * np.eye(len(own), 2)])
 
@@ -100,13 +99,11 @@ FILTERS = (
 
 
 def kernel_name(model: str, kind: str, fix_error: bool = False) -> str:
-    """Return the name in `FILTERS` of the kernel that runs a model as a type of filter."""
     name = UNSCENTED if model == "tilted12" and kind != "ekf" else model
     return name + SUFFIX if fix_error else name
 
 
 def own_name(model: str) -> str:
-    """Return the name of the model without the states b."""
     return model.removesuffix(SUFFIX)
 
 

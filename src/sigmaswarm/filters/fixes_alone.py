@@ -26,16 +26,8 @@ FIRST_GUESS = (0.0, 0.0)  # log10 of the two noise parameters at the start of th
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """Noise parameters of the filter.
-
-    Attributes
-    ----------
-    acceleration : m2/s3, spectral density on each axis
-    fix : factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
-    """
-
-    acceleration: float
-    fix: float
+    acceleration: float  # m2/s3, spectral density on each axis
+    fix: float  # factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
 
     @classmethod
     def typical(cls, each: Iterable["MotionNoise"]) -> "MotionNoise":

@@ -44,32 +44,18 @@ MOST_CACHED = 1_000  # cached starts, 3 kB each, which the next generations reus
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums over replays for each parameter set; every array has shape (n_replays, n_sets), NaN if a set failed.
+    """Sums over replays for each parameter set, (n_replays, n_sets); NaN if a set failed."""
 
-    Attributes
-    ----------
-    squared_position : weighted sum of squared position errors over the targets, m2
-    squared_heading : weighted sum of squared heading errors over the targets with a heading, rad2
-    nees : sum of e^T P^-1 e of the position over the targets; P includes the variances of the reference
-    squared_fix : sum of squared residuals of the fixes after their update, m2
-    squared_forecast : sum of squared innovations of the hidden fixes, m2
-    nis : sum of nu^T S^-1 nu over all fixes, also the hidden ones
-    log_tail : sum of ln(1 + NIS / c) over all fixes, with c of `innovation-t`
-    forecast_t : sum of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
-    log_determinant : sum of ln det S over all fixes
-    failed : True if the covariance was not positive definite, or a state became NaN
-    """
-
-    squared_position: Array
-    squared_heading: Array
-    nees: Array
-    squared_fix: Array
-    squared_forecast: Array
-    nis: Array
-    log_tail: Array
-    forecast_t: Array
-    log_determinant: Array
-    failed: NDArray[np.bool_]
+    squared_position: Array  # of errors over the targets, weighted, m2
+    squared_heading: Array  # of errors over the targets with a heading, weighted, rad2
+    nees: Array  # e^T P^-1 e of the position over the targets; P includes the reference's variance
+    squared_fix: Array  # of residuals of the fixes after their update, m2
+    squared_forecast: Array  # of innovations of the hidden fixes, m2
+    nis: Array  # nu^T S^-1 nu over all fixes, also the hidden ones
+    log_tail: Array  # ln(1 + NIS / c) over all fixes, with c of `innovation-t`
+    forecast_t: Array  # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over hidden fixes, v, c of `forecast-t`
+    log_determinant: Array  # ln det S over all fixes
+    failed: NDArray[np.bool_]  # P was not positive definite, or a state became NaN
 
     @classmethod
     def empty(cls, n_replays: int, n_sets: int) -> "Sums":
@@ -84,21 +70,9 @@ class Sums:
 class KernelArray:
     """Parameter sets of one kernel and with the same measurements, which run together.
 
-    Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set.
-
-    Attributes
-    ----------
-    like : FilterParameters
-        A set with the model and the measurements of all sets.
-    size : int
-        Number of sets.
-    reads : tuple
-        Requirements on a drive: the axes of its model; whether fixes state their accuracy; its `measured_by`.
-
-    Raises
-    ------
-    InputError
-        If the model is not compiled as this type of filter.
+    Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set. ``like`` is a
+    set with the model and measurements of all ``size`` sets. ``reads`` are the requirements on a drive: model, stated
+    accuracy of fixes, `measured_by`. A model that is not compiled as this type of filter raises `InputError`.
     """
 
     def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
@@ -134,7 +108,6 @@ class KernelArray:
 
     @property
     def width(self) -> int:
-        """Columns of a block."""
         return lanes_for(-(-self.size // self.blocks))
 
     @property
@@ -250,7 +223,6 @@ def _constants(table: ParameterTable) -> Array:
 
 
 def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
-    """Return the values of the constants by row; ``of`` returns the values of a field."""
     kind, forgetting = of("kind"), of("forgetting")
     q = np.transpose(of("process_noise"))
     alpha2, n_kappa = np.square(of("alpha")), len(FILTERS[model].states) + np.asarray(of("kappa"))

@@ -414,7 +414,6 @@ def _known_heading(theta: float, std: float) -> tuple[float, float]:
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:
-    """Return the stated variances of a fix, m2."""
     if std is None or not (len(std) == 2 and 0 <= std[0] <= LARGEST and 0 <= std[1] <= LARGEST):
         raise InputError(
             f"std = {std}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale); "
@@ -426,7 +425,6 @@ def _squared(std: Sequence[float] | None) -> tuple[float, float]:
 def _believe(
     p: FilterParameters, initial: InitialState, nominal_interval: float, lever_arm: Sequence[float]
 ) -> Array:
-    """Return the state at the start, and the settings."""
     v = np.zeros(live.N_ALL)
     v[:N_KEPT] = KernelArray((p,)).start([initial], [nominal_interval])[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time

@@ -132,24 +132,13 @@ def gyro_bias(state: Array) -> Array:
 
 @dataclass(frozen=True)
 class Tilts:
-    """Functions of a model with roll and pitch for textbook filters.
+    """Functions of a model with roll and pitch for textbook filters: see `textbook.manifold`."""
 
-    Attributes
-    ----------
-    plus, minus, nearest : callable
-        Add an error to a state; the error between two states; the equivalent error nearest to another: see
-        `textbook.manifold`.
-    transition : callable
-        F of the error, (n, n), from a state, dt and imu.
-    as_angles : callable
-        Covariance of the states from means (..., n) and covariances (..., n, n) of the error.
-    """
-
-    plus: Callable[[Array, Array], Array]
-    minus: Callable[[Array, Array], Array]
-    nearest: Callable[[Array, Array], Array]
-    transition: Callable[[Array, float, Array], Array]
-    as_angles: Callable[[Array, Array], Array]
+    plus: Callable[[Array, Array], Array]  # state, error -> state
+    minus: Callable[[Array, Array], Array]  # state, state -> error
+    nearest: Callable[[Array, Array], Array]  # the equivalent of an error that is nearest to another
+    transition: Callable[[Array, float, Array], Array]  # F of the error, (n, n), from a state, dt and imu
+    as_angles: Callable[[Array, Array], Array]  # covariance of the states (..., n, n) from that of the error
 
 
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
@@ -176,30 +165,15 @@ SENSORS = {"accel": Sensor("m/s2", (1e-3, 1.0)), "gyro": Sensor("rad/s", (1e-5, 
 
 @dataclass(frozen=True)
 class State:
-    """One state of a model.
-
-    Attributes
-    ----------
-    name, unit : str
-    variance : (lowest, highest)
-        Bounds of the process noise, unit squared per nominal IMU step.
-    per_second : bool
-        True if these bounds are per second.
-    shared : str
-        Name of the search parameter, which east and north share if their noise is the same.
-    bias_of : str or None
-        The sensor in `SENSORS` with this bias, which starts at 0; None: the state is not a bias.
-    start_std : float
-        Initial standard deviation of a state that is not a bias and that an alignment does not determine.
-    """
+    """One state of a model."""
 
     name: str
     unit: str
-    variance: tuple[float, float]
-    shared: str
-    bias_of: str | None = None
-    per_second: bool = False
-    start_std: float = 0.0
+    variance: tuple[float, float]  # bounds of the process noise, unit squared per nominal IMU step
+    shared: str  # search parameter, common to east and north if their noise is the same
+    bias_of: str | None = None  # the sensor in SENSORS with this bias, which starts at 0
+    per_second: bool = False  # the bounds are per second
+    start_std: float = 0.0  # initial, of a state that is no bias and that an alignment lacks
 
     @property
     def variance_unit(self) -> str:
@@ -208,56 +182,33 @@ class State:
 
     @property
     def density_unit(self) -> str:
-        """Unit of the root of the white-noise density."""
         return f"{self.unit}/sqrt(s)"
 
 
 @dataclass(frozen=True)
 class CarModel:
-    """A process model for cars.
+    """A process model for cars. Measurements of a tilted model have a ``jacobian``.
 
-    Attributes
-    ----------
-    states : tuple of State, length n
-    process : callable
-        ``f(state, dt, imu) -> state``, in textbook form.
-    imu : tuple of str
-        IMU axes that the process reads, named as in a time line.
-    position, velocity, lateral, odometer, heading, rates_at_rest : callable
-        Measurements: `gps_position`, `velocity`, `lateral_velocity`, `wheel_speed`, `heading`, `gyro_bias`. Those of a
-        tilted model have a ``jacobian``.
-    tilts : Tilts or None
-        Functions of a model with roll and pitch; None for planar models.
-    kinds : tuple of str
-        Compiled filter types of the model, the default first.
-    fix_variance : (lowest, highest)
-        Bounds of R, the variance of a fix per axis, m2.
-    blind : bool
-        East and north share their noise in the search.
-    measures_imu : bool
-        Acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity
-        is in the body's frame: robot_localization. Such a model runs over drives; it is neither smoothed nor live.
-    options : tuple of str or None
-        Measurements and features that the model supports; None: all.
-    fix_error : bool
-        The last two states are the correlated fix error: see `filters.fix_error`.
+    ``kinds`` are the compiled filter types, the default first. ``measures_imu``: acceleration and yaw rate are states
+    that the IMU measures with `FilterParameters.imu_noise`, and the velocity is in the body's frame:
+    robot_localization. Such a model runs over drives; it is neither smoothed nor live.
     """
 
     states: tuple[State, ...]
-    process: Callable[[Array, float, Array], Array]
-    fix_variance: tuple[float, float]
-    imu: tuple[str, ...] = ("ax", "ay", "gz")
-    blind: bool = True
+    process: Callable[[Array, float, Array], Array]  # f(state, dt, imu) -> state
+    fix_variance: tuple[float, float]  # bounds of R per axis, m2
+    imu: tuple[str, ...] = ("ax", "ay", "gz")  # axes that the process reads
+    blind: bool = True  # east and north share their noise in the search
     position: Callable[[Sequence[float], float], Any] = gps_position
     velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
     odometer: Callable[[float, float], Any] = wheel_speed
     heading: Callable[[float], Any] = heading
     rates_at_rest: Callable[[Array], Array] = gyro_bias
-    tilts: Tilts | None = None
+    tilts: Tilts | None = None  # None: planar
     measures_imu: bool = False
-    options: tuple[str, ...] | None = None
-    fix_error: bool = False
+    options: tuple[str, ...] | None = None  # supported measurements and features; None: all
+    fix_error: bool = False  # the last two states are the correlated fix error: see `fix_error`
     kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property

@@ -308,7 +308,6 @@ _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise"
 
 
 def units(parameters: FilterParameters) -> dict[str, Any]:
-    """Return the units of the values in a parameter file."""
     states = MODELS[parameters.model].states
     known: dict[str, Any] = {
         "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
@@ -349,7 +348,6 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
 
 
 def _warn_of_age(table: dict[str, Any], path: Path) -> None:
-    """Warn that filters worked differently in the version that wrote a tuning."""
     made = table.get("versions")
     version = str(made.get("sigmaswarm", "")) if isinstance(made, dict) else ""
     numbers = re.match(r"(\d+)\.(\d+)", version)

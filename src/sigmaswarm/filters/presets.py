@@ -111,7 +111,6 @@ def _bias_walk(drive: Drive, sensor: str) -> float:
 
 
 def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:
-    """Return the baseline of robot_localization: its default process noise and the stated covariances."""
     states = accuracy = None
     if like.accuracy_scale is not None:
         accuracy, states = 1.0, (ACCURACY_FLOOR,) * 2

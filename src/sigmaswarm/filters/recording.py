@@ -26,25 +26,13 @@ SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Estimates at some consecutive IMU samples, after all fixes up to each sample.
+    """Estimates at some consecutive IMU samples, after all fixes up to each sample."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (r,)
-        s
-    mean, covariance : ndarray, shapes (r, n), (r, n, n)
-        As in `Estimate`: heading wrapped to (-pi, pi]; NaN after a failure.
-    sound : ndarray of bool, shape (r,)
-        False after a failure.
-    lost : ndarray of bool, shape (r,)
-        True while the filter has diverged and is not yet reset; the estimate is then the last fix, see `divergence`.
-    """
-
-    time: Array
-    mean: Array
-    covariance: Array
-    sound: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
+    time: Array  # (r,), s
+    mean: Array  # (r, n), as in `Estimate`
+    covariance: Array  # (r, n, n)
+    sound: NDArray[np.bool_]  # (r,), False after a failure
+    lost: NDArray[np.bool_]  # (r,), diverged and not yet reset; the estimate is the last fix
 
 
 def joined(pieces: Iterable[Piece]) -> Piece:
@@ -85,17 +73,8 @@ class Innovations:
 class Recording:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    The length of the pieces does not affect the results.
-
-    Parameters
-    ----------
-    replay : Replay
-    parameters : FilterParameters
-    samples : int
-        Number of IMU samples in a piece; the last piece may be shorter.
-    recover : bool
-        Reset the filter if it diverges: see `divergence`. A reset follows a sample. The sums at this sample, and while
-        the estimate is the last fix, are those of the diverged filter.
+    A piece has ``samples`` IMU samples, which does not affect the results. ``recover``: reset the filter after a sample
+    if it diverges. The sums at this sample, and while the estimate is the last fix, are those of the diverged filter.
 
     Attributes
     ----------
@@ -145,7 +124,6 @@ class Recording:
         return self
 
     def _run(self) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
-        """Run piece by piece; yield the arguments of `_piece`."""
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
@@ -184,7 +162,6 @@ class Recording:
         return lost
 
     def _next_check(self, stops: NDArray[np.intp], row: int) -> int:
-        """Return the number of stops up to the next check."""
         assert self._checks is not None
         if self._monitor.lost:
             return row + 1

@@ -31,26 +31,16 @@ NO_SPEEDS = np.empty((0, 3))  # for a filter without an odometer
 class Targets:
     """Times at which estimates are compared with a known position and heading.
 
-    Attributes
-    ----------
-    weight : ndarray, shape (m,)
-        Weight of the later of the two estimates around the time.
-    x, y, theta : ndarray, shape (m,)
-        m and rad
-    counts : ndarray of bool, shape (m,)
-        True if the heading is compared.
-    end : ndarray of int32, shape (k,)
-        Number of targets before the end of each step of the time line.
-    noise : ndarray, shape (m, 4), or (0, 4) if the reference is exact
-        Weights of the squared errors of position and heading, and the variances of x and y, m2, added to P in the NEES.
+    ``noise`` (m, 4) are weights of the squared errors of position and heading, and the variances of x and y, m2, which
+    are added to P in the NEES; (0, 4) if the reference is exact.
     """
 
-    weight: Array
-    x: Array
-    y: Array
-    theta: Array
-    counts: NDArray[np.bool_]
-    end: NDArray[np.int32]
+    weight: Array  # (m,), weight of the later of the two estimates around the time
+    x: Array  # (m,), m
+    y: Array  # (m,), m
+    theta: Array  # (m,), rad
+    counts: NDArray[np.bool_]  # (m,), True if the heading is compared
+    end: NDArray[np.int32]  # (k,), number of targets before the end of each step
     noise: Array = field(default_factory=lambda: run.NO_DOUBTS)
 
     @classmethod

@@ -37,8 +37,6 @@ class TextbookRobotLocalization:
         self._q = np.diag(parameters.process_noise) / (parameters.nominal_interval or 1.0)
 
     def predict(self, d: float) -> None:
-        """Predict over ``d`` s."""
-
         def f(state: Array) -> Array:
             return MODELS[NAME].process(state, d, np.empty(0))
 

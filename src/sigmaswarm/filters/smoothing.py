@@ -70,8 +70,6 @@ def smooth(
 
 @dataclass(frozen=True, eq=False)
 class _Checkpoint:
-    """The state from which a run continues."""
-
     rows: Array
     place: Array
     monitor: DivergenceMonitor
@@ -118,7 +116,6 @@ class _Forward(Recording):
         return super()._run_to(stops, record)
 
     def again(self, number: int, samples: int) -> _ForwardLog:
-        """Run the first ``samples`` of a piece again."""
         checkpoint, sampled = self.checkpoints[number], self._replay.timeline.sampled
         self._rows[0] = checkpoint.rows[:, np.newaxis]  # all columns are the same filter
         self._place[:] = checkpoint.place

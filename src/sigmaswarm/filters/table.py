@@ -51,7 +51,7 @@ class ParameterTable(Sequence[FilterParameters]):
         return _ABSENT[name] if value is None else value
 
     def column(self, name: str) -> Array:
-        """Return the values of a field for each set, (n,) or (n, k); inf or 0 stands for None."""
+        """Return `field` for each set, (n,) or (n, k)."""
         value = np.asarray(self.field(name), dtype=np.float64)
         return value if name in self.columns else np.repeat(value[np.newaxis], self.size, axis=0)
 

@@ -189,7 +189,6 @@ class RearAxle:
         )
 
     def jacobian(self, state: Array) -> Array:
-        """Return H, (1, 12)."""
         _, left, up = rotation(state).T
         h = _jacobian_along(state, left, up)
         h[0, GYRO_BIAS[2]] = self.distance
@@ -212,7 +211,6 @@ class Wheels:
         return np.array([forward @ _along_the_road(state, up) - self.delay * gained])
 
     def jacobian(self, state: Array) -> Array:
-        """Return H, (1, 12)."""
         forward, _, up = rotation(state).T
         h = _jacobian_along(state, forward, up)
         h[0, [*ATTITUDE]] += self.delay * GRAVITY * np.array([forward[1], -forward[0], 0.0])
@@ -262,7 +260,6 @@ class States:
         return state[[*self.places]]
 
     def jacobian(self, state: Array) -> Array:
-        """Return H, (m, n)."""
         return np.eye(len(state))[[*self.places]]
 
 

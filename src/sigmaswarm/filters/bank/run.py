@@ -30,26 +30,13 @@ _AT_ONCE = 500  # samples per computation of mixtures
 
 @dataclass(frozen=True, eq=False)
 class BankLog:
-    """Log of a filter bank, with one row per second.
+    """Log of a filter bank, with one row per second."""
 
-    Attributes
-    ----------
-    names : tuple of str, length d
-        Names of the offsets: see `spread`.
-    time : ndarray, shape (k,)
-        s
-    weights : ndarray, shape (k, LANES)
-    moved : ndarray, shape (k, d)
-        Mean offsets of the mixture from the tuning in decades; that of the rear axle in m.
-    groups : mapping of str to list of int
-        Lanes of each group.
-    """
-
-    names: tuple[str, ...]
-    time: Array
-    weights: Array
-    moved: Array
-    groups: Mapping[str, list[int]]
+    names: tuple[str, ...]  # d names of offsets: see `spread`
+    time: Array  # (k,), s
+    weights: Array  # (k, LANES)
+    moved: Array  # (k, d), mean offsets from the tuning in decades; of the rear axle in m
+    groups: Mapping[str, list[int]]  # lanes of each group
 
     @property
     def effective(self) -> Array:
@@ -170,7 +157,6 @@ class BankRun:
 
 
 def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
-    """Yield rows of columns as Python numbers."""
     for first in range(0, len(columns[0]), _AT_ONCE):
         yield from np.column_stack([column[first : first + _AT_ONCE] for column in columns]).tolist()
 

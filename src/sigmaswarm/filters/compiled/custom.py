@@ -172,7 +172,6 @@ def _centre(images, points, angles, weights, mean):
 
 @_kernel
 def _add_products(a, b, weights, out):
-    """Add the weighted outer products of the rows to ``out``."""
     for k in range(a.shape[0]):
         weight = weights.centre_covariance if k == 0 else weights.other
         for i in range(a.shape[1]):

@@ -230,7 +230,6 @@ def _lies_ahead(v, t):
 
 @_plain
 def _record(counts, history, k):
-    """Return the k-th oldest record."""
     return history[(counts[OLDEST] + k) % history.shape[0]]
 
 
@@ -412,7 +411,6 @@ def _place(step, v, counts, fixes, speeds, history, marks, z):
 
 @_plain
 def _watch(counts, lately, sample):
-    """Store a sample for the divergence monitor."""
     if lately.shape[0] > 0:
         row = counts[NEWEST] = (counts[NEWEST] + 1) % lately.shape[0]
         counts[N_LATELY] = min(counts[N_LATELY] + 1, lately.shape[0])
@@ -421,7 +419,6 @@ def _watch(counts, lately, sample):
 
 @_plain
 def _sees_more(v, counts, fixes, t):
-    """Return True if fixes up to a time have arrived since the last call."""
     f = last_fix(fixes, counts[N_FIXES], t, max(v[SEEN_FIX], v[START]))
     if f >= 0:
         v[SEEN_FIX] = fixes[f, FIX_TIME]

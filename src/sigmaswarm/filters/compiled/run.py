@@ -89,7 +89,6 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
 
 
 def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Score like `_score`, at the time of an IMU sample."""
     for l in range(LANES):
         x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, _wrapped(w[heading, l] - true_theta)
         _add(w, l, x, y, wrong, scores_heading)

@@ -111,8 +111,12 @@ def _called(step, v, u, happens, z, wheels, lever, since):
 take_step = _called if config.DISABLE_JIT else _call
 """``(step, v, u, happens, z, wheels, lever, since)``, for compiled code: one step of one filter.
 
-step : the address of the result of `single_step` v : (N_KEPT or more,) the filter before and after u : (9,) a step's
-numbers, DT ... GY of `drives.timeline` happens : the step's bits of `schedule` z : (8,) a row of `Timeline.fixes`
-wheels : (3,) a row of `odometer.Wheels.rows` lever : (3,) lever arm of the time line, m since : scale of Q since the
-last fix
+- ``step``: the address of the result of `single_step`
+- ``v``: (N_KEPT or more,) the filter before and after
+- ``u``: (9,) a step's numbers, DT ... GY of `drives.timeline`
+- ``happens``: the step's bits of `schedule`
+- ``z``: (8,) a row of `Timeline.fixes`
+- ``wheels``: (3,) a row of `odometer.Wheels.rows`
+- ``lever``: (3,) lever arm of the time line, m
+- ``since``: scale of Q since the last fix
 """

@@ -16,10 +16,8 @@ from typing import Any, NamedTuple, TypeVar
 
 from sigmaswarm.filters.compiled.layout import R
 
-STATE_LOOPS = ("i", "j", "k", "row", "group")
-"""Names of the loop variables that are unrolled."""
-NUMBERS = ("at", "fp", "axis_of")
-"""Names of functions; their calls are replaced by their values."""
+STATE_LOOPS = ("i", "j", "k", "row", "group")  # loop variables that are unrolled
+NUMBERS = ("at", "fp", "axis_of")  # functions; their calls are replaced by their values
 
 
 T = TypeVar("T")
@@ -27,8 +25,6 @@ Names = dict[str, Any]
 
 
 class Written(NamedTuple):
-    """A function with bound keyword-only parameters and unrolled loops over states and rows."""
-
     definition: ast.FunctionDef
     names: Names
 

@@ -203,8 +203,6 @@ def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
 
 
 class _Frame(NamedTuple):
-    """The values of names in a function: global numbers and functions, and local values."""
-
     names: Names
     values: dict[str, Any]
 

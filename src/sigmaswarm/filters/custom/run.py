@@ -124,7 +124,6 @@ def _estimate(log: Log, model: Model, steps: Steps, run: "Filtered") -> ModelEst
 
 
 def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
-    """Return a message on the step in which a filter failed; None for -1, no failure."""
     if failed < 0:
         return None
     moment = log.time[0] + steps.dt[: failed + 1].sum()
@@ -153,7 +152,6 @@ class Runner:
         self.kernel = kernel_of(model, self.steps[0])
 
     def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> Filtered:
-        """Filter log i with parameters by name."""
         return _run(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
 
 
@@ -255,14 +253,13 @@ def _same(a: Filtered, b: Filtered) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """Return the line of Numba's message that states the reason."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if not line.startswith(("Failed in", "During", "File ", "^"))]
     return (telling or lines or [type(error).__name__])[0].rstrip(".:")
 
 
 def trial_parameters(model: Model) -> dict[str, float]:
-    """Return parameters in the middle of their bounds, for trials of the model's functions."""
+    """Return parameters in the middle of their bounds."""
     middle = {
         t.name: float(np.sqrt(t.lowest * t.highest) if t.logarithmic else (t.lowest + t.highest) / 2)
         for t in model.parameters

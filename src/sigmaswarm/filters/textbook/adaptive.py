@@ -16,20 +16,11 @@ class SageHusa:
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of their
     weights (1 - b) / (1 - b^(k+1)). R is computed from the residual after the update, so it is positive by
     construction. A change that makes Q negative is not used.
-
-    Attributes
-    ----------
-    process_noise : ndarray, shape (n,)
-        Diagonal of Q per nominal step.
-    measurement_noise : ndarray, shape (2,)
-        Diagonal of R.
-    forgetting : float
-        b.
     """
 
-    process_noise: Array
-    measurement_noise: Array
-    forgetting: float
+    process_noise: Array  # (n,), diagonal of Q per nominal step
+    measurement_noise: Array  # (2,), diagonal of R
+    forgetting: float  # b
 
     def adapt(self, innovation: Innovation, since: float) -> None:
         """Adapt to a fix; ``since``: nominal steps since the last fix; with 0, Q does not change."""
@@ -46,30 +37,16 @@ class SageHusa:
 
 @dataclass
 class FuzzyNoise:
-    """Scale Q and R by fuzzy rules on the innovations of the fixes: see `filters.fuzzy`.
+    """Scale Q and R by fuzzy rules on the innovations of the fixes: see `filters.fuzzy`."""
 
-    Attributes
-    ----------
-    tuned_process_noise, tuned_measurement_noise : ndarray, shapes (n,) and (2,)
-        The diagonals of Q, per nominal step, and R at a ratio of 1.
-    memory : float
-        Weight of the previous average at each fix.
-    widths, gains : tuple of float, length 2
-        Widths of the edges of ratio and trend; the largest factors of R and Q.
-    quick, slow : float
-        Averages of the ratio of the actual to the theoretical innovation covariance.
-    times_r, times_q : float
-        The current factors of R and Q.
-    """
-
-    tuned_process_noise: Array
-    tuned_measurement_noise: Array
-    memory: float
-    widths: tuple[float, float]
-    gains: tuple[float, float]
-    quick: float = 1.0
+    tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
+    tuned_measurement_noise: Array  # (2,), diagonal of R at a ratio of 1
+    memory: float  # weight of the previous average at each fix
+    widths: tuple[float, float]  # of the edges of ratio and trend
+    gains: tuple[float, float]  # largest factors of R and Q
+    quick: float = 1.0  # averages of the ratio of the actual to the theoretical innovation covariance
     slow: float = 1.0
-    times_r: float = 1.0
+    times_r: float = 1.0  # current factors of R and Q
     times_q: float = 1.0
 
     @property
@@ -121,7 +98,6 @@ class StrongTracking:
     recent: float | None = None
 
     def stretch(self, filter: GaussianFilter, innovation: Innovation) -> Innovation:
-        """Inflate the covariance; return the new innovation."""
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
         self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
@@ -135,23 +111,13 @@ class StudentT:
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
     So the fix that ends a long run of outliers has weight 1, and P is inflated before this fix.
-
-    Attributes
-    ----------
-    dof : float
-        Degrees of freedom.
-    outliers : int
-        Current number of consecutive outliers.
-    since : float
-        Time of the first of these outliers, s.
     """
 
-    dof: float
-    outliers: int = 0
-    since: float = 0.0
+    dof: float  # degrees of freedom
+    outliers: int = 0  # current number of consecutive outliers
+    since: float = 0.0  # time of the first of these outliers, s
 
     def weigh(self, filter: GaussianFilter, innovation: Innovation, time: float) -> Innovation:
-        """Weight the innovation of a fix of ``time`` (s)."""
         weight = self.weight(innovation)
         if not weight < OUTLYING:
             self.outliers = 0

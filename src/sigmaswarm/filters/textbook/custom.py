@@ -26,7 +26,6 @@ class TextbookModel:
         self.nis, self.nll = np.full((2, len(steps.measurements)), np.nan)
 
     def step(self, i: int) -> None:
-        """Compute step i, and update with the measurement at its end, if there is one."""
         steps, kalman = self.steps, self.filter
         dt, row = float(steps.dt[i]), steps.absorbs[i]
         if dt > 0:
@@ -39,8 +38,6 @@ class TextbookModel:
 
 
 def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:
-    """Return the model's filter at the start of a log."""
-
     def f(state: Array, dt: float, u: Array) -> Array:
         return np.asarray(model.f(state.copy(), dt, u, p))  # a copy: f may work in place
 

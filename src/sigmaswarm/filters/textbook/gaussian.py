@@ -92,7 +92,6 @@ class GaussianFilter:
     def update(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """Measure, and update the state."""
         innovation = self.measure(measurement, measurement_noise, h)
         self.absorb(innovation)
         return innovation
