@@ -1,8 +1,7 @@
 """Initial state with tilts and accelerometer biases from the fixes before the start.
 
-An alignment (`drives.alignment`) is a fit in the plane: it determines position, velocity, heading and the gyro's bias
-about up, but no tilts and no accelerometer biases. A filter that runs over these and earlier fixes estimates the tilts
-and biases. On the other states it has no additional information, and its covariance of these states would be too small.
+An alignment (`drives.alignment`) is a fit in the plane and lacks these states. A filter over the earlier fixes
+estimates them. On the other states it adds no information, so these remain those of the alignment.
 """
 
 from dataclasses import replace
@@ -23,10 +22,8 @@ from sigmaswarm.filters.replay import run_steps, start_replays
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.schedule import start_of
 
-LONGEST = 60.0
-"""Longest time before the start from which fixes are used, s."""
-PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])
-"""Standard deviations of the prior at the first fix that is used, m, m/s, rad; similar to those of an alignment."""
+LONGEST = 60.0  # s before the start from which fixes are used
+PRIOR_STD = np.array([2.0, 2.0, 1.0, 1.0, 0.03])  # at the first fix: m, m/s, rad; similar to an alignment
 
 
 def dated_back(
@@ -34,8 +31,8 @@ def dated_back(
 ) -> InitialState:
     """Estimate the states that an alignment lacks, for a better start at the same time.
 
-    The filter runs over the fixes before the start. The result has the filter's roll, pitch and biases, and the
-    alignment's other states and gyro bias about up. Only data before the start are used.
+    The result has roll, pitch and biases of a filter over the fixes before the start, and the alignment's other states
+    and gyro bias about up. Only data before the start are used.
 
     Parameters
     ----------
@@ -47,8 +44,8 @@ def dated_back(
     Returns
     -------
     InitialState
-        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. If the filter fails or has
-        no such states, or if no earlier fix is usable, this is the start of the alignment.
+        All states of the filter, for ``initial`` of `run_filter`, `smooth` and `LiveFilter`. It is the start of the
+        alignment if the filter fails or lacks these states, or if no earlier fix is usable.
 
     Raises
     ------
@@ -89,7 +86,7 @@ def _past(ready: PreparedDrive, start: InitialState, until: float) -> PreparedDr
 
 
 def _prior(drive: Drive, found: InitialState, fix: int) -> InitialState:
-    """Prior at a fix before the start: the fix's position, the heading minus later turns, the velocity of a chord."""
+    """Return a prior at an earlier fix: its position, the heading minus later turns, the velocity of a chord."""
     gps, imu = drive.gps, drive.imu
     time = float(gps.time[fix])
     inside = (imu.time > time) & (imu.time <= found.time)

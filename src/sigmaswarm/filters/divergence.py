@@ -1,13 +1,12 @@
 """Detection of a diverged filter, and its reset.
 
 The fixes of the last seconds determine position, speed and heading without a filter (`drives.alignment`). A filter has
-diverged if it contradicts this alignment for a long time, by far more than its covariance allows. It is then reset to
-the alignment. Runs and live filters use the same rule.
+diverged if it contradicts this alignment for long and by far more than its covariance allows. It is then reset to the
+alignment.
 
-The thresholds were chosen on nine recordings, with filters that were tuned on the recording or on another one. For
-filters that had not diverged, the heading differed by 20 deg from the alignments for at most 8 s (fixes drift sideways
-in a city). The position differed by 20 m and 5 sigma from the fixes for at most 6 s. For diverged filters, both
-differences persisted for at least 18 s.
+The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by 20 deg from
+the alignments for at most 8 s, the position by 20 m and 5 sigma from the fixes for at most 6 s. For diverged filters,
+both differences persisted for at least 18 s.
 """
 
 import math
@@ -26,43 +25,27 @@ from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL
 from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0
-"""Duration of a contradiction after which the filter has diverged, s; longer than errors of fixes in a city and the
-recovery of a robust filter."""
-FEWEST_CHECKS = 5
-"""Smallest number of checks within the contradiction for a divergence."""
-MANY_SIGMAS = 5.0
-"""Smallest difference for a divergence, in combined standard deviations of filter and fixes."""
-HEADING_OFF = np.radians(20.0)
-"""Smallest difference between the headings of filter and alignment for a divergence, rad."""
-POSITION_OFF = 20.0
-"""Smallest difference between a fix and the filter's prediction for a divergence, m."""
-SUSPECT = np.radians(10.0)
-"""Difference between the filter's heading and a rough course, rad, above which an alignment is computed."""
-SPEED_STD = 10.0
-"""Standard deviation of the velocity per axis after a reset to the last fix, m/s."""
+DIVERGED_AFTER = 10.0  # s of contradiction; longer than errors in a city and a robust filter's recovery
+FEWEST_CHECKS = 5  # smallest number of checks within the contradiction
+MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fixes
+HEADING_OFF = np.radians(20.0)  # rad, smallest difference from the alignment
+POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
+SUSPECT = np.radians(10.0)  # rad from a rough course, above which an alignment is computed
+SPEED_STD = 10.0  # m/s per axis, after a reset to the last fix
 
 
 @dataclass(frozen=True, eq=False)
 class CheckTimes:
-    """Times at which a filter is checked.
+    """Times at which a filter is checked."""
 
-    Attributes
-    ----------
-    step : ndarray of int, shape (l,)
-        Indices of the steps of the time line before the checks; each step ends at an IMU sample.
-    fix : ndarray of int, shape (l,)
-        Indices of the last fix before each check.
-    """
-
-    step: NDArray[np.intp]
-    fix: NDArray[np.intp]
+    step: NDArray[np.intp]  # (l,), index of the step before each check; the step ends at an IMU sample
+    fix: NDArray[np.intp]  # (l,), index of the last fix before each check
 
 
 def check_times(line: Timeline) -> CheckTimes:
     """Find the first IMU sample after new fixes in each `LOOK_INTERVAL`.
 
-    A sample after a long gap is omitted, since a live filter accepts this sample only with the next one.
+    A sample after a long gap is omitted, since a live filter accepts it only with the next one.
     """
     sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.absorbs)
     before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
@@ -79,36 +62,23 @@ def check_times(line: Timeline) -> CheckTimes:
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """One check: a filter's state after an IMU sample, and the fixes that it is compared with.
+    """One check: a filter's state after an IMU sample, and the fixes that it is compared with."""
 
-    Attributes
-    ----------
-    time : s
-    mean, covariance : (n,), (n, n)
-    fix_time, fix : s; (2,) m: the last fix
-    fix_variance : (2,) m2
-    lever : (2,) m forward and left from the IMU to the antenna
-    latency : s
-    since : function that returns the steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
-    heading : function that returns a rough heading at the check from the log alone, rad, or NaN
-    align : function that returns the alignment that ends at the fix, or None; slow
-    """
-
-    time: float
-    mean: Array
-    covariance: Array
-    fix_time: float
-    fix: Array
-    fix_variance: Array
-    lever: Array
-    latency: float
-    since: Callable[[], Array]
-    heading: Callable[[], float]
-    align: Callable[[], InitialState | None]
+    time: float  # s
+    mean: Array  # (n,)
+    covariance: Array  # (n, n)
+    fix_time: float  # of the last fix, s
+    fix: Array  # (2,), m
+    fix_variance: Array  # (2,), m2
+    lever: Array  # (2,), m forward and left from the IMU to the antenna
+    latency: float  # s
+    since: Callable[[], Array]  # steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
+    heading: Callable[[], float]  # rough heading at the check from the log alone, rad, or NaN
+    align: Callable[[], InitialState | None]  # alignment that ends at the fix, or None; slow
 
     @property
     def position_contradicts(self) -> bool:
-        """Return True if the fix is far from the filter's prediction."""
+        """True if the fix is far from the filter's prediction."""
         x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
         east, north = self.fix.tolist()  # Python numbers are faster here
@@ -127,7 +97,7 @@ class Check:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """Return True if the heading is far from that of the alignment; None without an alignment."""
+        """True if the heading is far from that of the alignment; None without an alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -141,7 +111,7 @@ class Check:
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
     def _turned_by_bias(self, aligned: InitialState) -> float:
-        """Change of an alignment's heading due to the filter's gyro bias, rad."""
+        """Return the change of an alignment's heading due to the filter's gyro bias, rad."""
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
@@ -170,8 +140,7 @@ class DivergenceMonitor:
     restarts : list of float
         Times of the resets, s.
     lost : bool
-        True while the filter has diverged and there is no alignment for a reset: the estimate is the last fix, see
-        `at_fix`.
+        True while the filter has diverged without an alignment for a reset; the estimate is then `at_fix`.
     """
 
     def __init__(self) -> None:
@@ -218,7 +187,7 @@ def said_of_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """Duration of a contradiction between checks and a filter, without a break."""
+    """Duration of an uninterrupted contradiction."""
 
     def __init__(self) -> None:
         self._since, self._now, self._checks = 0.0, 0.0, 0
@@ -227,7 +196,7 @@ class _Contradiction:
         """Find the first check at which the contradiction has lasted `DIVERGED_AFTER`; else return None.
 
         ``contradicts`` is slow. So it is called backwards from the next check that could complete a contradiction of
-        this length, until a check without contradiction; earlier checks have no effect.
+        this length, until a check without contradiction.
         """
         begin = 0
         while begin < len(times):
@@ -268,14 +237,14 @@ def steps_since(samples: Array, time: float) -> Array:
     return steps
 
 
-_ABSURD = 1e12
-"""Largest number in a fit, m, m/s2 or rad/s. With larger numbers a fit fails, and LAPACK prints a message."""
+_ABSURD = 1e12  # m, m/s2 or rad/s; with larger numbers a fit fails, and LAPACK prints a message
 
 
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align with the last seconds of a stream: samples (k, 4 or 6) of time, ax, ay, gz, gx, gy; fixes (m, 3), s and m.
+    """Align with the last seconds of a stream.
 
-    ``gyro_bias``: known gyro bias about the up axis, rad/s.
+    ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3), s and m; ``gyro_bias``: known bias about up,
+    rad/s.
     """
     columns = samples[(np.abs(samples[:, 1:]) < _ABSURD).all(axis=1)].T
     fixes = fixes[(np.abs(fixes[:, 1:]) < _ABSURD).all(axis=1)]

@@ -1,15 +1,12 @@
 """Correlated fix errors as two Gauss-Markov states b: an option of every model with the IMU as input.
 
-Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) are appended to
-the model's states. The process of the model does not depend on them. A fix measures p + b + v; between two fixes dt
-apart
+Receivers smooth their fixes, so errors are correlated from fix to fix. The states b (m, east and north) follow the
+model's states, and its process does not depend on them. A fix measures p + b + v; between two fixes dt apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
 where s is the stated standard deviation of the later fix or, without one, that of the receiver. A filter starts at a
-fix, so its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2.
-
-Returned estimates contain only the model's own states.
+fix, so its position has the error -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
 """
 
 from collections.abc import Callable
@@ -24,13 +21,12 @@ from sigmaswarm.filters.models import MODELS, CarModel, State, Tilts
 Array = NDArray[np.float64]
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
-SUFFIX = "+fix-error"
-"""Suffix in the name of a model with the states b."""
+SUFFIX = "+fix-error"  # in the name of a model with the states b
 
 
 @dataclass(frozen=True)
 class Appended:
-    """A measurement of a model with b after its own states; ``gain`` is 1 if b adds to it, else 0."""
+    """A measurement of a model with b after its states; ``gain`` is 1 if b adds to it, else 0."""
 
     own: Any
     gain: float = 0.0
@@ -40,7 +36,6 @@ class Appended:
         return measured + state[-2:] if self.gain else measured
 
     def jacobian(self, state: Array) -> Array:
-        """H, (m, n)."""
         own = self.own.jacobian(state[:-2])
         return np.hstack([own, self.gain * np.eye(len(own), 2)])
 
@@ -50,7 +45,7 @@ def _appended(measure: Callable[[Any, Any], Any], gain: float = 0.0) -> Callable
 
 
 def augmented(model: CarModel) -> CarModel:
-    """A model with the states b after its own."""
+    """Return a model with the states b after its own."""
 
     def process(state: Array, dt: float, imu: Array) -> Array:
         return np.concatenate([model.process(state[:-2], dt, imu), state[-2:]])
@@ -104,13 +99,11 @@ FILTERS = (
 
 
 def kernel_name(model: str, kind: str, fix_error: bool = False) -> str:
-    """Name in `FILTERS` of the kernel that runs a model as a type of filter."""
     name = UNSCENTED if model == "tilted12" and kind != "ekf" else model
     return name + SUFFIX if fix_error else name
 
 
 def own_name(model: str) -> str:
-    """Name of the model without the states b."""
     return model.removesuffix(SUFFIX)
 
 
@@ -118,19 +111,19 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """Number of a model's n states that a start with ``given`` states sets."""
+    """Return how many of a model's n states a start with ``given`` states sets."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)
 
 
 def transition(n: int, phi: float) -> Array:
-    """Transition F of n states between two fixes, (n, n)."""
+    """Return the transition F of n states between two fixes, (n, n)."""
     return np.diag([1.0] * (n - 2) + [phi] * 2)
 
 
 def grown(variance: Array, phi: float) -> Array:
-    """Q of b between two fixes, (2, 2), from the stationary variance g s^2, (2,) m2."""
+    """Return Q of b between two fixes, (2, 2), from the stationary variance g s^2, (2,) m2."""
     return np.diag(variance * (1.0 - phi * phi))
 
 

@@ -1,8 +1,7 @@
 """A Kalman filter that uses only the fixes: constant velocity with white acceleration, no IMU.
 
-A filter with an IMU should be more accurate than this filter. The two noise parameters are medians over the training
-drives of maximum-likelihood estimates from the fixes. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 2001, section 6.2.2.
+A filter with an IMU should be more accurate. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications
+to Tracking and Navigation, 2001, section 6.2.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,24 +20,14 @@ from sigmaswarm.filters.recording import Piece
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import replay_of
 
-UNKNOWN_SPEED = 30.0
-"""Standard deviation of the velocity before the first fix, m/s."""
-FIRST_GUESS = (0.0, 0.0)
-"""Starting point of the search: log10 of the two noise parameters."""
+UNKNOWN_SPEED = 30.0  # m/s, standard deviation per axis before the first fix
+FIRST_GUESS = (0.0, 0.0)  # log10 of the two noise parameters at the start of the search
 
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """The noise parameters of the filter.
-
-    Attributes
-    ----------
-    acceleration : m2/s3, spectral density on each axis
-    fix : factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
-    """
-
-    acceleration: float
-    fix: float
+    acceleration: float  # m2/s3, spectral density on each axis
+    fix: float  # factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
 
     @classmethod
     def typical(cls, each: Iterable["MotionNoise"]) -> "MotionNoise":
@@ -97,7 +86,6 @@ def fit_noise(replay: Replay) -> MotionNoise:
 
 
 def noise_of(ready: PreparedDrive) -> MotionNoise:
-    """Estimate the noise parameters on a prepared drive."""
     return fit_noise(replay_of(ready))
 
 

@@ -1,7 +1,7 @@
 """Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
-Python code that runs for each drive and block would be slow compared with a kernel call of 0.2 ms, and would block
-other threads. So this module processes all sets and all drives together.
+Python code for each drive and block would be slow compared with a kernel call of 0.2 ms, and would block other threads.
+So this module processes all sets and all drives together.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,50 +38,31 @@ from sigmaswarm.filters.table import ParameterTable
 Starts = dict[InitialState, tuple[Array, Array]]
 """Initial state rows (N_STATE, columns) and headings (columns,), rad; one column if all columns are equal."""
 
-MOST_STARTS = 20_000
-"""Largest number of column starts, 3 kB each, that are computed in advance; further starts are computed when they are
-used."""
-MOST_CACHED = 1_000
-"""Largest number of cached starts, 3 kB each, that the next generations reuse."""
+MOST_STARTS = 20_000  # column starts, 3 kB each, that are computed in advance
+MOST_CACHED = 1_000  # cached starts, 3 kB each, which the next generations reuse
 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums over replays for each parameter set; every array has shape (n_replays, n_sets), NaN if a set failed.
+    """Sums over replays for each parameter set, (n_replays, n_sets); NaN if a set failed."""
 
-    Attributes
-    ----------
-    squared_position : weighted sum of squared position errors over the targets, m2
-    squared_heading : weighted sum of squared heading errors over the targets with a heading, rad2
-    nees : sum of e^T P^-1 e of the position over the targets; P includes the variances of the reference
-    squared_fix : sum of squared residuals of the fixes after their update, m2
-    squared_forecast : sum of squared innovations of the hidden fixes, m2
-    nis : sum of nu^T S^-1 nu over all fixes, also the hidden ones
-    log_tail : sum of ln(1 + NIS / c) over all fixes, with c of `innovation-t`
-    forecast_t : sum of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
-    log_determinant : sum of ln det S over all fixes
-    failed : True if the covariance was not positive definite, or a state became NaN
-    """
-
-    squared_position: Array
-    squared_heading: Array
-    nees: Array
-    squared_fix: Array
-    squared_forecast: Array
-    nis: Array
-    log_tail: Array
-    forecast_t: Array
-    log_determinant: Array
-    failed: NDArray[np.bool_]
+    squared_position: Array  # of errors over the targets, weighted, m2
+    squared_heading: Array  # of errors over the targets with a heading, weighted, rad2
+    nees: Array  # e^T P^-1 e of the position over the targets; P includes the reference's variance
+    squared_fix: Array  # of residuals of the fixes after their update, m2
+    squared_forecast: Array  # of innovations of the hidden fixes, m2
+    nis: Array  # nu^T S^-1 nu over all fixes, also the hidden ones
+    log_tail: Array  # ln(1 + NIS / c) over all fixes, with c of `innovation-t`
+    forecast_t: Array  # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over hidden fixes, v, c of `forecast-t`
+    log_determinant: Array  # ln det S over all fixes
+    failed: NDArray[np.bool_]  # P was not positive definite, or a state became NaN
 
     @classmethod
     def empty(cls, n_replays: int, n_sets: int) -> "Sums":
-        """Make empty arrays for `put`."""
         numbers = np.empty((9, n_replays, n_sets))
         return cls(*numbers, failed=np.empty((n_replays, n_sets), dtype=np.bool_))
 
     def put(self, replays: slice, sets: NDArray[np.intp], part: "Sums") -> None:
-        """Store the sums of some replays and sets."""
         for name, column in vars(self).items():
             column[replays, sets] = getattr(part, name)
 
@@ -89,25 +70,9 @@ class Sums:
 class KernelArray:
     """Parameter sets of one kernel and with the same measurements, which run together.
 
-    Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set.
-
-    Parameters
-    ----------
-    parameter_sets : sequence of FilterParameters
-
-    Attributes
-    ----------
-    like : FilterParameters
-        A set with the model and the measurements of all sets.
-    size : int
-        Number of sets.
-    reads : tuple
-        Requirements on a drive: the axes of its model; whether fixes state their accuracy; its `measured_by`.
-
-    Raises
-    ------
-    InputError
-        If the model is not compiled as this type of filter.
+    Each block has ``width`` columns, up to `most_lanes`. A partial block is filled with copies of a set. ``like`` is a
+    set with the model and measurements of all ``size`` sets. ``reads`` are the requirements on a drive: model, stated
+    accuracy of fixes, `measured_by`. A model that is not compiled as this type of filter raises `InputError`.
     """
 
     def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
@@ -132,24 +97,21 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Array of some of the sets; it shares the values computed for all sets."""
+        """Return the array of some of the sets; it shares the values computed for all sets."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part
 
     @property
     def kernel(self) -> str:
-        """Name in `fix_error.FILTERS` of the kernel of all sets."""
         return self.like.kernel
 
     @property
     def width(self) -> int:
-        """Columns of a block."""
         return lanes_for(-(-self.size // self.blocks))
 
     @property
     def blocks(self) -> int:
-        """Number of blocks."""
         return -(-self.size // most_lanes(self.kernel))
 
     @property
@@ -161,14 +123,14 @@ class KernelArray:
     def plausible(self) -> NDArray[np.bool_]:
         """Sets with Q >= 0 and R > 0, shape (size,): only rounding can make their P indefinite.
 
-        For other sets, P may be indefinite for a long time before this is detected.
+        For other sets, P may be indefinite long before this is detected.
         """
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
 
     def constants(self, nominal_interval: float) -> Array:
-        """The kernel's constants, shape (N_CONSTANTS, columns), for a drive with this IMU interval, s."""
+        """Return the kernel's constants, (N_CONSTANTS, columns), for a drive with this IMU interval, s."""
         constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
         constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
         constants[R.PATIENCE - CONSTANT_ROWS.start] = _patience(nominal_interval)
@@ -182,7 +144,7 @@ class KernelArray:
             self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
-        """Rows of the filters at m starts, shape (blocks * m, N_KEPT, width); intervals of the IMUs in s."""
+        """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width); intervals of the IMUs in s."""
         columns, blocks, m = self._columns, self.blocks, len(initial)
         shared = len(self._start_std) == 1
         starts, chosen = self._starts, slice(None) if shared else columns
@@ -209,7 +171,7 @@ class KernelArray:
         return _starts_of(initial, self.kernel, std)
 
     def sums(self, rows: Array) -> Sums:
-        """Sums of the sets from the final rows of m replays that began with the rows of `start`."""
+        """Return the sums of the sets from the final rows of m replays that began with the rows of `start`."""
         found, sums = sound_lanes(rows, self.kernel), rows[:, SHOWN].swapaxes(0, 1)
         if self.blocks > 1:  # all columns of a replay side by side
             found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
@@ -218,15 +180,13 @@ class KernelArray:
 
 
 _Q = slice(Q0 - CONSTANT_ROWS.start, Q0 - CONSTANT_ROWS.start + len(MEAN))
-"""Rows of Q among the constants."""
-_FRESH = np.zeros((N_KEPT, 1))
-"""Rows of a filter before its first step."""
+_FRESH = np.zeros((N_KEPT, 1))  # rows of a filter before its first step
 _FRESH[[R.DET, R.TAIL, R.OK, R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
 _FRESH[R.RECENT] = -1.0
 
 
 def _patience(nominal_interval: float) -> float:
-    """Nominal steps that a run of outliers spans, minus a margin for the rounding of times since 1970."""
+    """Return the nominal steps that a run of outliers spans, minus a margin for the rounding of times since 1970."""
     return (OUTLIERS_SPAN - 1e-6) / nominal_interval
 
 
@@ -238,24 +198,24 @@ def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Sta
 
 @lru_cache(4)
 def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
-    """Starts of sets with equal `start_std`, cached: they are the same in all generations of a search."""
+    """Return starts of sets with equal `start_std`, cached: all generations of a search have the same."""
     return _starts_of(initial, model, np.array([std]))
 
 
 def _in_blocks(rows: Array, blocks: int) -> Array:
-    """Rows (r, columns) as (blocks, r, width); a single column for all sets as (1, r, 1)."""
+    """Reshape rows (r, columns) to (blocks, r, width); a single column for all sets to (1, r, 1)."""
     return rows.reshape(len(rows), blocks if rows.shape[1] > 1 else 1, -1).swapaxes(0, 1)
 
 
 def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
-    """Values of each block, (..., blocks * m, width), as (..., m, columns)."""
+    """Reshape the values of each block, (..., blocks * m, width), to (..., m, columns)."""
     *more, rows, width = each.shape
     by_block = each.reshape(*more, blocks, rows // blocks, width)
     return by_block.swapaxes(-3, -2).reshape(*more, rows // blocks, blocks * width)
 
 
 def _constants(table: ParameterTable) -> Array:
-    """The kernel's constants, shape (N_CONSTANTS, n). Q refers to the sets' own interval; PATIENCE is 0."""
+    """Return the kernel's constants, (N_CONSTANTS, n). Q refers to the sets' own interval; PATIENCE is 0."""
     constants = np.zeros((len(CONSTANTS), len(table)))
     for row, value in _values(table.field, table.like.kernel).items():
         constants[row - CONSTANT_ROWS.start] = value
@@ -263,7 +223,6 @@ def _constants(table: ParameterTable) -> Array:
 
 
 def _values(of: Callable[[str], Any], model: str) -> dict[int, Any]:
-    """Values of the constants by row; ``of`` returns the values of a field."""
     kind, forgetting = of("kind"), of("forgetting")
     q = np.transpose(of("process_noise"))
     alpha2, n_kappa = np.square(of("alpha")), len(FILTERS[model].states) + np.asarray(of("kappa"))

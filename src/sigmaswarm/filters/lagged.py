@@ -11,22 +11,13 @@ from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 
-NEARLY = 1e-6
-"""Largest rounding error of a lag, s."""
+NEARLY = 1e-6  # s, largest rounding error of a lag
 
 
 class FixedLag:
     """Fixed-lag smoother for a live filter: it processes the last samples again, logs the steps, and smooths.
 
-    The filter's memory has a fixed size and includes late fixes.
-
-    Parameters
-    ----------
-    kernel : its name
-    lag : float
-        s
-    most_steps : int
-        Largest number of steps in the memory.
+    ``lag`` is in s; ``most_steps`` is the largest number of steps in the memory.
     """
 
     def __init__(self, kernel: str, lag: float, *, most_steps: int) -> None:

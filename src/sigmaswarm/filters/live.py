@@ -1,4 +1,4 @@
-"""`LiveFilter`: a filter that processes one sample at a time, with the results of `run_filter` for the same data."""
+"""`LiveFilter`: a filter that processes one sample at a time."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -30,18 +30,13 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
-MOST_RESTARTS = 1000
-"""Largest number of resets in the record of reset times."""
-MOST_READINGS = 2000
-"""Largest number of stored odometer readings: ten seconds at 200 Hz."""
-FASTER_IMU = 4
-"""Largest ratio of the IMU's rate to the stated rate at which the divergence monitor covers its full time."""
-MOST_HISTORY = 100_000
-"""Largest number of IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB."""
-MOST_WAITING = 1000
-"""Approximate number of fixes that can wait for an IMU sample while the IMU is silent."""
+MOST_RESTARTS = 1000  # largest number of resets in the record of reset times
+MOST_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
+FASTER_IMU = 4  # largest ratio of the IMU's rate to the stated one at which the monitor covers its full time
+MOST_HISTORY = 100_000  # IMU intervals in history and lag: 100 s at 1 kHz, 0.2 GB
+MOST_WAITING = 1000  # fixes, approximately, that can wait for an IMU sample while the IMU is silent
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Errors that invalid input raises, such as texts, None, too few numbers, or integers of 400 digits."""
+"""Errors of invalid input such as texts, None, too few numbers, or integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +62,7 @@ class LiveState:
 class LiveFilter:
     """A Kalman filter that processes one sample at a time.
 
-    A fix waits for the next IMU sample, which propagates the filter to the time of the fix and then to the time of the
+    A fix waits for the next IMU sample, which propagates the filter to the time of the fix and then to that of the
     sample. For a fix that is at most ``history`` seconds late, the filter returns to the fix's time and processes the
     later samples again. So the state equals the result of `run_filter` for the same data in order. Fixes of the same
     time, for example from two receivers, are used one after the other. An identical fix is a repeated message and is
@@ -75,15 +70,15 @@ class LiveFilter:
 
     While the IMU is silent, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`).
     A sample stamped more than 10 s ahead waits for a second sample within a second of its stamp. Then both are used, as
-    after a silence. Without a second sample, the first one is dropped and counted. The same rule applies to fixes,
-    which IMU samples near their stamps also confirm.
+    after a silence; otherwise the first one is dropped and counted. The same rule applies to fixes, which IMU samples
+    near their stamps also confirm.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
     (`divergence`). The reset is later than in a run by the delay of the fixes. Fixes from before the reset then count
     as too late.
 
-    The memory has a fixed size, and samples and fixes are processed by compiled code (`compiled.live`), which the first
-    filter of a process loads or compiles.
+    The memory has a fixed size. The compiled code (`compiled.live`) is loaded or compiled by the first filter of a
+    process.
 
     Parameters
     ----------
@@ -215,9 +210,9 @@ class LiveFilter:
     ) -> bool:
         """Process a fix: x, y (m), and optionally its velocity, m/s east and north.
 
-        ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
-        needs ``std``, a filter with ``fix_error`` uses it if given. ``heading``: heading and its stated standard
-        deviation, rad; 0 if none is stated; a filter with ``heading_noise`` uses it.
+        ``std``: the standard deviation that the receiver states, m east and north. A filter with ``accuracy_scale``
+        needs it; a filter with ``fix_error`` uses it if given. ``heading``: heading and its stated standard deviation,
+        rad (0 if none is stated), for a filter with ``heading_noise``.
 
         Returns
         -------
@@ -261,7 +256,7 @@ class LiveFilter:
             raise InputError(f"a reading of the odometer that is not a number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
-        """Reset the filter after a sample if it has diverged; ``due``: the time of a check has come."""
+        """Reset the filter after a sample if it has diverged; ``due``: it is time for a check."""
         fix, monitor = self._last_fix(now), self._monitor
         if fix is None or monitor is None:
             return
@@ -280,7 +275,7 @@ class LiveFilter:
         due: bool,
         gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Return the state for a reset, or None if no reset is needed; ``gyro_bias``: known bias of the gyro, rad/s."""
+        """Return the state for a reset, or None; ``gyro_bias``: known bias of the gyro, rad/s."""
         start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
         if monitor.lost:
             theta = float(estimate()[0][THETA])
@@ -288,13 +283,13 @@ class LiveFilter:
         return start
 
     def _last_fix(self, now: float) -> Array | None:
-        """The row of the last usable fix up to a time."""
+        """Return the row of the last usable fix up to a time."""
         fixes = self._counted_fixes
         until = int(np.searchsorted(fixes[:, live.FIX_TIME], now, side="right"))
         return fixes[until - 1] if until else None
 
     def _variance_of(self, fix: Array) -> Array:
-        """Diagonal of R of a fix, (2,) m2."""
+        """Return the diagonal of R of a fix, (2,) m2."""
         stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
         return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * stated
 
@@ -316,29 +311,24 @@ class LiveFilter:
 
     @property
     def _samples(self) -> Array:
-        """The samples of the last `WATCHED` seconds and the sample before, (k, 4 or 6).
-
-        Time, ax, ay, gz, and gx, gy if read.
-        """
+        """Samples of the last `WATCHED` seconds and the one before: time, ax, ay, gz, and gx, gy if read."""
         of, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
         newest, n = int(of.counts[live.NEWEST]), int(of.counts[live.N_LATELY])
         samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)][:, columns]
         return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - WATCHED)) - 1) :]
 
     def _aligned(self, gyro_bias: float) -> InitialState | None:
-        """Return the alignment that ends at the last fix, if there is one."""
         return aligned_by(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever, gyro_bias)
 
     @property
     def _counted_fixes(self) -> Array:
-        """The fixes that are used as positions, by time."""
         of = self._memory.arrays
         fixes = of.fixes[: of.counts[live.N_FIXES]]
         finite = np.isfinite(fixes[:, [live.FIX_X, live.FIX_Y]]).all(axis=1)
         return fixes[(fixes[:, live.KIND] < FROZEN) & finite]
 
     def _reset(self, start: InitialState) -> None:
-        """Reset the filter; late fixes still refer to the history of the diverged filter."""
+        """Reset the filter and clear the history, so that earlier fixes are too late."""
         rows = KernelArray((self.parameters,)).start([start], [self._interval])
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory.arrays.counts
@@ -349,7 +339,7 @@ class LiveFilter:
         return self._memory.arrays.belief
 
     def _estimate(self) -> tuple[Array, Array]:
-        """Mean (n,), with the heading not wrapped, and covariance (n, n)."""
+        """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
         mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.kernel)
         return mean[0], covariance[0]
 
@@ -375,7 +365,7 @@ class LiveFilter:
 
     @property
     def state(self) -> LiveState:
-        """The state estimate after the last IMU sample and all fixes up to then."""
+        """The state estimate after the last IMU sample and all fixes up to its time."""
         time, definite = float(self._belief[live.TIME]), self._calls.definite(self._memory.handle)
         return self._state_at(time, self._belief[self._state], definite)
 
@@ -384,7 +374,7 @@ class LiveFilter:
         """The fixed-lag smoothed state at the last IMU sample that is at least ``lag`` s old.
 
         The state equals the result of `smooth` at that time with the data so far. Its ``time`` is never before the
-        start or the last reset. The state is computed at each access.
+        start or the last reset. It is computed at each access.
 
         Raises
         ------
@@ -398,7 +388,6 @@ class LiveFilter:
         return self._state_at(*self._lag.smoothed(self._memory.arrays), True)
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
-        """Return the state of packed state rows, (s,)."""
         with np.errstate(all="ignore"):  # overflow is reported as failed
             mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.kernel))
         lost = self._monitor is not None and self._monitor.lost
@@ -419,13 +408,12 @@ _ALIGNING = (1, 2, 3, 5, 6)
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:
-    """Heading, rad, and its stated variance, rad2 (infinite without a heading), as in `Timeline.fixes`."""
+    """Return heading, rad, and stated variance, rad2 (infinite without a heading), as in `Timeline.fixes`."""
     known = math.isfinite(theta) and 0 <= std < NO_HEADING
     return (theta, std**2) if known else (0.0, math.inf)
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:
-    """The stated variances of a fix, m2."""
     if std is None or not (len(std) == 2 and 0 <= std[0] <= LARGEST and 0 <= std[1] <= LARGEST):
         raise InputError(
             f"std = {std}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale); "
@@ -437,7 +425,6 @@ def _squared(std: Sequence[float] | None) -> tuple[float, float]:
 def _believe(
     p: FilterParameters, initial: InitialState, nominal_interval: float, lever_arm: Sequence[float]
 ) -> Array:
-    """Return the state at the start, and the settings."""
     v = np.zeros(live.N_ALL)
     v[:N_KEPT] = KernelArray((p,)).start([initial], [nominal_interval])[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time

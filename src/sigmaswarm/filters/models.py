@@ -1,11 +1,7 @@
 """Vehicle models: their description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
-A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
-previous models, so that measurements find these states at the same indices.
-
-`UnscentedKalmanFilter` and `ExtendedKalmanFilter` accept any such functions; the compiled filter has closed forms of
-these models. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with a full attitude
-is in `tilted`.
+The states of a model begin with those of the previous models, so that measurements find these at the same indices.
+Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. `tilted` has the model with a full attitude.
 """
 
 import re
@@ -37,12 +33,9 @@ the kernels' row R_NAME, and USE_NAME and NAME_NOISE in C are named after it.
 """
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 
-THETA = 4
-"""Index of the heading in the state of every model."""
-ACCEL_BIAS = 5
-"""Index of the accelerometer bias (forward), in models with this state."""
-GYRO_BIAS = 7
-"""Index of the gyro bias (z), in models with this state."""
+THETA = 4  # index of the heading in the state of every model
+ACCEL_BIAS = 5  # index of the accelerometer bias (forward), in models with this state
+GYRO_BIAS = 7  # index of the gyro bias (z), in models with this state
 
 
 def planar5(state: Array, dt: float, imu: Array) -> Array:
@@ -88,21 +81,21 @@ def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> C
 
 
 def velocity(state: Array) -> Array:
-    """Velocity over ground, m/s east and north."""
+    """Predict the velocity over ground, m/s east and north."""
     return state[2:4].copy()
 
 
 def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
-    """Distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+    """Return the distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
 
     The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. So the lateral
-    velocity at the rear axle is -tire_slip v^2 yaw_rate. The filters take v^2 from the mean before the update.
+    velocity at the rear axle is -tire_slip v^2 yaw_rate. v^2 is that of the mean before the update.
     """
     return rear_axle - tire_slip * float(state[2] * state[2] + state[3] * state[3])
 
 
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: 0 at the rear axle of a car on its wheels."""
+    """Predict the velocity to the left (m/s), ``rear_axle`` m behind the IMU: 0 at the rear axle without tire slip."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
@@ -113,7 +106,7 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 
 
 def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
-    """Velocity forward (m/s) ``delay`` s ago, as the wheels measure it; ``ax``: acceleration since, m/s2.
+    """Predict the velocity forward (m/s) ``delay`` s ago, as the wheels measure it; ``ax``: acceleration since, m/s2.
 
     The forward velocity is the same at the IMU and at the rear axle behind it.
     """
@@ -127,56 +120,40 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
 
 
 def heading(near: float) -> Callable[[Array], Array]:
-    """Heading (rad) of two antennas or a compass; planar models ignore ``near``."""
+    """Predict the heading (rad) of two antennas or a compass; planar models ignore ``near``."""
     del near
     return lambda state: state[THETA : THETA + 1].copy()
 
 
 def gyro_bias(state: Array) -> Array:
-    """Reading of the gyro at standstill, rad/s."""
+    """Predict the reading of the gyro at standstill, rad/s."""
     return state[GYRO_BIAS : GYRO_BIAS + 1].copy()
 
 
 @dataclass(frozen=True)
 class Tilts:
-    """Functions of a model with roll and pitch for textbook filters.
+    """Functions of a model with roll and pitch for textbook filters: see `textbook.manifold`."""
 
-    Attributes
-    ----------
-    plus, minus, nearest : callable
-        Add an error to a state; the error between two states; the equivalent error nearest to another: see
-        `textbook.manifold`.
-    transition : callable
-        F of the error, (n, n), from a state, dt and imu.
-    as_angles : callable
-        Covariance of the states from means (..., n) and covariances (..., n, n) of the error.
-    """
-
-    plus: Callable[[Array, Array], Array]
-    minus: Callable[[Array, Array], Array]
-    nearest: Callable[[Array, Array], Array]
-    transition: Callable[[Array, float, Array], Array]
-    as_angles: Callable[[Array, Array], Array]
+    plus: Callable[[Array, Array], Array]  # state, error -> state
+    minus: Callable[[Array, Array], Array]  # state, state -> error
+    nearest: Callable[[Array, Array], Array]  # the equivalent of an error that is nearest to another
+    transition: Callable[[Array, float, Array], Array]  # F of the error, (n, n), from a state, dt and imu
+    as_angles: Callable[[Array, Array], Array]  # covariance of the states (..., n, n) from that of the error
 
 
-VARIANCE = (1e-5, 10.0)
-"""Bounds of all variances in the paper; Q is per nominal IMU step."""
-SMALL_VARIANCE = (1e-12, 10.0)
-"""Bounds of Q for position and velocity."""
+VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
+SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
 """Bounds of Q per second for the heading: no gyro drifts by a third of a radian in one second. With a larger noise, a
-filter determines its heading from the fixes alone. A likelihood without truth may prefer this if the receiver smooths
-its fixes, as in half of the tunings on dresden.
-"""
-CITY_VARIANCE = (1e-5, 1e3)
-"""Bounds of R: between high buildings, fixes have errors of tens of meters."""
-BIAS_WALK = (1e-16, 1e-4)
-"""Bounds of Q for the random walks of the biases."""
+filter determines its heading from the fixes alone; a likelihood without truth may prefer this if the receiver smooths
+its fixes."""
+CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between high buildings, fixes have errors of tens of meters
+BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor that may have a bias: the bias's unit, and the bounds of its standard deviation at the start."""
+    """Unit of a sensor's bias, and the bounds of its standard deviation at the start."""
 
     unit: str
     start_std: tuple[float, float]
@@ -188,30 +165,15 @@ SENSORS = {"accel": Sensor("m/s2", (1e-3, 1.0)), "gyro": Sensor("rad/s", (1e-5, 
 
 @dataclass(frozen=True)
 class State:
-    """One state of a model.
-
-    Attributes
-    ----------
-    name, unit : str
-    variance : (lowest, highest)
-        Bounds of the process noise, unit squared per nominal IMU step.
-    per_second : bool
-        True if these bounds are per second.
-    shared : str
-        Name of the common search parameter if east and north have the same noise.
-    bias_of : str or None
-        The sensor in `SENSORS` with this bias, which starts at 0; None: the state is not a bias.
-    start_std : float
-        Initial standard deviation of a state that is not a bias and that an alignment does not determine.
-    """
+    """One state of a model."""
 
     name: str
     unit: str
-    variance: tuple[float, float]
-    shared: str
-    bias_of: str | None = None
-    per_second: bool = False
-    start_std: float = 0.0
+    variance: tuple[float, float]  # bounds of the process noise, unit squared per nominal IMU step
+    shared: str  # search parameter, common to east and north if their noise is the same
+    bias_of: str | None = None  # the sensor in SENSORS with this bias, which starts at 0
+    per_second: bool = False  # the bounds are per second
+    start_std: float = 0.0  # initial, of a state that is no bias and that an alignment lacks
 
     @property
     def variance_unit(self) -> str:
@@ -220,62 +182,37 @@ class State:
 
     @property
     def density_unit(self) -> str:
-        """Unit of the root of the white-noise density."""
         return f"{self.unit}/sqrt(s)"
 
 
 @dataclass(frozen=True)
 class CarModel:
-    """A process model for cars.
+    """A process model for cars. Measurements of a tilted model have a ``jacobian``.
 
-    Attributes
-    ----------
-    states : tuple of State, length n
-    process : callable
-        ``f(state, dt, imu) -> state``, in the textbook's form.
-    imu : tuple of str
-        IMU axes that the process reads, named as in a time line.
-    position, velocity, lateral, odometer, heading, rates_at_rest : callable
-        Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
-        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `heading` near an
-        angle, `gyro_bias`. Measurements of a tilted model have a ``jacobian``.
-    tilts : Tilts or None
-        Functions of a model with roll and pitch; None for planar models.
-    kinds : tuple of str
-        Compiled filter types of the model, the default first.
-    fix_variance : (lowest, highest)
-        Bounds of R, the variance of a fix per axis, m2.
-    blind : bool
-        East and north share their noise in the search.
-    measures_imu : bool
-        Acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity
-        is in the body's frame: robot_localization. Such a model runs over drives; it is neither smoothed nor live.
-    options : tuple of str or None
-        Measurements and features that the model supports; None: all.
-    fix_error : bool
-        The last two states are the correlated fix error: see `filters.fix_error`.
+    ``kinds`` are the compiled filter types, the default first. ``measures_imu``: acceleration and yaw rate are states
+    that the IMU measures with `FilterParameters.imu_noise`, and the velocity is in the body's frame:
+    robot_localization. Such a model runs over drives; it is neither smoothed nor live.
     """
 
     states: tuple[State, ...]
-    process: Callable[[Array, float, Array], Array]
-    fix_variance: tuple[float, float]
-    imu: tuple[str, ...] = ("ax", "ay", "gz")
-    blind: bool = True
+    process: Callable[[Array, float, Array], Array]  # f(state, dt, imu) -> state
+    fix_variance: tuple[float, float]  # bounds of R per axis, m2
+    imu: tuple[str, ...] = ("ax", "ay", "gz")  # axes that the process reads
+    blind: bool = True  # east and north share their noise in the search
     position: Callable[[Sequence[float], float], Any] = gps_position
     velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
     odometer: Callable[[float, float], Any] = wheel_speed
     heading: Callable[[float], Any] = heading
     rates_at_rest: Callable[[Array], Array] = gyro_bias
-    tilts: Tilts | None = None
+    tilts: Tilts | None = None  # None: planar
     measures_imu: bool = False
-    options: tuple[str, ...] | None = None
-    fix_error: bool = False
+    options: tuple[str, ...] | None = None  # supported measurements and features; None: all
+    fix_error: bool = False  # the last two states are the correlated fix error: see `fix_error`
     kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the states, in order."""
         return tuple(state.name for state in self.states)
 
     @property
@@ -329,9 +266,7 @@ _X, _Y, _VX, _VY, _THETA = _plane(SMALL_VARIANCE)
 _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
-_TILT_START = np.radians(3.0)
-"""Standard deviation of the slopes of roads, rad. It is not tuned, since a tuned value would fit the starts of the
-training drives."""
+_TILT_START = np.radians(3.0)  # slopes of roads; not tuned, since a tuned value would fit the training starts
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     *(_X, _Y),
@@ -383,12 +318,6 @@ MODELS: dict[str, CarModel] = {
 
 
 def require_driven_by_imu(model: str, use: str) -> None:
-    """Raise an error if IMU samples are measurements in a model; ``use`` is what does not support this.
-
-    Raises
-    ------
-    InputError
-        The message states the remedy.
-    """
+    """Raise `InputError` if IMU samples are measurements in a model; ``use`` names the unsupported use."""
     if MODELS[model].measures_imu:
         raise InputError(f"{use} does not support {model}; use planar8 or tilted12")

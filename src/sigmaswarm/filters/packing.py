@@ -13,13 +13,12 @@ from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
 from sigmaswarm.filters.fix_error import FILTERS, own_name
 from sigmaswarm.filters.models import THETA
 
-_FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET
-"""Rows of `kernel_array.Sums`, in its order."""
+_FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET  # rows of `kernel_array.Sums`, in its order
 SHOWN = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
 
 
 def pack_states(mean: Array, covariance: Array, model: str) -> Array:
-    """State rows (..., N_STATE, lanes) of means (..., lanes, n) and covariances (..., lanes, n, n)."""
+    """Return the state rows (..., N_STATE, lanes) of means (..., lanes, n) and covariances (..., lanes, n, n)."""
     rows, columns = _upper(mean.shape[-1])
     state = np.zeros((*mean.shape[:-2], N_STATE, mean.shape[-2]))
     if FILTERS[model].measures_imu:
@@ -34,7 +33,7 @@ def pack_states(mean: Array, covariance: Array, model: str) -> Array:
 
 
 def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
-    """Means (..., r, n) and covariances (..., r, n, n) of a filter, from its `state_rows`, (..., s, r)."""
+    """Return means (..., r, n) and covariances (..., r, n, n) of a filter, from its `state_rows`, (..., s, r)."""
     n = len(FILTERS[model].states)
     rows, columns = _upper(n)
     mean, packed = state[..., :n, :].swapaxes(-1, -2).copy(), state[..., -len(rows) :, :].swapaxes(-1, -2)
@@ -47,10 +46,10 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
-    """Like `unpack_states`, but for a tilted model return the covariance of the angles, not of the rotation error.
+    """Return means and covariances like `unpack_states`, without the correlated fix error.
 
-    For a model that measures the IMU, the result has planar5's five states, with the velocity east and north, m/s. The
-    correlated fix error is omitted.
+    For a tilted model, the covariance is that of the angles. For a model that measures the IMU, the result has
+    planar5's five states, with the velocity east and north, m/s.
     """
     mean, covariance = unpack_states(state, model)
     if FILTERS[model].fix_error:
@@ -77,7 +76,7 @@ def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
 
 @cache
 def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the upper triangle, column by column, as the kernel packs it."""
+    """Return rows and columns of the upper triangle, column by column, as the kernel packs it."""
     columns, rows = np.tril_indices(n)
     return rows, columns
 
@@ -92,7 +91,7 @@ def sound_lanes(rows: Array, model: str) -> NDArray[np.bool_]:
 def definite(covariance: Array) -> NDArray[np.bool_]:
     """Return True for covariances (..., n, n) that are positive definite up to rounding.
 
-    The eigenvalues of the correlation lie above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
+    The eigenvalues of the correlation are above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
     """
     n = covariance.shape[-1]
     packed = covariance[(..., *_upper(n))].reshape(-1, n * (n + 1) // 2, 1)

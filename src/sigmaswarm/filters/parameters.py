@@ -46,8 +46,8 @@ class FilterParameters:
     Attributes
     ----------
     alpha, beta, kappa : float
-        Merwe's scaling of the sigma points: alpha > 0, kappa > -n (van der Merwe 2004, thesis, section 3.2.2).
-        An extended Kalman filter has no sigma points and ignores them.
+        Merwe's scaling of the sigma points: alpha > 0, kappa > -n (van der Merwe 2004, thesis, section 3.2.2). An
+        extended filter ignores them.
     process_noise : tuple of float, length n
         Diagonal of Q: the variance added per nominal IMU step, in squared units of the states.
     measurement_noise : tuple of float, length 2
@@ -96,12 +96,12 @@ class FilterParameters:
         Variance added to the stated variance of a fix's heading, rad2, if the log has headings (two antennas, a
         compass). None: not used.
     gate : float or None
-        Largest accepted normalized innovation squared (NIS) of a fix; 9.2 rejects 1% of good fixes
-        (chi-square, two degrees of freedom). None: every fix is used.
+        Largest accepted normalized innovation squared (NIS) of a fix; 9.2 rejects 1% of good fixes (chi-square, two
+        degrees of freedom). None: every fix is used.
     latency : float
         Age of a fix at its time stamp, s.
     accuracy_scale : float or None
-        Factor s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, where std is the standard deviation that the
+        Factor s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the
         receiver states. None: R is ``measurement_noise``.
     fix_error : float or None
         Ratio g: variance of the correlated fix error, divided by the stated variance of a fix or by ``fix_std``
@@ -112,7 +112,7 @@ class FilterParameters:
         Standard deviation of fixes per axis, m, which ``fix_error`` uses if the receiver states none.
     robust_dof : float or None
         Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
-        Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; smaller for more outliers. None: Gaussian errors.
+        Sarkka and J. Hartikainen, MLSP 2012). Start with 4; choose less for more outliers. None: Gaussian errors.
 
     Notes
     -----
@@ -177,7 +177,6 @@ class FilterParameters:
 
     @property
     def n_states(self) -> int:
-        """Number of the model's states."""
         return len(MODELS[self.model].states)
 
     @property
@@ -188,7 +187,7 @@ class FilterParameters:
     def scaled(self, factor: float) -> "FilterParameters":
         """Multiply all variances by a factor; this scales the covariance and hardly changes the estimates.
 
-        The initial standard deviations of the biases are multiplied by the root of the factor. The remaining initial
+        The initial standard deviations of the biases are multiplied by the root of the factor. The other initial
         covariance and the covariance of IMU gaps do not change. With a gate or ``robust_dof``, which depend on the
         covariance, the estimates change.
 
@@ -283,11 +282,10 @@ class FilterParameters:
 
 
 _EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof", "fix-error": "fix_error"}
-"""Options that exclude other options, and the fields that activate these options."""
+"""Options that exclude other options, and the fields that activate them."""
 _SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
 """Fields with variances or factors of variances, in addition to Q and R."""
-RULES_SINCE = (0, 3)
-"""The version that introduced the present treatment of stale fixes, gaps and standstills."""
+RULES_SINCE = (0, 3)  # version that introduced the present treatment of stale fixes, gaps and standstills
 
 
 def clash(kind: str, use: Collection[str]) -> str | None:
@@ -310,7 +308,6 @@ _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise"
 
 
 def units(parameters: FilterParameters) -> dict[str, Any]:
-    """Units of the values in a parameter file."""
     states = MODELS[parameters.model].states
     known: dict[str, Any] = {
         "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
@@ -339,7 +336,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
 
 
 def densities(parameters: FilterParameters) -> dict[str, str]:
-    """Densities of continuous white noise, as in data sheets: sqrt(Q / nominal interval).
+    """Return the densities of continuous white noise, as in data sheets: sqrt(Q / nominal interval).
 
     Empty if the interval of Q is unknown or a variance is negative.
     """
@@ -351,7 +348,6 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
 
 
 def _warn_of_age(table: dict[str, Any], path: Path) -> None:
-    """Warn that filters worked differently in the version that wrote a tuning."""
     made = table.get("versions")
     version = str(made.get("sigmaswarm", "")) if isinstance(made, dict) else ""
     numbers = re.match(r"(\d+)\.(\d+)", version)

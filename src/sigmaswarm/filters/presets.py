@@ -1,6 +1,6 @@
-"""Filters without tuning. The paper mentions "default parameters" but does not state their values.
+"""Filters without tuning: the baseline, with which a tuning is compared, and three planar5 UKFs for manual settings.
 
-Three presets, planar5 UKFs, represent manual settings:
+The paper mentions "default parameters" but does not state their values.
 
 ``defaults``
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
@@ -9,9 +9,6 @@ Three presets, planar5 UKFs, represent manual settings:
     not state these, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP), and Q is that of an MPU-6050.
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
-
-A tuning is compared with the baseline, a filter of the same model and options with typical noise parameters:
-``baseline(drive, like=tuned)``.
 """
 
 from collections.abc import Collection, Mapping
@@ -38,13 +35,12 @@ PresetName = Literal["defaults", "datasheet", "paper"]
 DEFAULTS = FilterParameters(0.1, 2.0, 0.0, (1.0,) * 5, (1.0,) * 2)
 PAPER = FilterParameters(0.03, 2.5, 0.48, (2.0,) * 5, (0.1,) * 2)
 
-MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60
-"""Noise density of the accelerometer, m/s2/sqrt(Hz), from 0.24 m/s/sqrt(h) (MPU-6050 datasheet: 400 ug/sqrt(Hz))."""
+MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60  # m/s2/sqrt(Hz), 0.24 m/s/sqrt(h) (datasheet: 400 ug/sqrt(Hz))
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
 """Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as for an
-ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the MPU-6050 does not state this growth."""
+ICM-20602 (i2Nav's awesome-gins-datasets), since the data sheet of the MPU-6050 does not state it."""
 BY_HAND = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
@@ -55,35 +51,31 @@ BY_HAND = {
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""Typical values of parameters without a data sheet: m2/s2, rad2; 99% gate; the receiver's stated accuracy
-unchanged."""
-HALF_A_WHEELBASE = 1.3
-"""Distance from the rear axle to an IMU in the middle of a car, m."""
+"""Typical values of parameters without a data sheet: m2/s2, rad2; 99% gate; the stated accuracy unchanged."""
+HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
-`MODEL_NOISE` is added to the densities of the sensors.
-IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). With only the densities of data
-sheets, the drift of a filter over 5 s was 1.3 to 60 times that of the tuned filter, on six drives.
+It is added to the densities of the sensors. IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4
+rad/s/sqrt(Hz). With only the densities of data sheets, the drift of a filter over 5 s was 1.3 to 60 times that of the
+tuned filter, on six drives.
 """
-ACCURACY_FLOOR = 0.1**2
-"""Variance added to the stated variance of each fix, m2."""
+ACCURACY_FLOOR = 0.1**2  # m2, added to the stated variance of each fix
 
 
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is the result of `drives.sensors.receiver_std`: the stated accuracy, else the accuracy that
-    the fixes show. The IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density``
-    (rad/s/sqrt(Hz)) of drive.toml, and `MODEL_NOISE` is added; the random walks of the biases are ``accel_bias_walk``
-    (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values without a data
-    sheet are in `BY_HAND`.
+    The receiver's accuracy is the stated one, else the one that the fixes show. The IMU's densities are
+    ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, plus
+    `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk``
+    (rad/s/sqrt(s)), which ``sigmaswarm noise`` measures. Values without a data sheet are in `BY_HAND`.
 
     Parameters
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter whose model, type and options the result has. None: the preset ``datasheet``, the paper's planar5 UKF
+        Filter with the model, type and options of the result. None: the preset ``datasheet``, the paper's planar5 UKF
         with only values from data sheets.
     """
     if like is None:
@@ -119,7 +111,6 @@ def _bias_walk(drive: Drive, sensor: str) -> float:
 
 
 def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:
-    """Return the baseline of robot_localization: its default process noise and the stated covariances."""
     states = accuracy = None
     if like.accuracy_scale is not None:
         accuracy, states = 1.0, (ACCURACY_FLOOR,) * 2
@@ -166,17 +157,14 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """Return the variances of gz and ax in the messages of the log, else the variances in ``p``."""
+    """Return the variances of gz and ax in the messages of the log, else those in ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 
 def _planar(
     drive: Drive, std: tuple[float, float], more: Mapping[str, float] = MappingProxyType({})
 ) -> FilterParameters:
-    """Return a planar5 UKF for fixes with a standard deviation (east, north; m).
-
-    ``more``: densities that are added to those of the IMU.
-    """
+    """Return a planar5 UKF for fixes with a standard deviation (east, north; m); ``more``: added IMU densities."""
     stated, dt = drive.metadata, drive.nominal_interval
     accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY)) ** 2
     gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY)) ** 2

@@ -20,44 +20,29 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
-ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
-"""Filter types with an R that changes at each fix."""
-SAMPLES = 10_000
-"""Number of IMU samples in a piece (9 MB for planar8)."""
+ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")  # R changes at each fix
+SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Estimates at some consecutive IMU samples, after all fixes up to each sample.
+    """Estimates at some consecutive IMU samples, after all fixes up to each sample."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (r,)
-        s
-    mean, covariance : ndarray, shapes (r, n), (r, n, n)
-        As in `Estimate`: heading wrapped to (-pi, pi]; NaN after a failure.
-    sound : ndarray of bool, shape (r,)
-        False after a failure.
-    lost : ndarray of bool, shape (r,)
-        True while the filter has diverged and is not yet reset; the estimate is then the last fix, see `divergence`.
-    """
-
-    time: Array
-    mean: Array
-    covariance: Array
-    sound: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
+    time: Array  # (r,), s
+    mean: Array  # (r, n), as in `Estimate`
+    covariance: Array  # (r, n, n)
+    sound: NDArray[np.bool_]  # (r,), False after a failure
+    lost: NDArray[np.bool_]  # (r,), diverged and not yet reset; the estimate is the last fix
 
 
 def joined(pieces: Iterable[Piece]) -> Piece:
-    """Join pieces."""
     parts = list(pieces)
     return Piece(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Piece)))
 
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Innovations of a filter: each fix minus the prediction of the fix, before the update.
+    """Innovations of a filter: each fix minus its prediction, before the update.
 
     Attributes
     ----------
@@ -88,17 +73,8 @@ class Innovations:
 class Recording:
     """Run of a filter over a replay: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    The length of the pieces does not affect the joined pieces and the sums.
-
-    Parameters
-    ----------
-    replay : Replay
-    parameters : FilterParameters
-    samples : int
-        Number of IMU samples in a piece; the last piece may be shorter.
-    recover : bool
-        Reset the filter if it diverges: see `divergence`. A reset follows a sample. The sums at this sample, and while
-        the estimate is the last fix, are those of the diverged filter.
+    A piece has ``samples`` IMU samples, which does not affect the results. ``recover``: reset the filter after a sample
+    if it diverges. The sums at this sample, and while the estimate is the last fix, are those of the diverged filter.
 
     Attributes
     ----------
@@ -139,7 +115,6 @@ class Recording:
         return self._pieces
 
     def whole(self) -> Piece:
-        """Return all pieces as one."""
         return joined(self)
 
     def finished(self) -> Self:
@@ -149,7 +124,6 @@ class Recording:
         return self
 
     def _run(self) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
-        """Run piece by piece; yield the arguments of `_piece`."""
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
@@ -163,8 +137,8 @@ class Recording:
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
         """Run to the last of the stops, (r,), which follow IMU samples; return where the filter is lost, (r,).
 
-        Stopping for each check would take longer than the steps. So the filter first runs to the end and is then
-        checked from its record. At a divergence, it is reset and runs again from that step.
+        To stop for each check would take longer than the steps. So the filter first runs to the end and is then checked
+        from its record. At a divergence, it is reset and runs again from that step.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._checks is None:
@@ -188,7 +162,6 @@ class Recording:
         return lost
 
     def _next_check(self, stops: NDArray[np.intp], row: int) -> int:
-        """Return the number of stops from a row to the next check."""
         assert self._checks is not None
         if self._monitor.lost:
             return row + 1
@@ -220,7 +193,6 @@ class Recording:
         return len(steps) - 1 if k is None else int(rows[sound[k]]), start
 
     def _check_at(self, k: int, mean: Array, covariance: Array) -> Check:
-        """Return the k-th check, for a state estimate."""
         line, times = self._replay.timeline, self._checks
         assert times is not None
         alignments, step, fix, ends = line.alignments, times.step[k], times.fix[k], int(self._ends[k])

@@ -24,45 +24,32 @@ from sigmaswarm.filters.schedule import (
 )
 from sigmaswarm.filters.table import tables_of
 
-NO_SPEEDS = np.empty((0, 3))
-"""Odometer readings for a filter without an odometer."""
+NO_SPEEDS = np.empty((0, 3))  # for a filter without an odometer
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
     """Times at which estimates are compared with a known position and heading.
 
-    Attributes
-    ----------
-    weight : ndarray, shape (m,)
-        Weight of the later of the two estimates around the time.
-    x, y, theta : ndarray, shape (m,)
-        m and rad
-    counts : ndarray of bool, shape (m,)
-        True if the heading is compared.
-    end : ndarray of int32, shape (k,)
-        Number of targets before the end of each step of the time line.
-    noise : ndarray, shape (m, 4), or (0, 4) if the reference is exact
-        Weights of the squared errors of position and heading, and the variances of x and y, m2, added to P in the NEES.
+    ``noise`` (m, 4) are weights of the squared errors of position and heading, and the variances of x and y, m2, which
+    are added to P in the NEES; (0, 4) if the reference is exact.
     """
 
-    weight: Array
-    x: Array
-    y: Array
-    theta: Array
-    counts: NDArray[np.bool_]
-    end: NDArray[np.int32]
+    weight: Array  # (m,), weight of the later of the two estimates around the time
+    x: Array  # (m,), m
+    y: Array  # (m,), m
+    theta: Array  # (m,), rad
+    counts: NDArray[np.bool_]  # (m,), True if the heading is compared
+    end: NDArray[np.int32]  # (k,), number of targets before the end of each step
     noise: Array = field(default_factory=lambda: run.NO_DOUBTS)
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
-        """Make targets without any time."""
         weight, x, y, theta, counts, noise = run.NO_TARGETS
         return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), noise)
 
     @property
     def columns(self) -> run.TargetColumns:
-        """The targets in the form that the kernel reads."""
         weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
         return weight, x, y, theta, self.counts, run.kept(self.noise)
 
@@ -74,7 +61,6 @@ class Targets:
 
     @property
     def n_positions(self) -> int:
-        """Number of positions that are compared."""
         return len(self.weight)
 
     @cached_property
@@ -84,7 +70,6 @@ class Targets:
 
     @cached_property
     def heading_weight(self) -> float:
-        """Total weight of the squared errors of heading."""
         return float(self.noise[self.counts, 1].sum()) if len(self.noise) else float(self.counts.sum())
 
 
@@ -100,7 +85,6 @@ class Replay:
 
     @cached_property
     def n_hidden(self) -> int:
-        """Number of fixes that are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
     def arrays(self, used: frozenset[str]) -> "DriveArrays":
@@ -131,7 +115,6 @@ def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParame
 
 
 def run_array(replays: Sequence[Replay], array: KernelArray) -> Sums:
-    """Run the parameter sets of an array over each replay."""
     rows = start_replays(replays, array)
     for replay, block in zip(cycle(replays), rows, strict=False):
         run_steps(replay, array, block, run.new_place(), len(replay.timeline.dt))

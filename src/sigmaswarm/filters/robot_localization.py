@@ -1,16 +1,15 @@
 """Extended Kalman filter of ROS's robot_localization in ``two_d_mode``, with the eight planar states.
 
 State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). A step of d seconds, computed
-from the previous state, is, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
+from the previous state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
 
     x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
     vx += d ax                          vy += d ay                          P = J P J' + d Q
 
 The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. All measurements are single
-states: gz, ax and ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, and yaw of two antennas, whose
-innovation is wrapped. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is left out. In ``two_d_mode``, z, roll, pitch
-and their rates stay at 0 and do not affect the other states. Source: https://github.com/cra-ros-pkg/robot_localization,
-branch rolling-devel.
+states: gz, ax and ay of the IMU, vy = 0 of a twist, vx of the wheels, x and y of a fix, and yaw of two antennas. A fix,
+gz or ax with nu' S^-1 nu >= threshold^2 is left out. Source: https://github.com/cra-ros-pkg/robot_localization, branch
+rolling-devel.
 """
 
 import numpy as np
@@ -29,12 +28,8 @@ X, Y, VX, VY, YAW, AX, AY, VYAW = range(8)
 class TextbookRobotLocalization:
     """The filter in NumPy, one measurement at a time.
 
-    Parameters
-    ----------
-    parameters : FilterParameters
-        ``process_noise`` per ``nominal_interval``, 1 s by default.
-    mean, covariance : ndarray, shapes (8,), (8, 8)
-        Mean and covariance at the start, in the order of the module's docstring.
+    ``process_noise`` refers to ``nominal_interval``, 1 s by default. ``mean`` (8,) and ``covariance`` (8, 8) are in the
+    order of the module's docstring.
     """
 
     def __init__(self, parameters: FilterParameters, mean: Array, covariance: Array) -> None:
@@ -42,8 +37,6 @@ class TextbookRobotLocalization:
         self._q = np.diag(parameters.process_noise) / (parameters.nominal_interval or 1.0)
 
     def predict(self, d: float) -> None:
-        """Predict over ``d`` s."""
-
         def f(state: Array) -> Array:
             return MODELS[NAME].process(state, d, np.empty(0))
 
@@ -67,10 +60,7 @@ class TextbookRobotLocalization:
         self.covariance = kept @ p @ kept.T + gain @ r @ gain.T
 
     def imu(self, gz: float, ax: float, ay: float | None = None) -> None:
-        """Update with an IMU sample.
-
-        ``ay`` is given only if it is fused, as in many configurations; the tuned model does not use it.
-        """
+        """Update with an IMU sample; the tuned model does not use ``ay``, but many configurations fuse it."""
         (r_gyro, r_accel, *_), (gyro_gate, accel_gate) = self.parameters.imu_noise, self.parameters.imu_gate
         self.correct([VYAW], np.array([gz]), np.array([r_gyro]), gyro_gate)
         self.correct([AX], np.array([ax]), np.array([r_accel]), accel_gate)

@@ -1,7 +1,7 @@
 """Read a configuration of robot_localization, ekf.yaml, as parameters of the model robot-localization.
 
-The file contains process noise, thresholds and the fused entries. The messages contain the variances of measurements,
-so `presets.filter_for` reads them from a drive.
+It has process noise, thresholds and the fused entries. Variances of measurements are in the messages: see
+`presets.filter_for`.
 """
 
 import math
@@ -16,21 +16,14 @@ from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import shown
 
 YAML = (".yaml", ".yml")
-"""Endings of configuration files."""
-PLACES = (0, 1, 6, 7, 5, 12, 13, 11)
-"""Indices of the eight states among robot_localization's 15."""
+PLACES = (0, 1, 6, 7, 5, 12, 13, 11)  # the eight states among robot_localization's 15
 PROCESS_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
 """robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
-IMU_NOISE = (1e-4, 1e-2)
-"""Typical variances of gz ((rad/s)2) and ax ((m/s2)2)."""
-HEADING_NOISE = math.radians(0.5) ** 2
-"""Typical variance of a dual-antenna heading, rad2."""
-SPEED_NOISE = 0.1**2
-"""Typical variance of a measured speed, (m/s)2."""
-SMALLEST = 1e-9
-"""Lower limit of measurement variances in robot_localization."""
-NOT_FUSED = 1e9
-"""Variance of an entry of the IMU that a configuration does not fuse."""
+IMU_NOISE = (1e-4, 1e-2)  # typical variances of gz, (rad/s)2, and ax, (m/s2)2
+HEADING_NOISE = math.radians(0.5) ** 2  # rad2, typical of a dual-antenna heading
+SPEED_NOISE = 0.1**2  # (m/s)2, typical of a measured speed
+SMALLEST = 1e-9  # lower limit of measurement variances in robot_localization
+NOT_FUSED = 1e9  # variance of an IMU entry that a configuration does not fuse
 
 _X, _YAW, _VX, _VY, _VYAW, _AX, _AY = 0, 5, 6, 7, 11, 12, 13
 _CONFIG = re.compile(r"((odom|pose|twist|imu)\d+)_config")
@@ -154,7 +147,6 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
-    """Return clauses about settings that the model lacks."""
     if block.get("two_d_mode") is not True:
         yield "evaluated in two_d_mode, which the file does not set"
     if block.get("dynamic_process_noise_covariance") is True:

@@ -59,7 +59,7 @@ class Estimate:
     lost: NDArray[np.bool_] | None = None
 
     def columns(self, *, std: bool = False) -> dict[str, Array]:
-        """Time and states by name, in the units of ``mean``, each of shape (n,).
+        """Return time and states by name, in the units of ``mean``, each of shape (n,).
 
         ``std``: also return standard deviations, if there is a covariance, under ``std_`` and the state's name.
         """
@@ -81,7 +81,6 @@ class Estimate:
         return notebook.to_pandas(self.columns(std=True))
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the last estimate, its standard deviation, failures, and the track."""
         columns = self.columns(std=True)
         sound = np.flatnonzero(np.isfinite(self.mean).all(axis=1))
         last = int(sound[-1]) if len(sound) else -1
@@ -119,20 +118,20 @@ def run_filter(
     Parameters
     ----------
     drive : Drive or PreparedDrive
-        The drive; its truth, if any, is not used.
+        Its truth, if any, is not used.
     parameters : FilterParameters
     initial : InitialState, optional
         State at which the filter starts; by default `initial_state(drive)`.
     recover : bool
-        Reset the filter if it diverges: see `divergence`. During a tuning filters are not reset.
+        Reset the filter if it diverges: see `divergence`. A tuning does not reset filters.
     as_recorded : bool
-        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. For a `PreparedDrive`
-        its own setting is used.
+        Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. A `PreparedDrive` has
+        its own setting.
 
     Returns
     -------
     Estimate
-        The estimates. ``failure`` is set if the covariance was not positive definite or a state became NaN.
+        ``failure`` is set if the covariance was not positive definite or a state became NaN.
 
     Raises
     ------
@@ -161,13 +160,7 @@ def run_innovations(
 def replay_of(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> Replay:
-    """Prepare a whole drive for filters, without targets to compare with.
-
-    Raises
-    ------
-    InputError
-        If no IMU sample follows the start.
-    """
+    """Prepare a whole drive for filters, without targets; raise `InputError` if no IMU sample follows the start."""
     ready = prepared(drive, initial, as_recorded=as_recorded)
     timeline = ready.timeline()
     if not len(timeline.imu_time):
@@ -180,9 +173,7 @@ class Run(Protocol):
     """A run of one filter over a replay, as an iterator of pieces, so that memory does not grow with the drive."""
 
     @property
-    def initial(self) -> InitialState:
-        """The initial state of the filter."""
-        ...
+    def initial(self) -> InitialState: ...
 
     @property
     def restarts(self) -> Sequence[float]:
@@ -194,9 +185,7 @@ class Run(Protocol):
         """The failure in the pieces so far, with its time."""
         ...
 
-    def __iter__(self) -> Iterator[Piece]:
-        """Iterate over the pieces."""
-        ...
+    def __iter__(self) -> Iterator[Piece]: ...
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
@@ -209,13 +198,7 @@ def estimate_of(run: Run, *, recover: bool) -> Estimate:
 
 
 def estimates_of(run: Run) -> Iterator[Estimate]:
-    """Estimates of a run, piece by piece.
-
-    Raises
-    ------
-    SigmaswarmError
-        If the filter fails.
-    """
+    """Yield estimates of a run, piece by piece; raise `SigmaswarmError` if the filter fails."""
     reported = 0
     for piece in run:
         if run.failure:
@@ -250,7 +233,7 @@ def run_textbook(
     Returns
     -------
     Estimate
-        The estimates. ``failure`` is set if the filter failed.
+        ``failure`` is set if the filter failed.
     """
     replay = replay_of(drive, initial)
     line = replay.timeline

@@ -17,7 +17,7 @@ from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS, THETA, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
-# What happens at the end of a step, as bits.
+# Events at the end of a step, as bits.
 FIX = 1  # update with a fix
 IMU = 2  # time of an IMU sample: estimates are recorded and scored
 VELOCITY = 4  # the fix has a velocity
@@ -28,38 +28,22 @@ ODOMETER = 64  # update with the wheels' speed
 COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
 HEADING = 256  # the fix has a heading
 
-LATERAL_INTERVAL = 0.1
-"""Interval between two lateral updates, s. The error of the constraint is not white, so more updates add no
-information."""
-STANDSTILL_INTERVAL = 0.1
-"""Interval between two standstill updates, s."""
-STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
-"""Variance of the gyro around its bias at standstill, rad2/s2."""
+LATERAL_INTERVAL = 0.1  # s; the error of the constraint is not white, so more updates add no information
+STANDSTILL_INTERVAL = 0.1  # s
+STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, of the gyro around its bias
 SLIP_GATE = 9.0
 """Largest accepted NIS of a wheel speed: three sigmas. Readings of wheels that slip or lock are wrong for seconds and
-equal, so readings with small weights would add up. Unlike for fixes, the number of rejected readings is not limited: P
-grows until it includes the true speed, and meanwhile the fixes determine the speed.
-"""
+equal, so small weights would add up. The number of rejected readings is not limited: P grows until it includes the true
+speed, and meanwhile the fixes determine the speed."""
 HEADING_GATE = 9.0
-"""Largest NIS of a heading: the variance of a heading with a larger NIS is increased until the NIS has this value (G.
-Chang, Robust Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014).
-So wrong measured headings change the estimate only slightly, and a filter with a wrong heading recovers."""
-MOST_REJECTED = 5
-"""Largest number of consecutive fixes that the gate rejects; the next fix is used, so that a diverged filter can
-recover."""
+"""Largest NIS of a heading: a variance that gives a larger NIS is increased until the NIS has this value (G. Chang,
+Robust Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). So a
+filter with a wrong heading recovers."""
+MOST_REJECTED = 5  # consecutive fixes that the gate rejects; the next is used, so that a filter can recover
 
-GAP_TURN_STD = 0.1
-"""Standard deviation of the turn rate in an IMU gap, around the mean of the adjacent samples, rad/s.
-
-Values of 0.05 to 0.3 give equal results on real drives.
-"""
-GAP_ACCELERATION_STD = 1.0
-"""Standard deviation of the acceleration per axis in a gap, m/s2. Values of 0.5 to 2 give equal results on real drives.
-"""
-GAP_TILT_STD = 0.01
-"""Standard deviation of the tilt rate about east and north in a gap, rad/s. A value of 0.02 gives equal results on a
-real drive.
-"""
+GAP_TURN_STD = 0.1  # rad/s, in an IMU gap, around the adjacent samples; 0.05 to 0.3 give equal results
+GAP_ACCELERATION_STD = 1.0  # m/s2 per axis in a gap; 0.5 to 2 give equal results
+GAP_TILT_STD = 0.01  # rad/s about east and north in a gap; 0.02 gives equal results
 
 
 def measured_by(p: FilterParameters) -> frozenset[str]:
@@ -69,13 +53,7 @@ def measured_by(p: FilterParameters) -> frozenset[str]:
 
 
 def require_odometer(drive: Drive) -> None:
-    """Raise an error if a filter uses an odometer and the drive has none.
-
-    Raises
-    ------
-    InputError
-        If the drive lacks data that the filter needs; the message states drive and remedy.
-    """
+    """Raise `InputError` if a drive has no odometer, for a filter that uses one."""
     if drive.odometer is None:
         raise InputError(
             f"{drive.name}: the filter uses the wheels' speed (odometer_noise), and the drive has no odometer.csv; "
@@ -84,13 +62,7 @@ def require_odometer(drive: Drive) -> None:
 
 
 def require_accuracy(line: Timeline) -> None:
-    """Raise an error if a filter weights fixes by stated accuracy and a fix of the drive has no stated accuracy.
-
-    Raises
-    ------
-    InputError
-        If the drive lacks data that the filter needs; the message states drive and remedy.
-    """
+    """Raise `InputError` if a fix has no stated accuracy, for a filter that weights fixes by it."""
     if not line.states_accuracy:
         raise InputError(
             f"{line.drive.name}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale), "
@@ -99,13 +71,7 @@ def require_accuracy(line: Timeline) -> None:
 
 
 def require_axes(drive: Drive, model: ModelName) -> None:
-    """Raise an error if a drive's IMU lacks an axis that a model reads.
-
-    Raises
-    ------
-    InputError
-        The message states the drive, the axes and the remedy.
-    """
+    """Raise `InputError` if a drive's IMU lacks an axis that a model reads."""
     require_named_axes(
         drive.name, [f.name for f in fields(drive.imu) if getattr(drive.imu, f.name) is not None], model
     )
@@ -122,12 +88,11 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
 
 
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
-    """Covariance (n, n) that a step of ``dt`` s through a gap of ``gap`` s adds to P + Q; zero without a gap.
+    """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 without a gap.
 
-    The unobserved motion is one turn rate and one acceleration for the whole gap. So the steps of the gap together add
+    The unobserved motion is one turn rate and one acceleration for the whole gap. So its steps together add
     (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position changes by half
-    of each step's velocity. The (GAP_TILT_STD gap)^2 of roll and pitch is not included: `TextbookCar` and the kernels
-    add it themselves.
+    of each step's velocity. The (GAP_TILT_STD gap)^2 of roll and pitch is not included.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt
@@ -140,10 +105,10 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
 
 def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
-    """Events at the end of each step, as bits FIX ... HEADING, shape (k,), of a filter that uses some of `MEASURED`.
+    """Return the events at the end of each step, bits FIX ... HEADING, (k,), of a filter that uses some of `MEASURED`.
 
     With an odometer, the car does not stand while the wheels turn. With "ay", robot-localization fuses the lateral
-    acceleration. Since that model has no standstill constraint, the bit of standstills marks these samples.
+    acceleration; the bit of standstills, which that model lacks, marks these samples.
     """
     wheels = line.wheels if "odometer" in used else None
     flags = np.zeros(len(line.absorbs), dtype=np.uint16)
@@ -169,7 +134,7 @@ def flags_of(line: Timeline, used: Set[str]) -> NDArray[np.uint16]:
 
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
-    """The first selected step of each interval of time."""
+    """Return the first selected step of each interval of time."""
     slots = slot_of(line.end[wanted], line.start, interval)
     first = np.ones(len(slots), dtype=np.bool_)
     np.not_equal(slots[1:], slots[:-1], out=first[1:])
@@ -179,22 +144,21 @@ def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArra
 
 
 def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
-    """Mean (n,) and covariance (n, n) at the start of a drive."""
+    """Return mean (n,) and covariance (n, n) at the start of a drive."""
     mean, covariance = starts_of([initial], FILTERS[p.kernel], start_std(p)[np.newaxis])
     return mean[0, 0], covariance[0, 0]
 
 
 def start_std(p: FilterParameters) -> Array:
-    """Initial standard deviations of the biases, m/s2 and rad/s, and of `fix_error`, m; (3,)."""
+    """Return the initial standard deviations of the biases, m/s2 and rad/s, and of `fix_error`, m; (3,)."""
     return np.array([*p.bias_std, np.sqrt(p.fix_error or 0.0) * p.fix_std])
 
 
 def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
-    """Means (m, r, n) and covariances (m, r, n, n) at m starts of one length for std of shape (r, 3).
+    """Return means (m, r, n) and covariances (m, r, n, n) at m starts of one length for std of shape (r, 3).
 
-    States that a start lacks begin at 0. The standard deviation of a bias is its ``std``, that of roll and pitch the
-    ``start_std`` of the state; for the correlated fix error see `fix_error.add_start`. Gyro biases observed at the
-    start are included: see `GyroSeen.tell`.
+    States that a start lacks begin at 0, with the standard deviation ``std`` of a bias or the state's ``start_std``.
+    Gyro biases observed at the start are included: see `GyroSeen.tell`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))
@@ -227,5 +191,5 @@ def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
 
 
 def converted(p: FilterParameters, nominal_interval: float) -> Array:
-    """Diagonal of Q per nominal interval (s) of a drive, (n,), from that of the parameters' own interval."""
+    """Return the diagonal of Q per nominal interval (s) of a drive, (n,), from that of the parameters' own interval."""
     return nominal_interval / (p.nominal_interval or nominal_interval) * np.array(p.process_noise)

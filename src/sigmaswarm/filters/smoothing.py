@@ -1,7 +1,7 @@
 """Smooth the estimates of compiled filters (Rauch, Tung and Striebel).
 
-The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. The backward pass
-needs no measurements, since updates, weights and rejections are those of the forward pass.
+The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. Updates, weights and
+rejections are those of the forward pass.
 
 Memory does not grow with the drive. The forward pass keeps a checkpoint before each piece. The backward pass runs the
 filter again from each checkpoint, the last one first, and keeps the smoothed state only at the checkpoints. A third
@@ -70,8 +70,6 @@ def smooth(
 
 @dataclass(frozen=True, eq=False)
 class _Checkpoint:
-    """The state from which a run continues."""
-
     rows: Array
     place: Array
     monitor: DivergenceMonitor
@@ -79,7 +77,7 @@ class _Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of some steps of the forward pass for `smooth_back`, with a mask of the steps at which the filter is lost."""
+    """Log of some steps of the forward pass for `smooth_back`; ``lost`` marks steps at which the filter is lost."""
 
     steps: Array
     start: Array
@@ -92,8 +90,7 @@ class _ForwardLog:
 class _Forward(Recording):
     """A recording that logs every step, keeps a checkpoint before each piece, and can run a piece again.
 
-    All passes use the same kernel, since another kernel would round differently, and the estimates would depend on the
-    checkpoints.
+    All passes use the same kernel: another one would round differently, so estimates would depend on the checkpoints.
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
@@ -119,7 +116,6 @@ class _Forward(Recording):
         return super()._run_to(stops, record)
 
     def again(self, number: int, samples: int) -> _ForwardLog:
-        """Run the first ``samples`` of a piece again."""
         checkpoint, sampled = self.checkpoints[number], self._replay.timeline.sampled
         self._rows[0] = checkpoint.rows[:, np.newaxis]  # all columns are the same filter
         self._place[:] = checkpoint.place
@@ -153,8 +149,8 @@ class _Forward(Recording):
 class Smoothing:
     """A smoother over a replay, as an iterator of pieces; the constructor runs the forward and backward passes.
 
-    The parameters and attributes are those of `Recording`; ``initial`` is smoothed. The joined pieces are identical for
-    every length of a piece, which is also the distance between two checkpoints of the forward pass.
+    Parameters and attributes are those of `Recording`; ``initial`` is smoothed. The length of the pieces, which is the
+    distance between two checkpoints, does not affect the results.
     """
 
     def __init__(

@@ -1,26 +1,18 @@
 """Student's t: constants of filters and objectives that are robust to outliers.
 
-With v degrees of freedom, Student's t is a Gaussian with its covariance divided by a random weight. Each fix has a
-weight from a gamma distribution of mean 1; an outlier's weight is small.
+With v degrees of freedom, Student's t is a Gaussian with its covariance divided by a random weight of mean 1 from a
+gamma distribution; an outlier's weight is small.
 """
 
-ITERATIONS = 3
-"""Number of iterations of the variational update, which alternately fits the state and the weight of a fix."""
-OUTLYING = 0.25
-"""Weight below which a fix is an outlier."""
-OUTLIERS = 3
-"""Smallest number of consecutive outliers that show that the filter, not the fixes, is wrong; see also `OUTLIERS_SPAN`.
-"""
-OUTLIERS_SPAN = 5.0
-"""Smallest duration of a run of outliers that shows that the filter, not the fixes, is wrong, s."""
+ITERATIONS = 3  # of the variational update, which alternately fits the state and the weight of a fix
+OUTLYING = 0.25  # an outlier has a smaller weight
+OUTLIERS = 3  # consecutive outliers, over OUTLIERS_SPAN, that show that the filter is wrong, not the fixes
+OUTLIERS_SPAN = 5.0  # s
 
 # c of an objective is 2 x with x e^x E1(x) = v / (v + 2), E1 being the exponential integral. Then the mean of
-# ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as it is for
+# ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as for
 # the Gaussian likelihood. With c = v, Student's density itself, the minimum is at a mean NIS of 2.75 (v = 4), 2.42 (v =
 # 8).
-INNOVATION_DOF, INNOVATION_SCALE = 4.0, 2.9069903810286775
-"""v and c of `innovation-t`."""
-FORECAST_DOF, FORECAST_SCALE = 8.0, 6.609907797270899
-"""v and c of `forecast-t`."""
-LARGEST_TAIL = 1e38
-"""Upper limit of 1 + NIS / c in `innovation-t`: a product of eight such numbers does not overflow."""
+INNOVATION_DOF, INNOVATION_SCALE = 4.0, 2.9069903810286775  # v and c of `innovation-t`
+FORECAST_DOF, FORECAST_SCALE = 8.0, 6.609907797270899  # v and c of `forecast-t`
+LARGEST_TAIL = 1e38  # upper limit of 1 + NIS / c in `innovation-t`: a product of eight does not overflow

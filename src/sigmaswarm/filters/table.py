@@ -1,4 +1,4 @@
-"""Store many parameter sets as columns of numbers; an object for each set would take as long as a drive."""
+"""Many parameter sets as columns of numbers; an object for each set would take as long as a drive."""
 
 import math
 from collections.abc import Sequence
@@ -24,14 +24,7 @@ _ABSENT: dict[str, float] = {
 class ParameterTable(Sequence[FilterParameters]):
     """Parameter sets of one model and with the same measurements; indexing builds a `FilterParameters`.
 
-    Attributes
-    ----------
-    like : FilterParameters
-        The fields that all sets share.
-    columns : dict of str to ndarray, shapes (n,) or (n, k)
-        Fields that differ between sets: a number or a tuple of k numbers for each set.
-    size : int
-        n.
+    ``like`` has the fields that all ``size`` = n sets share; ``columns``, (n,) or (n, k), the fields that differ.
     """
 
     like: FilterParameters
@@ -40,7 +33,6 @@ class ParameterTable(Sequence[FilterParameters]):
 
     @classmethod
     def of(cls, parameter_sets: Sequence[FilterParameters]) -> "ParameterTable":
-        """Make a table of parameter sets of one model and with the same measurements."""
         if isinstance(parameter_sets, ParameterTable):
             return parameter_sets
         each = [vars(p) for p in parameter_sets]
@@ -59,7 +51,7 @@ class ParameterTable(Sequence[FilterParameters]):
         return _ABSENT[name] if value is None else value
 
     def column(self, name: str) -> Array:
-        """Return the values of a field for each set, (n,) or (n, k); inf or 0 stands for None."""
+        """Return `field` for each set, (n,) or (n, k)."""
         value = np.asarray(self.field(name), dtype=np.float64)
         return value if name in self.columns else np.repeat(value[np.newaxis], self.size, axis=0)
 

@@ -1,12 +1,11 @@
 """tilted12: a car on a road that is not flat; process and measurements in textbook form.
 
 The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
-roll left side up. A filter represents the mean by these angles. The covariance is the covariance of a small rotation
-``e`` about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
-error-state Kalman filter, 2017, section 7: the global error). In the state vector e has the indices of roll, pitch and
-theta. When e is injected into R, the covariance is not changed, since the change is of second order in e. There is no
-vertical channel, since the car stays on the road. So the Jacobians assume that the specific force along the third axis
-of the local frame is gravity; otherwise bumps of the road would make the Jacobians noisy.
+roll left side up. The covariance is that of a small rotation ``e`` about east, north and up, multiplied from the left:
+R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 7: the global
+error). In the state vector e has the indices of roll, pitch and theta. The injection of e does not change the
+covariance, to first order. There is no vertical channel, since the car stays on the road. So the Jacobians assume that
+the specific force along the local up axis is gravity; otherwise bumps would make them noisy.
 """
 
 from dataclasses import dataclass
@@ -18,22 +17,18 @@ from sigmaswarm.geodesy import wrap_angle
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""Gravity, m/s2."""
-ATTITUDE = (8, 9, 4)
-"""Indices of the error about east, north and up; equal to the indices of roll, pitch and theta."""
-ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
-"""Indices of the biases: forward, left; and about forward, left, up."""
+GRAVITY = 9.81  # m/s2
+ATTITUDE = (8, 9, 4)  # indices of the error about east, north and up; also of roll, pitch and theta
+ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)  # indices: forward, left; about forward, left, up
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
-"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. Every
-square root is valid. If these states are fixed, process and measurements are linear in all others.
-"""
+"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. If
+these states are fixed, process and measurements are linear in all others."""
 N = 12
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
 def rotation(state: Array) -> Array:
-    """R, (..., 3, 3), of the roll, pitch and theta of states (..., 12)."""
+    """Return R, (..., 3, 3), of the roll, pitch and theta of states (..., 12)."""
     angles = [state[..., i] for i in ATTITUDE]
     (cr, cp, ct), (sr, sp, st) = np.cos(angles), np.sin(angles)
     rows = [
@@ -46,7 +41,7 @@ def rotation(state: Array) -> Array:
 
 
 def with_rotation(state: Array, r: Array) -> Array:
-    """The state with the attitude R; theta in (-pi, pi]."""
+    """Return the state with the attitude R; theta in (-pi, pi]."""
     new = state.copy()
     new[[*ATTITUDE]] = (
         np.arctan2(r[2, 1], r[2, 2]),
@@ -57,7 +52,7 @@ def with_rotation(state: Array, r: Array) -> Array:
 
 
 def quaternion_of(states: Array) -> Array:
-    """The attitude of states (..., 12) as quaternions (..., 4), the scalar first."""
+    """Return the attitude of states (..., 12) as quaternions (..., 4), the scalar first."""
     roll, pitch, theta = np.moveaxis(states[..., [*ATTITUDE]] / 2, -1, 0)
     cr, cp, ct, sr, sp, st = (*map(np.cos, (roll, pitch, theta)), *map(np.sin, (roll, pitch, theta)))
     parts = (
@@ -70,7 +65,7 @@ def quaternion_of(states: Array) -> Array:
 
 
 def angles_of(quaternion: Array) -> Array:
-    """Roll, pitch and theta (..., 3) of quaternions (..., 4)."""
+    """Return roll, pitch and theta (..., 3) of quaternions (..., 4)."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)  # the first column of R
     parts = (
@@ -116,7 +111,7 @@ def minus(state: Array, other: Array) -> Array:
 
 
 def nearest(error: Array, near: Array) -> Array:
-    """The error (12,) with the same rotation, up to whole turns, that is nearest to another."""
+    """Return the error (12,) with the same rotation, up to whole turns, that is nearest to another."""
     vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
     angle = np.sqrt(vector @ vector)
     if not angle > 0:
@@ -136,7 +131,7 @@ def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:
 
 
 def tilted12(state: Array, dt: float, imu: Array) -> Array:
-    """Newton's equations for a car of any attitude, with constant IMU biases; imu (6,) in the order of `AXES`."""
+    """Propagate by Newton's equations for any attitude, with constant IMU biases; imu (6,) in the order of `AXES`."""
     r, half, a = _middle(state, dt, imu)
     new = with_rotation(state, r @ half)
     new[:2] += state[2:4] * dt + a[:2] * dt**2 / 2
@@ -145,7 +140,7 @@ def tilted12(state: Array, dt: float, imu: Array) -> Array:
 
 
 def transition(state: Array, dt: float, imu: Array) -> Array:
-    """F, (12, 12): propagation of a small error over a step."""
+    """Return F, (12, 12), of a small error over a step."""
     r, _, a = _middle(state, dt, imu)
     of_error = np.zeros((2, N))  # of the acceleration, e x a and -R b
     of_error[:, [*ATTITUDE]] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
@@ -160,14 +155,7 @@ def transition(state: Array, dt: float, imu: Array) -> Array:
 
 @dataclass(frozen=True)
 class Antenna:
-    """Predict a fix: the position of the antenna ``latency`` s ago.
-
-    Attributes
-    ----------
-    lever : (float, float, float)
-        Vector from the IMU to the antenna, m forward, left and up.
-    latency : float
-    """
+    """Predict a fix: the position, ``latency`` s ago, of the antenna; ``lever``: m forward, left and up of the IMU."""
 
     lever: tuple[float, float, float]
     latency: float = 0.0
@@ -176,7 +164,7 @@ class Antenna:
         return state[:2] - self.latency * state[2:4] + (rotation(state) @ self.lever)[:2]
 
     def jacobian(self, state: Array) -> Array:
-        """H, (2, 12): e x R lever, position and velocity."""
+        """Return H, (2, 12): e x R lever, position and velocity."""
         east, north, up = rotation(state) @ self.lever
         h = np.zeros((2, N))
         h[:, :2], h[:, 2:4] = np.eye(2), -self.latency * np.eye(2)
@@ -186,14 +174,9 @@ class Antenna:
 
 @dataclass(frozen=True)
 class RearAxle:
-    """The velocity to the left (m/s) at the rear axle: 0 for a car on its wheels, like the velocity up from the road.
+    """Predict the velocity to the left (m/s) at the rear axle, 0 for a car on its wheels, like that up from the road.
 
-    Attributes
-    ----------
-    yaw_rate : float
-        rad/s
-    distance : float
-        Distance from the rear axle forward to the IMU, m.
+    ``distance``: from the rear axle forward to the IMU, m; ``yaw_rate``: rad/s.
     """
 
     yaw_rate: float
@@ -206,7 +189,6 @@ class RearAxle:
         )
 
     def jacobian(self, state: Array) -> Array:
-        """H, (1, 12)."""
         _, left, up = rotation(state).T
         h = _jacobian_along(state, left, up)
         h[0, GYRO_BIAS[2]] = self.distance
@@ -215,14 +197,9 @@ class RearAxle:
 
 @dataclass(frozen=True)
 class Wheels:
-    """Velocity forward (m/s), along the road, ``delay`` s ago, as the wheels measure it.
+    """Predict the velocity forward (m/s), along the road, ``delay`` s ago, as the wheels measure it.
 
-    Attributes
-    ----------
-    ax : float
-        Forward specific force, m/s2, which on a slope contains gravity.
-    delay : float
-        s
+    ``ax``: forward specific force, m/s2, which on a slope contains gravity.
     """
 
     ax: float
@@ -234,7 +211,6 @@ class Wheels:
         return np.array([forward @ _along_the_road(state, up) - self.delay * gained])
 
     def jacobian(self, state: Array) -> Array:
-        """H, (1, 12)."""
         forward, _, up = rotation(state).T
         h = _jacobian_along(state, forward, up)
         h[0, [*ATTITUDE]] += self.delay * GRAVITY * np.array([forward[1], -forward[0], 0.0])
@@ -244,7 +220,7 @@ class Wheels:
 
 @dataclass(frozen=True)
 class Heading:
-    """Heading (rad) of two antennas: the yaw of the attitude, within half a turn of ``near``."""
+    """Predict the heading (rad) of two antennas: the yaw of the attitude, within half a turn of ``near``."""
 
     near: float
 
@@ -252,7 +228,7 @@ class Heading:
         return self.near + wrap_angle(state[[ATTITUDE[2]]] - self.near)
 
     def jacobian(self, state: Array) -> Array:
-        """H, (1, 12), of a small rotation of the forward axis."""
+        """Return H, (1, 12), of a small rotation of the forward axis."""
         east, north, up = rotation(state)[:, 0]
         h, level2 = np.zeros((1, N)), east**2 + north**2
         h[0, [*ATTITUDE]] = -east * up / level2, -north * up / level2, 1.0
@@ -260,13 +236,13 @@ class Heading:
 
 
 def _along_the_road(state: Array, up: Array) -> Array:
-    """The velocity (3,) of a car that stays on its road; ``up`` (3,) is the road's normal."""
+    """Return the velocity (3,) of a car that stays on its road; ``up`` (3,) is the road's normal."""
     vx, vy = state[2:4]
     return np.array([vx, vy, -(up[0] * vx + up[1] * vy) / up[2]])
 
 
 def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
-    """H, (1, 12), of the velocity along an axis of the body, with the effect of attitude on the upward velocity."""
+    """Return H, (1, 12), of the velocity along an axis of the body, with the effect of attitude on the climb rate."""
     v, climb = _along_the_road(state, up), axis[2] / up[2]
     h = np.zeros((1, N))
     h[0, 2:4] = axis[:2] - climb * up[:2]
@@ -284,16 +260,14 @@ class States:
         return state[[*self.places]]
 
     def jacobian(self, state: Array) -> Array:
-        """H, (m, n)."""
         return np.eye(len(state))[[*self.places]]
 
 
-@np.errstate(all="ignore")  # of a filter that failed nothing is finite
+@np.errstate(all="ignore")  # a failed filter has no finite values
 def as_angles(state: Array, covariance: Array) -> Array:
-    """The covariance (..., 12, 12) of states (..., 12) as angles: of roll, pitch and theta in place of the error.
+    """Return the covariance (..., 12, 12) of states (..., 12) with roll, pitch and theta in place of the error.
 
-    For small changes e = A (roll, pitch, theta); the columns of A are the axes of these rotations. The function uses
-    the inverse of A.
+    For small changes e = A (roll, pitch, theta); the columns of A are the axes of these rotations.
     """
     theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
     ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)

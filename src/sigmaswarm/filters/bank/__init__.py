@@ -1,1 +1,1 @@
-"""Filter bank: filters of one tuning with different parameters, whose mixture is the estimate (multiple-model)."""
+"""Filter bank (multiple-model estimation): the estimate is the mixture of filters with different parameters."""

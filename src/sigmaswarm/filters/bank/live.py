@@ -1,7 +1,7 @@
-"""LiveFilterBank: sixteen filters with the interface of a `LiveFilter`; the estimate is their mixture.
+"""A bank of sixteen filters with the interface of a `LiveFilter`.
 
-Lanes are replaced in a past state that no late fix can change; then the later samples are processed again with the new
-lanes. So the results depend only on the samples and fixes: they are identical with late fixes, live and from a file.
+Lanes are replaced in a past state that no late fix can change; then the later samples are processed again. So the
+results depend only on samples and fixes.
 """
 
 import os
@@ -34,24 +34,17 @@ from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
 
-SEARCH_EVERY = 10.0
-"""Interval between the starts of two searches, s."""
-SEARCH_TAKES = 1.0
-"""Time of samples from the start of a search to the use of its result, s; a search takes about 15 ms."""
-REPLAYED = 60.0
-"""Length of the samples that a search replays, s."""
-FASTER = 2.0
-"""Speed below which no lanes are replaced, m/s: at low speeds, fixes hardly determine headings and biases."""
-REPLACED = 7
-"""Number of lanes that are replaced after a search: one by the result, the others by copies of good lanes with random
-changes."""
-JITTER = 0.6
-"""Standard deviation of the random changes, in standard deviations of an offset."""
+SEARCH_EVERY = 10.0  # s between the starts of two searches
+SEARCH_TAKES = 1.0  # s of samples until the result of a search is used; a search takes about 15 ms
+REPLAYED = 60.0  # s of samples that a search replays
+FASTER = 2.0  # m/s; no replacement at lower speeds, at which fixes hardly determine headings and biases
+REPLACED = 7  # lanes replaced per search: one by its result, the others by changed copies of good lanes
+JITTER = 0.6  # standard deviation of a copy's random change, in standard deviations of the offset
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Means (k, n) and covariances (k, n, n) of a bank's mixture at some times; headings are mixed on the circle."""
+    """Means (k, n) and covariances (k, n, n) of a bank's mixture at k times; headings are mixed on the circle."""
 
     mean: Array
     covariance: Array
@@ -81,21 +74,17 @@ class Mixture:
 class _Snapshot:
     """A state from which a replay can begin."""
 
-    taped: int
-    """Number of steps in the log."""
+    taped: int  # number of logged steps
     time: float
-    fixed_at: float
-    """Time of the last fix before the snapshot, s."""
-    lanes: Array
-    """(N_KEPT, LANES)"""
+    fixed_at: float  # of the last fix before the snapshot, s
+    lanes: Array  # (N_KEPT, LANES)
     evidence: Array
-    ancestors: NDArray[np.intp]
-    """Indices of the snapshot's lanes from which the current lanes were copied, (LANES,)."""
+    ancestors: NDArray[np.intp]  # (LANES,): the snapshot's lanes from which the current lanes were copied
 
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A running search, which replays the logged steps up to number ``taped`` from the ancestor of lane ``led``.
+    """A running search that replays the log up to step ``taped``, from the ancestor of lane ``led``.
 
     A copy by fork or pickle searches in the calling thread.
     """
@@ -108,11 +97,9 @@ class _Pending:
 
     @classmethod
     def begun(cls, taped: int, led: int, *arguments: Any) -> "_Pending":
-        """Begin a search on another thread."""
         return cls(taped, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
 
     def result(self) -> Found | None:
-        """Wait for the result."""
         return self.found.result() if self.process == os.getpid() else search(*self.arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -120,17 +107,17 @@ class _Pending:
 
 
 class LiveFilterBank(LiveFilter):
-    """A bank of sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
+    """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
-    Each filter (lane) predicts the fixes. The fixes' likelihood (the evidence of the lane, which fades within a minute)
-    gives the lane's weight. Lane 0 is the tuning, with the same results as a `LiveFilter`; some lanes represent other
-    receivers. Every 10 s of driving, the worst lanes are replaced by the result of a search over the last minute and by
-    copies of good lanes. So the bank adapts to other sensors or another reception. On the car of the tuning, the bank
-    is not more accurate than the filter. If the mixture diverges, the lanes are reset like a `LiveFilter`. The
-    alignment uses the known gyro bias, and most lanes keep their biases.
+    The likelihood of the fixes is the evidence of each filter (lane) and gives its weight; evidence fades within a
+    minute. Lane 0 is the tuning and gives the results of a `LiveFilter`. Some lanes represent other receivers. Every 10
+    s of driving, the worst lanes are replaced: one by the result of a search over the last minute, the others by
+    changed copies of good lanes. So the bank adapts to other sensors or other reception. On the car of the tuning it is
+    not more accurate than the filter. If the mixture diverges, lanes 1 to 15 are reset; most lanes then keep their
+    biases.
 
     The interface is that of a `LiveFilter` without the smoothed state. A copy by `pickle` continues with identical
-    results. After a reset of some lanes, all lanes ignore fixes from before the reset.
+    results. After a reset, all lanes ignore fixes from before it.
 
     Parameters
     ----------
@@ -146,13 +133,13 @@ class LiveFilterBank(LiveFilter):
     Attributes
     ----------
     spread : Spread
-        Offsets of the parameters from which the filters are chosen.
+        The offsets of the parameters that the filters can have.
     offsets : ndarray, shape (16, d)
         Offsets of the filters in decades; that of the rear axle in m.
     n_searches : int
         Number of searches with a result.
     restarts : list of float
-        Times of the resets of lane 0, s. The other lanes are reset together: see ``bank_restarts``.
+        Times of the resets of lane 0, s. For the other lanes see ``bank_restarts``.
     """
 
     def __init__(
@@ -214,7 +201,6 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def _numbers(self) -> Array:
-        """The lanes' numbers, stored after the state of lane 0."""
         return self._belief[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
@@ -230,12 +216,12 @@ class LiveFilterBank(LiveFilter):
         swarm.weigh(self._belief)
 
     def _started(self, start: InitialState) -> Array:
-        """Rows of all lanes at a start, (N_KEPT, LANES)."""
+        """Return rows (N_KEPT, LANES)."""
         sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight only to the first lanes, like an export with this number of lanes; for banks without searches."""
+        """Give weight only to the first lanes, like an export with this number of lanes. Use it without searches."""
         self._counted = lanes
         self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)
@@ -246,7 +232,7 @@ class LiveFilterBank(LiveFilter):
 
     @staticmethod
     def _rows_of(numbers: Array) -> Array:
-        """The lanes in `_numbers`, or in a checkpoint: (N_KEPT, LANES)."""
+        """View the lanes in `_numbers` or in a checkpoint as (N_KEPT, LANES)."""
         return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
@@ -268,7 +254,7 @@ class LiveFilterBank(LiveFilter):
         self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
 
     def _settled_mark(self) -> tuple[int, Array, Array] | None:
-        """The last checkpoint before all late fixes: the number of its record, the record, the checkpoint."""
+        """Return the last checkpoint before all late fixes: its record's number, the record, the checkpoint."""
         of = self._memory.arrays
         counts, history, marks = of.counts, of.history, of.marks
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
@@ -310,17 +296,16 @@ class LiveFilterBank(LiveFilter):
         )
 
     def _is_taped(self, first: int) -> bool:
-        """True if the log contains the steps from number ``first``."""
         return first >= int(self._numbers[swarm.TAPED]) - int(self._numbers[swarm.TAPE_LENGTH])
 
     def _tape(self, first: int, last: int) -> Array:
-        """Steps ``first`` to ``last`` - 1, (k, N_TAPE)."""
+        """Return steps ``first`` to ``last`` - 1, (k, N_TAPE)."""
         length = int(self._numbers[swarm.TAPE_LENGTH])
         tape = self._numbers[TAPE:].reshape(length, N_TAPE)
         return tape[np.arange(first, last) % length]
 
     def _replace(self, found: Found, replayed: int, led: int) -> None:
-        """Replace the worst lanes by the search result and copies of good lanes; reprocess the last samples."""
+        """Replace the worst lanes, and reprocess the last samples."""
         mark = self._settled_mark()
         if mark is None:
             return
@@ -365,7 +350,7 @@ class LiveFilterBank(LiveFilter):
         again_call()(self._memory.step.address, belief, counts, fixes, speeds, history, marks, place, True)
 
     def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
-        """Rows, (N_KEPT,), and evidence of a search result, propagated by the steps since its replay."""
+        """Return the search result's lane (N_KEPT,) and evidence after the steps that followed its replay."""
         steps = Steps(self._kernel, since, self._belief[live.LEVER].copy())
         lane, known = steps.followed(found.lane, found.known)
         return lane, known.evidence
@@ -389,11 +374,10 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def _biases(self) -> list[int]:
-        """Indices of the biases among the model's states."""
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """State estimate (n,), (n, n) with the biases from before the divergence, which a reset to a fix discards."""
+        """Return (n,), (n, n) with the biases from before a divergence, since a reset to a fix discards biases."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -404,14 +388,14 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _gyro_bias(self, mean: Array) -> float:
-        """Known gyro bias, rad/s, without which the heading of an alignment would be wrong."""
+        """Return the known gyro bias, rad/s; without it the heading of an alignment would be wrong."""
         bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Keep the known biases of a state estimate (n,), (n, n), except in lanes with other biases.
+        """Keep the known biases, except in lanes that start with other biases.
 
-        The alignment's bias is used if it is more precise than the known bias or contradicts it.
+        The bias of the alignment is used if it is more precise than the known bias or contradicts it.
         """
         seen = start.gyro
         surer = (
@@ -441,7 +425,6 @@ class LiveFilterBank(LiveFilter):
         self._begin_history()
 
     def _begin_history(self) -> None:
-        """Clear the history."""
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
         counts[live.N_SAMPLES] = -(-int(counts[live.N_SAMPLES]) // live.MARK_EVERY) * live.MARK_EVERY
@@ -450,7 +433,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def bank_restarts(self) -> list[float]:
-        """Times at which all lanes except the first were reset after a divergence of the mixture, s."""
+        """Times of the resets of lanes 1 to 15 after a divergence of the mixture, s."""
         return [] if self._together is None else self._together.restarts
 
     @property
@@ -486,30 +469,30 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def n_fixes(self) -> int:
-        """Number of fixes that were used."""
+        """Number of processed fixes."""
         return int(self._numbers[swarm.N_FIXED])
 
     @property
     def innovation(self) -> tuple[Array, Array]:
-        """Innovation nu (2,) m and its covariance S (2, 2) m2 of the mixture at the last fix."""
+        """Innovation nu (2,), m, of the mixture at the last fix, and its covariance S (2, 2), m2."""
         n = self._numbers
         xy = n[swarm.S_XY]
         return n[[swarm.NU_X, swarm.NU_Y]], np.array([[n[swarm.S_XX], xy], [xy, n[swarm.S_YY]]])
 
     @property
     def state(self) -> LiveState:
-        """State estimate of the mixture after the last IMU sample and all fixes up to then."""
+        """State estimate of the mixture after the last IMU sample and all fixes up to its time."""
         mean, covariance = self._mixed()
         sound = self._plausible and _is_definite(covariance)
         return told(float(self._belief[live.TIME]), mean, covariance, self.lost, sound)
 
     @property
     def lost(self) -> bool:
-        """True if the mixture has diverged and can't yet be reset; the position is then that of the last fix."""
+        """True while the mixture has diverged and no reset is possible; the position is then that of the last fix."""
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:
-        """Current state rows (s, LANES) and weights (LANES,), for mixing many samples at once."""
+        """Return the current state rows (s, LANES) and weights (LANES,)."""
         return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:
@@ -542,7 +525,7 @@ def _is_definite(covariance: Array) -> bool:
 
 @cache
 def _searcher() -> ThreadPoolExecutor:
-    """Return the thread for the searches of all filter banks of a process."""
+    """Return the thread for the searches of all banks of a process."""
     return ThreadPoolExecutor(1, thread_name_prefix="swarm")
 
 

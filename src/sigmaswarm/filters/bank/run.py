@@ -1,4 +1,4 @@
-"""Run a filter bank over a whole drive: a `LiveFilterBank` processes each sample and fix."""
+"""A run of a `LiveFilterBank` over a whole drive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,46 +23,30 @@ from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.geodesy import wrap_angle
 
-SETTLED_OVER = 60.0
-"""Length of the end of a drive over which offsets are averaged, s."""
-LOG_INTERVAL = 1.0
-"""Interval between two rows of the log, s."""
-_AT_ONCE = 500
-"""Number of samples per computation of mixtures."""
+SETTLED_OVER = 60.0  # s at the end of a drive over which offsets are averaged
+LOG_INTERVAL = 1.0  # s
+_AT_ONCE = 500  # samples per computation of mixtures
 
 
 @dataclass(frozen=True, eq=False)
 class BankLog:
-    """Log of a filter bank, with one row per second.
+    """Log of a filter bank, with one row per second."""
 
-    Attributes
-    ----------
-    names : tuple of str, length d
-        Names of the offsets: see `spread`.
-    time : ndarray, shape (k,)
-        s
-    weights : ndarray, shape (k, LANES)
-    moved : ndarray, shape (k, d)
-        Offsets of the mixture from the tuning in decades; offset of the rear axle in m.
-    groups : mapping of str to list of int
-        See `Spread.groups`.
-    """
-
-    names: tuple[str, ...]
-    time: Array
-    weights: Array
-    moved: Array
-    groups: Mapping[str, list[int]]
+    names: tuple[str, ...]  # d names of offsets: see `spread`
+    time: Array  # (k,), s
+    weights: Array  # (k, LANES)
+    moved: Array  # (k, d), mean offsets from the tuning in decades; of the rear axle in m
+    groups: Mapping[str, list[int]]  # lanes of each group
 
     @property
     def effective(self) -> Array:
-        """Effective number of filters in the mixture, (k,); 0 where all filters had failed."""
+        """Effective number of filters in the mixture, (k,); 0 where all have failed."""
         squares = np.square(self.weights).sum(axis=1)
         return np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
 
     @property
     def settled(self) -> Array:
-        """Mean offset from the tuning in the last minute, (d,)."""
+        """Mean offsets from the tuning in the last minute, (d,)."""
         return self.moved[self.time >= self.time[-1] - SETTLED_OVER].mean(axis=0)
 
     @property
@@ -71,7 +55,7 @@ class BankLog:
         return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
 
     def to_frame(self) -> pl.DataFrame:
-        """Table of the log: t, lane of the largest weight, effective number, each offset, weight of each lane."""
+        """Return t, lane of the largest weight, effective number, offsets and weights as a table."""
         columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
         columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
         columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
@@ -79,10 +63,9 @@ class BankLog:
 
 
 class BankRun:
-    """A run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
+    """Run of a filter bank over a replay, as an iterator of pieces; the log is complete after the last piece.
 
-    ``seed``, ``searches``, ``recover`` and ``as_recorded``: see `LiveFilterBank`. ``failure`` states the first time, in
-    the pieces so far, at which all lanes had failed.
+    ``failure`` states the first time, in the pieces so far, at which all lanes had failed.
     """
 
     def __init__(
@@ -163,25 +146,23 @@ class BankRun:
 
     @property
     def log(self) -> BankLog:
-        """The log of the pieces so far."""
         time, weights, moved = (np.array(column) for column in zip(*self._log, strict=True))
         return BankLog(self.bank.spread.names, time, weights, moved, self.bank.spread.groups)
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far; each sample has the innovation of the last fix before it."""
+        """Innovations of the mixture in the pieces so far, at the IMU sample after each fix."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 
 
 def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
-    """Yield rows of columns as Python numbers."""
     for first in range(0, len(columns[0]), _AT_ONCE):
         yield from np.column_stack([column[first : first + _AT_ONCE] for column in columns]).tolist()
 
 
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
-    """Fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
+    """Return fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
     gps, wheels = drive.gps, drive.odometer
     has_velocity = gps.speed is not None and gps.course is not None
     has_std = gps.std_x is not None and gps.std_y is not None

@@ -1,4 +1,4 @@
-"""Search better offsets for a filter bank by differential evolution; each candidate replays the last minute.
+"""Search for better offsets of a filter bank by differential evolution; each candidate replays the last minute.
 
 R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search begins
 with the population of the previous one.
@@ -31,25 +31,21 @@ from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
-WEIGHT, CROSSOVER = 0.7, 0.9
-"""F and CR of differential evolution."""
-NOT_SCORED = 2.0
-"""Unscored time at the start of a replay, s, in which a filter with new offsets converges."""
-FEWEST_SCORED_FIXES = 8
-"""Smallest number of scored fixes for which a search has a result."""
-FARTHEST = 8.0
-"""Bound of an offset, in standard deviations of the offset."""
+WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
+NOT_SCORED = 2.0  # s at the start of a replay, in which a filter with new offsets converges
+FEWEST_SCORED_FIXES = 8  # fewer scored fixes: no result
+FARTHEST = 8.0  # bound of an offset, in its standard deviations
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence of a filter, and the time of the last fix that contributed to it, s."""
+    """Evidence of a filter, and the time of the last fix in it, s."""
 
     evidence: float
     at: float
 
     def then(self, time: Array, lost: Array) -> "Evidence":
-        """Add fixes at some times, s; each fix lowers the evidence by the loss of the fix."""
+        """Add fixes at some times, s; each fix lowers the evidence by its loss."""
         if not len(time):
             return self
         left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
@@ -58,17 +54,16 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps of the log of a filter bank (k, N_TAPE), and the other inputs of `run_lanes`."""
+    """Logged steps of a filter bank (k, N_TAPE), and the other inputs of `run_lanes`."""
 
     kernel: str
     rows: Array
     lever: Array
 
     def run(self, lanes: Array) -> Array:
-        """Run lanes (N_KEPT, m) over all steps, in place; return each lane's loss over the fixes, (m,).
+        """Run lanes (N_KEPT, m) over all steps, in place; return each lane's loss over the scored fixes, (m,).
 
-        The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``, without the
-        fixes of the first `NOT_SCORED` seconds.
+        The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``.
         """
         place = self._place
         scored = (
@@ -95,7 +90,7 @@ class Steps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run from a place up to step ``stop``, which is not run; lanes and place change."""
+        """Run from a place to step ``stop``, exclusive; lanes and place change."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         arrays = (
@@ -117,7 +112,6 @@ class Steps:
 
     @property
     def n_scored(self) -> int:
-        """Number of fixes that are scored."""
         if not len(self.rows):
             return 0
         is_fix = (self.rows[:, T_FLAGS].astype(np.int64) & FIX) > 0
@@ -140,7 +134,7 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
 
 
 SCALED = R.TIMES_R, R.TIMES_Q
-"""Factors of a fuzzy filter's R and Q; they are 1 after the constants are replaced."""
+"""Factors of a fuzzy filter's R and Q; set to 1 when the constants are replaced."""
 
 
 def as_at_start(lanes: Array) -> Array:
@@ -158,13 +152,11 @@ def as_at_start(lanes: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Result of a search: the best filter's offsets (d,), and the population (LANES, d) for the next search."""
+    """The best filter's offsets (d,), and the population (LANES, d) for the next search."""
 
     offsets: Array
-    lane: Array
-    """The filter at the end of the replay, (N_KEPT,)."""
+    lane: Array  # (N_KEPT,), at the end of the replay
     known: Evidence
-    """Evidence of the filter at the end of the replay."""
     population: Array
 
 
@@ -178,7 +170,7 @@ def search(
     nominal_interval: float,
     seed: Sequence[int],
 ) -> Found | None:
-    """Search for better offsets over some steps; return None if the steps have too few fixes.
+    """Search for better offsets over some steps; return None if too few fixes are scored or all filters fail.
 
     ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
     of the lane with the largest weight, which replace the last member of ``population`` (LANES, d).
@@ -215,7 +207,7 @@ def search(
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
-    """Make a trial for each member: another member plus the difference of two more, crossed with the member."""
+    """Make a trial for each member: another member plus the scaled difference of two more, crossed with the member."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

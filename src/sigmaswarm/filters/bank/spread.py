@@ -1,8 +1,4 @@
-"""Offsets of a bank's filters from the tuning, most of them in decades of variance.
-
-An offset changes one quantity, such as the noise of the IMU or the receiver, or the position of the rear axle. A matrix
-maps the offsets to constants of the kernel.
-"""
+"""Offsets of a bank's filters from the tuning, most of them in decades of variance."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,21 +10,13 @@ from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
-OFFSET_DOF = 4.0
-"""Degrees of freedom of Student's t, the distribution of the offsets: most are small, but another sensor has large
-offsets."""
+OFFSET_DOF = 4.0  # of Student's t, the distribution of offsets: most are small, another sensor's are large
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: noise of a state, walk of a bias, R, other measurements."""
-R_DOWN_STD = 0.45
-"""Standard deviation in the penalty of an R below that of the tuning, decades. It is small, since fixes in a city are
-accurate until they jump.
-"""
-SCALE_STD = 0.7
-"""Standard deviation of a common factor of all variances, decades; this factor hardly changes the estimates."""
-START_STD = 1.5
-"""Standard deviation of the biases' initial variance, decades; this variance is never below that of the tuning."""
-AXLE_STD = 0.7
-"""Standard deviation of the offset of the rear axle's position, m."""
+R_DOWN_STD = 0.45  # in the penalty of a smaller R; small, since fixes in a city are accurate until they jump
+SCALE_STD = 0.7  # of a common factor of all variances, which hardly changes the estimates
+START_STD = 1.5  # of the biases' initial variance, which is never below the tuning's in the first offsets
+AXLE_STD = 0.7  # m
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = (
     {},
@@ -40,11 +28,9 @@ FIXED = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the first lanes, which are never replaced: the tuning; other biases; other receivers, two of these lanes
-with other biases."""
+"""Offsets of the first lanes, which are never replaced: the tuning, other biases, other receivers."""
 
-FAR, FAR_AXLE = 0.5, 0.5
-"""Largest offsets without a warning, in decades and in m."""
+FAR, FAR_AXLE = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
     R: "R is {times}: another receiver?",
     SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
@@ -54,13 +40,13 @@ _MEANS = {
 
 @dataclass(frozen=True)
 class Spread:
-    """The offsets that the filters of a bank can have from a tuning."""
+    """The offsets from a tuning that the filters of a bank can have."""
 
     tuning: FilterParameters
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Name and standard deviation of each offset, in decades of variance; for the rear axle in m."""
+        """Standard deviation of each offset by name, in decades of variance; for the rear axle in m."""
         p, found = self.tuning, dict[str, float]()
         for state in MODELS[p.model].states:
             found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
@@ -74,12 +60,10 @@ class Spread:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the offsets, in order."""
         return tuple(self.deviations)
 
     @cached_property
     def std(self) -> Array:
-        """Standard deviations of the offsets, (d,)."""
         return np.array(list(self.deviations.values()))
 
     @cached_property
@@ -88,7 +72,7 @@ class Spread:
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
-        """Offsets at the start of a bank, (LANES, d). Lane 0 is the tuning."""
+        """Draw the offsets at the start of a bank, (LANES, d). Lane 0 is the tuning."""
         offsets = rng.standard_normal((LANES, len(self.names))) * self.std
         if START in self.names:
             start = self.names.index(START)
@@ -101,7 +85,6 @@ class Spread:
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        """Lanes by the name of their group."""
         biased = [lane for lane, by in enumerate(FIXED) if START in by and R not in by]
         receivers = [lane for lane, by in enumerate(FIXED) if R in by]
         others = [*range(len(FIXED), LANES)]
@@ -119,7 +102,7 @@ class Spread:
         }
 
     def penalty(self, offsets: Array) -> Array:
-        """Log-prior penalty of offsets (m, d), (m,): -log of Student's t of each, in standard deviations."""
+        """Return the log-prior penalty (m,) of offsets (m, d): the sum of -log of Student's t, without constants."""
         relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
@@ -144,17 +127,14 @@ class Spread:
         return found
 
     def constants(self, tuned: Array, offsets: Array) -> Array:
-        """The kernel's constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
+        """Return the constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
         found = tuned * 10.0 ** (self._decades @ offsets.T)
         if AXLE in self.names:
             found[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
         return found
 
     def warnings(self, moved: Array) -> tuple[str, ...]:
-        """Return warnings of offsets (d,) that are too large for the vehicle of the tuning.
-
-        There is one warning for a common factor of all variances; the other offsets are relative to this factor.
-        """
+        """Return warnings of offsets (d,) that are too large for the vehicle of the tuning."""
         found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]
         if abs(common) > FAR:
@@ -174,7 +154,7 @@ class Spread:
     said = warnings  # deprecated name
 
     def parameters(self, offsets: Array) -> FilterParameters:
-        """The tuning with offsets (d,) as parameters."""
+        """Return the tuning with offsets (d,) as parameters."""
         p, by = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
         shared = [f"q_{state.shared}" for state in MODELS[p.model].states]
         scale = 10.0 ** by[SCALE]

@@ -1,9 +1,7 @@
 """The unscented filter of `textbook`, compiled with a user's f and h: one parameter set over one log.
 
-f and h are unknown, so the code can't be vectorized; it is faster only because it avoids Python. Numba can't cache a
-user's function between processes, so each process compiles its kernel at the first use. The code uses plain loops,
-since whole-array expressions compile several times as slowly. The arguments are separate arrays, since a tuple of the
-arrays doubles the time of a step.
+Numba cannot cache a user's function, so each process compiles its kernel at the first use. For a short compilation the
+code uses plain loops, and separate arrays instead of a tuple, which doubles the time of a step.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false
@@ -21,9 +19,9 @@ from sigmaswarm.compilation import cached
 _TWO_PI = 2 * math.pi
 
 _kernel = cached(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Options of functions that only kernels call; entry points for Python and C would cost compile time."""
+"""Options of functions that only kernels call: no entry points for Python and C, which cost compile time."""
 _inlined = njit(error_model="numpy", inline="always")
-"""Options of functions with one call each; otherwise LLVM would optimize them twice, alone and inlined."""
+"""Options of functions with one call each: LLVM would otherwise optimize them twice, alone and inlined."""
 
 _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 
@@ -31,10 +29,10 @@ _Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
 def build_kernel(
     f: Callable[..., Any], h: Callable[..., Any], process_noise: Callable[..., Any], *, diagonal: bool
 ) -> Any:
-    """Build the filter for a user's functions, compiled on its first call; the inner `run` documents its arguments.
+    """Build the filter for a user's functions, compiled on its first call.
 
-    ``diagonal``: process_noise gives the diagonal of Q. Bounds are also checked in the user's functions, where an index
-    out of bounds raises an error.
+    ``diagonal``: process_noise gives the diagonal of Q. In the user's functions, an index out of bounds raises an
+    error.
     """
     user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
@@ -57,7 +55,7 @@ def build_kernel(
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
-        """Draw sigma points again, and apply h: compute nu, S and C; return False if P has no Cholesky factor."""
+        """Draw sigma points, and apply h: compute nu, S and C; return False if P has no Cholesky factor."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):
@@ -80,7 +78,7 @@ def build_kernel(
         dt, source, absorbs, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Take all steps, write to the last four arrays; return the step in which the filter failed, or -1."""
+        """Take all steps, write to the last four arrays; return the step of a failure, or -1."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -122,7 +120,7 @@ def _weights(n, scaling):
 
 @_kernel
 def _draw(mean, covariance, gamma, root, sigmas):
-    """Draw sigma points: center, center plus each column of the root, center minus each; False without a root."""
+    """Draw the center, then the center plus and minus each column of the root; return False without a root."""
     n = mean.size
     if not _root(covariance, root):
         return False
@@ -137,10 +135,7 @@ def _draw(mean, covariance, gamma, root, sigmas):
 
 @_kernel
 def _root(a, root):
-    """Write the Cholesky factor of ``a`` to the lower half of ``root``.
-
-    Return False if ``a`` is not positive definite, or not finite.
-    """
+    """Write the Cholesky factor of ``a`` to the lower half of ``root``; return False if it does not exist."""
     for j in range(a.shape[0]):
         for i in range(j, a.shape[0]):
             s = a[i, j]
@@ -157,10 +152,9 @@ def _root(a, root):
 
 @_kernel
 def _centre(images, points, angles, weights, mean):
-    """Write the mean of ``images`` to ``mean``; replace ``images`` by their differences from the mean.
+    """Write the mean of ``images`` to ``mean``, and subtract it from them.
 
-    For an angle, the difference from the first image minus that of the original points (if given) is at most half a
-    turn.
+    For an angle, the difference from the first image minus that of the points (if given) is at most half a turn.
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -178,7 +172,6 @@ def _centre(images, points, angles, weights, mean):
 
 @_kernel
 def _add_products(a, b, weights, out):
-    """Add the weighted outer products of the rows of ``a`` and ``b`` to ``out``."""
     for k in range(a.shape[0]):
         weight = weights.centre_covariance if k == 0 else weights.other
         for i in range(a.shape[1]):
@@ -217,7 +210,7 @@ def _absorb(mean, covariance, nu, s, cross, root):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return True if all numbers of both arrays are finite. Zero times a number that is not finite is NaN."""
+    """Return True if both arrays are finite; zero times a number that is not finite is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

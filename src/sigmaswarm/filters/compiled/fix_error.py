@@ -1,8 +1,7 @@
-"""Correlated fix errors, as two states after those of a model: `filters.fix_error` in closed form.
+"""Closed form of `filters.fix_error`: the correlated fix error b, in the last two states.
 
-The process does not depend on these states. So a prediction only multiplies their columns of P by F. F is computed from
-the scratch rows of a model's prediction, also in an unscented filter (its statistical linearization, see `tape`). The
-change of b from fix to fix is computed at the fix. Measurements loop over all n states; b is the last two.
+The process does not depend on b, so a prediction only multiplies b's columns of P by F, from scratch rows of the
+model's prediction. In an unscented filter F is the statistical linearization, see `tape`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -32,7 +31,7 @@ def carry(w, u, *, n, biases):
 
 
 def age_fix_error(w, z, since):
-    """phi, and the variance that b gains from the last fix to this one, ``since`` nominal steps later."""
+    """Compute phi and the variance that b gains in the ``since`` nominal steps since the last fix."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
         phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])
@@ -43,7 +42,7 @@ def age_fix_error(w, z, since):
 
 
 def move_fix_error(w, *, n, noted):
-    """Propagate b from the last fix to this one; ``noted``: index of phi among the rows of `tape`, 0 without phi."""
+    """Propagate b from the last fix to this one; ``noted``: index of phi in a row of `tape`, or 0."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         for j in range(n - 2, n):
@@ -59,7 +58,7 @@ def move_fix_error(w, *, n, noted):
 
 
 def see_fix_error(w, *, n):
-    """Add phi b, and its added variance, to z = p of a fix: to nu, H P H^T and C."""
+    """Add phi b and its added variance to nu, H P H^T and C of a fix."""
     for l in range(LANES):
         phi = w[R.PHI, l]
         w[R.N1, l] -= phi * w[n - 2, l]

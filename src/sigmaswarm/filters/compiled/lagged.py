@@ -7,7 +7,7 @@ from sigmaswarm.filters.compiled.live import N_ALL, take_again
 from sigmaswarm.filters.compiled.run import cached_by_sources
 
 N_TAPED = N_ALL
-"""Index of the number of logged steps, after a live filter's state; the log of each step follows."""
+"""Index of the number of logged steps, after a live filter's state; the log follows."""
 TAPE = N_ALL + 1
 
 
@@ -22,9 +22,8 @@ def _again(sources):
 
 @once
 def again_call():
-    """``(step, v, counts, fixes, speeds, history, marks, first, corrects)``: a live filter's samples again.
+    """Return `live.take_again` as a compiled function.
 
-    ``v`` is the state before the stored sample number ``first``; ``corrects`` as in `live.take_again`. For a smoother
-    ``step`` is the address of `single_step` with its tape at N_TAPED.
+    For a smoother ``step`` is the address of `single_step`, and its log is at N_TAPED.
     """
     return cached_by_sources(_again, "live again")

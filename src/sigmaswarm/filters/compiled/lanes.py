@@ -1,12 +1,11 @@
 """Common parts of all kernels: lanes, compiler flags, and a sine that vectorizes.
 
-**Lanes.** Arrays are (row, lane) with parameter sets side by side, so that each loop over lanes becomes vector
-instructions; `layout` names the rows. All rows of one run live in one local array: with a single base pointer the
-compiler can rule out that writing one row changes another. The numbers of a failing lane become NaN, or its OK flag
-becomes 0. No code branches on this, so the other lanes neither wait nor change.
+Arrays are (row, lane), with parameter sets side by side, so each loop over lanes becomes vector instructions. All rows
+of one run are in one local array, so writing one row cannot change another. In a failing lane numbers become NaN or its
+OK flag 0, without a branch, so the other lanes do not change.
 """
 
-# Numba has types of its own, which a type checker for Python does not know.
+# A type checker for Python does not know Numba's types.
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
 import math
@@ -20,28 +19,26 @@ from sigmaswarm.filters.compiled.unroll import Kernel
 from sigmaswarm.filters.compiled.vectors import put_loops
 
 OPTIONS = {"error_model": "numpy", "nogil": True}
-"""Compiler flags of functions that call kernels; they divide like kernels. Only loops over lanes may be rearranged."""
+"""Compiler flags of functions that call kernels; only loops over lanes may be reordered."""
 
 
 def kernel(function, **known):
-    """A function to be inlined into others, with its keyword-only parameters bound: see `Kernel` and `put_loops`.
+    """Bind keyword-only parameters of a function for inlining into its callers: see `Kernel` and `put_loops`.
 
-    The function's first argument is the array of rows ``w``; it returns nothing and has no early return. The loops over
-    lanes become separate functions. The code is generated when a caller is compiled.
+    The first argument is the array of rows ``w``. The function returns nothing and has no early return.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 
 
-_FLUSH_SUBNORMALS = 0x8040
-"""Bits of the control register of an x86 processor with which subnormal numbers are read and written as 0."""
+_FLUSH_SUBNORMALS = 0x8040  # bits of an x86 control register: subnormal numbers are read and written as 0
 
 
 @intrinsic
 def _exchange_control(typing_context, control):
-    """Set the processor's control register of floating point and return its old value; -1: add `_FLUSH_SUBNORMALS`.
+    """Set the floating-point control register and return its old value; -1: add `_FLUSH_SUBNORMALS`.
 
-    An operation with a subnormal number takes a hundred cycles, and precise measurements reduce covariances to such
-    numbers. On processors other than x86 the function does nothing.
+    Operations with subnormal numbers take a hundred cycles; precise measurements reduce covariances to these numbers.
+    On processors other than x86 the function does nothing.
     """
 
     def generate(context, builder, signature, arguments):
@@ -72,9 +69,9 @@ exchange_control = _in_python if config.DISABLE_JIT else _exchange_control
 
 
 def _series(z):
-    """(sin(r) / r - 1) / z and cos(r) of an angle between -pi/4 and pi/4 whose square is z.
+    """Return (sin(r) / r - 1) / z and cos(r) for an angle r in [-pi/4, pi/4], with z = r^2.
 
-    The minimax polynomials of fdlibm (k_sin.c, k_cos.c), with terms paired for fewer dependent operations.
+    Minimax polynomials of fdlibm (k_sin.c, k_cos.c), with paired terms for fewer dependent operations.
     """
     zz = z * z
     s1 = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
@@ -86,22 +83,20 @@ def _series(z):
     return s1 + zz * (s2 + zz * s3), (1.0 - 0.5 * z) + zz * (c1 + zz * (c2 + zz * c3))
 
 
-FAR = (math.pi / 4) ** 2
-"""Largest squared angle for `sinc_cos`."""
-TINY = 1e-100
-"""Number that is added to divisors that may be 0. It is too small to change other divisors."""
+FAR = (math.pi / 4) ** 2  # largest squared angle for `sinc_cos`
+TINY = 1e-100  # added to divisors that may be 0; too small to change other divisors
 
 
 def sinc_cos(z):
-    """sin(r) / r and cos(r) of an angle between -pi/4 and pi/4 whose square is z, without square root or division."""
+    """Return sin(r) / r and cos(r) for an angle r in [-pi/4, pi/4], with z = r^2, without square root or division."""
     s, cos = _series(z)
     return 1.0 + z * s, cos
 
 
 def _near(x, n):
-    """Sine and cosine of x minus n right angles, which is between -pi/4 and pi/4, without branches or calls.
+    """Return sine and cosine of x minus n right angles, which is in [-pi/4, pi/4].
 
-    The error is about 3e-16, the accuracy of pi/2, in addition to the rounding error of x.
+    The rounding of pi/2 adds an error of about 3e-16.
     """
     r = x - n * (math.pi / 2)
     z = r * r
@@ -110,7 +105,6 @@ def _near(x, n):
 
 
 def sincos(x):
-    """Sine and cosine."""
     n = np.floor(x * (2 / math.pi) + 0.5)
     sin, cos = _near(x, n)
     quadrant = n - 4.0 * np.floor(n * 0.25)
@@ -123,10 +117,7 @@ def sincos(x):
 
 
 def spread_of(quarter_gamma, variance):
-    """Terms of an angle's sigma points, see `planar5`: d/4, with d = gamma sigma; k = sin d / d; (sin d/2)^2 / 4.
-
-    Computed from a quarter of the angle, minus whole turns, so that no quadrant is needed.
-    """
+    """Return terms of an angle's sigma points (see `planar5`): d/4, k = sin d / d, (sin d/2)^2 / 4; d = gamma sigma."""
     quarter = quarter_gamma * math.sqrt(variance) + TINY
     sin, cos = _near(quarter, np.floor(quarter * (2 / math.pi) + 0.5))
     half = sin * cos
@@ -134,10 +125,10 @@ def spread_of(quarter_gamma, variance):
 
 
 def angle_of(y, x):
-    """The angle of the vector (x, y), in [-pi, pi], without branches or calls; to the last digit or two.
+    """Return the angle of the vector (x, y), in [-pi, pi], without branches or calls.
 
-    The ratio of the smaller to the larger coordinate is reduced to [-tan(pi/8), tan(pi/8)]; then the rational function
-    of Cephes is used (S. Moshier, atan.c).
+    The ratio of the smaller to the larger coordinate is reduced to [-tan(pi/8), tan(pi/8)], for the rational function
+    of Cephes (S. Moshier, atan.c). The error is one or two units in the last digit.
     """
     ax, ay = abs(x), abs(y)
     large = ax if ax > ay else ay

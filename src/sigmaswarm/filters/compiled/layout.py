@@ -1,4 +1,4 @@
-"""The array of a run, (row, lane): its lanes, and the numbers of its rows.
+"""The array of a run, (row, lane), and the numbers of its rows.
 
 Kernels contain ``w[R.XX, l]``; `unroll.unrolled` replaces R.XX by its number before Numba compiles them.
 """
@@ -13,26 +13,20 @@ from numpy.typing import NDArray
 
 from sigmaswarm.filters.fix_error import FILTERS
 
-LANES = 16
-"""Parameter sets side by side in a row; a compile-time constant, two AVX-512 or four AVX2 vectors."""
+LANES = 16  # parameter sets side by side, a compile-time constant: two AVX-512 or four AVX2 vectors
 
-WIDEST = 8
-"""Lanes in the widest vector of any processor. An array of rows has as many lanes, or a multiple of it."""
+WIDEST = 8  # lanes in the widest vector; an array has a multiple of these
 
-BLOCKS = 2
-"""Largest multiple of LANES in a run. The lanes after the first LANES are in additional rows, after the rows of the
-first LANES lanes.
-"""
+BLOCKS = 2  # largest multiple of LANES in a run; lanes after the first LANES are in additional rows
 
 
 def most_lanes(kernel: str) -> int:
-    """Number of filters per run: many, to hide latencies, but within a core's nearest cache."""
+    """Return the largest number of filters per run: many hide latencies, but must fit in a core's nearest cache."""
     uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return LANES if FILTERS[kernel].tilts or uncompiled else BLOCKS * LANES
 
 
 def lanes_for(n_sets: int) -> int:
-    """Number of lanes for this many filters."""
     return -(-n_sets // WIDEST) * WIDEST
 
 
@@ -48,12 +42,11 @@ _LARGEST = max(FILTERS.values(), key=lambda model: len(model.states))
 _STATES = [LETTERS[name] for name in _LARGEST.names]
 
 MEAN = tuple(_STATES)
-QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")
-"""Rows of models with tilts: see `tilted12`."""
+QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")  # of models with tilts: see `tilted12`
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
 """Upper triangle, column by column, so that a model's rows are the first rows of a larger model."""
 CONSTANTS = (
-    # Sigma points; of an extended filter the first two and the last are 0. SHORTENS: -8 / gamma^2.
+    # Sigma points; QUARTER_GAMMA, SHORTENS and SECOND are 0 in an extended filter. SHORTENS: -8 / gamma^2.
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
     *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive or fuzzy filter writes these
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
@@ -61,24 +54,23 @@ CONSTANTS = (
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
     "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
-    "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
+    "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; nominal steps of outliers after which the filter recovers
     "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal step over tau; variance of a fix without a stated variance
 )  # fmt: skip
-"""Rows of a parameter set's constants."""
 SUMS = (
     "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
     "DET", "TAIL", "OK", "REJECTED", "RECENT",
-    "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of these
-    "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and the factors in force
+    "OUTLIERS", "SPAN",  # number of consecutive outliers, and the nominal steps from the first to the last
+    "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and its current factors
     "HEADING",  # of models with tilts, whose mean has no row for it
-    # planar5's heading's, right where FACED is 1: whoever writes a heading makes it 0, in a kernel FACED_ALL, too.
+    # COS and SIN of planar5's heading are valid if FACED is 1; kernels that change a heading also clear FACED_ALL.
     "FACED", "COS", "SIN",
 )  # fmt: skip
 """Sums and memory of a run; the first nine are those of `replay.Sums`, in its order."""
 SCRATCH = (
-    "FACED_ALL",  # the same in all lanes. 1: FACED is 1 in each of them; 0: nobody has looked
+    "FACED_ALL",  # the same in all lanes; 1: FACED is 1 in all of them; 0: unknown
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
-    *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for two components of z
+    *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for the two components of z
     "S11", "S12", "S22",  # H P H^T
     "R1", "R2",  # the diagonal of R of a fix
     "V11", "V12", "V22",  # S = H P H^T + R of a fix
@@ -87,17 +79,17 @@ SCRATCH = (
     "FACTOR",  # by which P is stretched
     "PHI", "GAINED_X", "GAINED_Y",  # of `fix_error`
     "ARM",  # of the lateral constraint: see `models.lateral_arm`
-    # A prediction's: acceleration, its covariances with the state and with itself.
+    # Of a prediction: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for a run that records innovations
-    *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
+    *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # of tilted12
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
-    # The unscented filter's: the square root of P, what its points give, the centre's vertical acceleration, and the
-    # quaternion of a point. See `tilted12_unscented`.
+    # Of the unscented filter: square root of P, moments of the images, the center's vertical acceleration, and
+    # the quaternion of a point. See `tilted12_unscented`.
     *(f"ROOT{k}" for k in range(48)), *(f"PIVOT{k}" for k in range(6)), *(f"SLOPE{k}" for k in range(30)),
     *(f"BEND{k}" for k in range(30)), *(f"SHIFT{k}" for k in range(5)), *(f"EXTRA{k}" for k in range(25)),
     "UPWARD", "POINT_FAR", "POINT_W", "POINT_X", "POINT_Y", "POINT_Z",
-    # What a smoother needs of a step: the prediction, and what moved the state. See `tape`.
+    # Inputs of a smoother: the prediction, and the process's coefficients. See `tape`.
     *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(26)),
 )  # fmt: skip
 
@@ -111,10 +103,9 @@ NAMES = tuple(name for block in _BLOCKS.values() for name in block)
 N_ROWS = len(NAMES)
 
 R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
-"""The number of each row, by the row's name."""
 P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
 ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0, R.PIVOT0
-"""First rows: P[i, j] with i <= j is in row P0 + j (j + 1) / 2 + i, the i-th of the others in row Q0 + i and so on."""
+"""First rows: P[i, j] with i <= j is in row P0 + j (j + 1) / 2 + i, Q[i, i] in row Q0 + i, and so on."""
 
 
 def _rows(block: str) -> slice:
@@ -128,17 +119,16 @@ N_STATE: int = STATE_ROWS.stop
 
 @cache
 def state_rows(kernel: str) -> NDArray[np.intp]:
-    """The rows of a model's state: mean (n,), quaternion (4,) if any, upper triangle of the covariance."""
+    """Return the rows of a model's state: mean (n,), quaternion (4,) if any, upper triangle of P."""
     n = len(FILTERS[kernel].states)
     quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if FILTERS[kernel].tilts else ()
     return np.array([*range(n), *quaternion, *range(P0, P0 + n * (n + 1) // 2)], dtype=np.intp)
 
 
 def at(i: int, j: int) -> int:
-    """Row of P[i, j]."""
+    """Return the row of P[i, j]."""
     low, high = min(i, j), max(i, j)
     return P0 + high * (high + 1) // 2 + low
 
 
-N_KEPT: int = SUM_ROWS.stop
-"""Rows from which a filter continues. The rows after them are scratch."""
+N_KEPT: int = SUM_ROWS.stop  # rows from which a filter continues; the others are scratch

@@ -1,20 +1,19 @@
 """The memory of a live filter, and compiled functions that process an IMU sample or a fix.
 
-The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so that this file
-is compiled once for all models. The memory is eight arrays:
+The filter is the first lane of the rows in `layout`. A step (see `single`) is called by its address, so this file is
+compiled once for all models. The memory is eight arrays:
 
     belief  (N_ALL,) the state, which a late fix resets to an earlier one; then settings and values without reset
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
     memory  (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
     fixes   (f, N_FIX) sorted by time, equal times by arrival; each with its kind
-    speeds  (r, 2) odometer readings by time, s and m/s; no rows if the filter uses none
+    speeds  (r, 2) odometer readings by time, s and m/s; no rows if unused
     history (h, N_RECORD) ring buffer: the last samples, and the state before each sample
-    marks   (m, k) ring buffer of checkpoints: the k numbers after the state, which the step also changes, before each
-            MARK_EVERY-th sample; no rows if k is 0
+    marks   (m, k) ring buffer of checkpoints before each MARK_EVERY-th sample: the k numbers after the state, which
+            the step also changes; no rows if k is 0
     lately  (l, N_SAMPLE) ring buffer: the last samples, for the divergence monitor (see `watch`); no rows if unused
 
-A sample contains its time and the IMU's axes in the order of `timeline.AXES`, 0 for an axis that the model does not
-read.
+A sample contains its time and the IMU's axes in the order of `timeline.AXES`, 0 for an unused axis.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -41,7 +40,7 @@ from sigmaswarm.filters.compiled.single import take_step
 from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL, WATCHED, last_fix, rough_heading
 from sigmaswarm.filters.schedule import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
-# The state: rows, constants and sums as in `layout`; its time; Q's scale since the last fix; the intervals of the last
+# The state: rows, constants and sums as in `layout`; its time; scale of Q since the last fix; the intervals of the last
 # updates with the constraints and the odometer; the time of the last odometer update.
 N_FILTER = N_KEPT
 OK = R.OK
@@ -49,7 +48,7 @@ TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range
 STOP_TIME = N_FILTER + 6  # of the last moment of calm and constant fixes; then the stop's ax, ay
 STOP = slice(STOP_TIME + 1, STOP_TIME + 3)
 N_BELIEF = STOP.stop
-# Next, values that no late fix resets. An interval of 0: the filter does not use that constraint.
+# Values that no late fix resets. An interval of 0: the filter does not use that constraint.
 N_SAMPLE = 1 + len(AXES)
 NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, BELIEVES_TIMES = range(
     N_BELIEF, N_BELIEF + 7
@@ -64,7 +63,7 @@ LAST_SAMPLE = SAMPLE.start  # its time
 ) = range(11)  # fmt: skip
 FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
 N_FIX = 11
-# The last sample and fix that were stamped too far ahead; and the new sample.
+# The last sample and fix with a stamp too far ahead, and the new sample.
 SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
 NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
@@ -77,29 +76,22 @@ N_ALL = FACTOR.stop
     N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS,
     N_SAMPLES,  # number of samples ever added to the history
     SPARE,  # records that are stored only to continue from a checkpoint
-    N_LATELY, NEWEST,  # samples that are watched, and the row of the last one
-    CAME_LATE,  # whether the last fix came late
+    N_LATELY, NEWEST,  # number of samples in ``lately``, and the row of the last one
+    CAME_LATE,  # 1 if the last fix was late
 ) = range(14)  # fmt: skip
 N_COUNTS = 14
-NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
+NOTHING, HELD, BELIEVED = range(3)  # a fix far ahead: none; it waits for a second one; it is confirmed
 
-BEHIND = 8 * math.ceil(N_ALL / 8)
-"""Index at which the numbers after the state begin, a multiple of the widest vectors."""
-MARK_EVERY = 16
-"""Number of samples between two checkpoints: the numbers after the state are many and rarely needed."""
+BEHIND = 8 * math.ceil(N_ALL / 8)  # index of the numbers after the state, a multiple of the widest vectors
+MARK_EVERY = 16  # samples between two checkpoints: the numbers after the state are many and rarely needed
 
-CHECK_EVERY = MARK_EVERY
-"""Number of samples from one check of the covariance to the next; the covariance is also checked after each fix."""
-ROUNDING = 1e-8
-"""Largest magnitude of a negative eigenvalue of the correlations that counts as rounding."""
+CHECK_EVERY = MARK_EVERY  # samples between two checks of P, which is also checked after each fix
+ROUNDING = 1e-8  # largest size of a negative eigenvalue of the correlations that counts as rounding
 
-LEAP = 10.0
-"""Largest lead of a time stamp over the filter, s; a sample or fix farther ahead waits for a second one."""
-AGREES = 1.0 + 1e-6
-"""Largest difference between two stamps that are too far ahead at which they agree, s: one second, plus the rounding of
-times that count from 1970."""
+LEAP = 10.0  # s; a sample or fix with a larger lead over the filter waits for a second one
+AGREES = 1.0 + 1e-6  # s between two stamps far ahead that agree: one, plus rounding of times since 1970
 
-# The numbers (DT ... GY) of the step that ends at a sample's time; whether the last second was calm, and its means.
+# The step (DT ... GY) that ends at a sample's time; 1 if the last second was calm, and its means.
 S_TIME = N_BELIEF
 S_STEP = slice(N_BELIEF + 1, N_BELIEF + 1 + N_STEP)
 S_AXES = slice(S_STEP.start + AX, S_STEP.stop)
@@ -107,21 +99,16 @@ S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
-TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
-"""Result of a fix: used; before the start, repeated or waiting; too late, or no room."""
-DUE = 2
-"""Further result of a sample: it was used, and the divergence monitor is due."""
+TAKEN, IGNORED, LEFT_OUT = 1, 0, -1  # used; before the start, repeated or waiting; too late, or no room
+DUE = 2  # result of a sample: used, and the divergence monitor is due
 
 
-_plain = njit(**OPTIONS)
-"""Compiler options of functions without lanes. Their time slots must equal those of a run, so operations are not
-rearranged.
-"""
+_plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal those of a run
 
 
 @_plain
 def _step_to(step, v, to, u, happens, z, wheels):
-    """Step from the time of the state to another time; u (N_STEP,) contains the axes and the gap; its length is set."""
+    """Step to a time; ``u`` (N_STEP,) has axes and gap, its other numbers are set."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
@@ -147,7 +134,7 @@ def _same(a, b, n):
 
 @_plain
 def is_definite(p, n, factor, first):
-    """Return whether a covariance of n states is positive semidefinite, up to rounding, by its Cholesky factor.
+    """Return True if a covariance of n states is positive semidefinite, up to rounding, by its Cholesky factor.
 
     ``p`` is its upper triangle column by column; that of the factor is written from index ``first`` on.
     """
@@ -174,17 +161,13 @@ def is_definite(p, n, factor, first):
 
 @_plain
 def _check(v):
-    """Mark a filter as failed if its covariance is no longer positive semidefinite."""
     if v[OK] == 1.0 and not is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start):
         v[OK] = 0.0
 
 
 @_plain
 def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
-    """Process the fixes up to a sample's time; then apply the odometer and the constraints of a car.
-
-    ``number``: number of the sample, counted from the start.
-    """
+    """Process the fixes up to a sample's time, then the odometer and the constraints of a car."""
     before, nothing = v[TIME], np.zeros(11)
     no_fix, wheels = nothing[:8], nothing[8:]
     end, came = _until(fixes, counts[N_FIXES], t), _until(speeds, counts[N_SPEEDS], t)
@@ -224,7 +207,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 @_plain
 def _until(rows, n, now):
-    """Return how many of the first n rows, which begin with their times, are not later than a time."""
+    """Return how many of the first n rows are not later than a time; rows begin with their times."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -232,7 +215,7 @@ def _until(rows, n, now):
 
 @_plain
 def _stands(v, fixes, end, now, means):
-    """Return whether, after a calm second, the fixes up to row ``end`` and the stop so far show a standstill."""
+    """Return True if, after a calm second, the fixes up to row ``end`` and the stop so far show a standstill."""
     if not fixes_stand(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
@@ -247,7 +230,6 @@ def _lies_ahead(v, t):
 
 @_plain
 def _record(counts, history, k):
-    """Return the k-th record of the history, counted from the oldest."""
     return history[(counts[OLDEST] + k) % history.shape[0]]
 
 
@@ -257,7 +239,7 @@ def _keep(v, counts, fixes, history, z):
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
-        for needed in (WATCHED, FIX_WINDOW):  # s; if there are too many fixes, the monitor does without some
+        for needed in (WATCHED, FIX_WINDOW):  # s; the monitor can miss some old fixes
             while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - needed:
                 old += 1
             if old > 0:
@@ -284,7 +266,7 @@ def _keep(v, counts, fixes, history, z):
     _copy(z, fixes[at], N_FIX)
     counts[N_FIXES] += 1
     if v[AS_RECORDED] == 0.0:
-        for f in range(at, counts[N_FIXES]):  # those after it may repeat it
+        for f in range(at, counts[N_FIXES]):  # later fixes may repeat it
             fixes[f, KIND] = kind_of(fixes, fixes[:, KIND], f)
         if fixes[at, KIND] >= FROZEN:
             counts[N_FROZEN] += 1
@@ -293,7 +275,6 @@ def _keep(v, counts, fixes, history, z):
 
 @_plain
 def _keep_speed(v, counts, speeds, history, t, speed):
-    """Insert a reading by time; without free rows, first remove readings that are no longer needed."""
     if counts[N_SPEEDS] == speeds.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -318,7 +299,7 @@ def _keep_speed(v, counts, speeds, history, t, speed):
 
 @_plain
 def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
-    """Process an IMU sample with an accepted time; in a gap before it, use the mean of the samples around the gap."""
+    """Process an IMU sample with an accepted time; in a gap, use the mean of the samples around the gap."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -355,14 +336,14 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
 
 @_plain
 def _mark(v, marks, number):
-    """Keep the numbers after the state as a checkpoint, if one is due before sample ``number``."""
+    """Store a checkpoint, if one is due before sample ``number``."""
     if marks.shape[0] > 0 and number % MARK_EVERY == 0:
         _copy(v[BEHIND:], marks[number // MARK_EVERY % marks.shape[0]], marks.shape[1])
 
 
 @_plain
 def _first_after(counts, history, t):
-    """Return the first stored sample not before a time, or -1 if the filter can't return to before this sample."""
+    """Return the first stored sample not before a time, or -1 if the filter cannot return to before it."""
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
         back -= 1
@@ -375,7 +356,7 @@ def _first_after(counts, history, t):
 def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
     """Process the stored samples again from number ``first``; ``v`` is the state before this sample.
 
-    ``corrects``: the stored states before each of them are replaced.
+    ``corrects``: also replace the stored states before each sample.
     """
     for number in range(first, counts[N_HISTORY]):
         record = _record(counts, history, number)
@@ -398,7 +379,7 @@ def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
 
 @_plain
 def _again_from(step, v, counts, fixes, speeds, history, marks, back):
-    """Return to before a stored sample, or to the last checkpoint before it, and process the later samples again."""
+    """Return to the last checkpoint before a stored sample, and process the later samples again."""
     if marks.shape[0] > 0:
         number = counts[N_SAMPLES] - counts[N_HISTORY] + back
         back -= number % MARK_EVERY
@@ -412,7 +393,7 @@ def _place(step, v, counts, fixes, speeds, history, marks, z):
     """Process a fix with an accepted time: it waits for its sample, or later samples are processed again."""
     t = z[FIX_TIME]
     is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
-    if t <= v[START]:  # absorbed already, but it may show a standstill
+    if t <= v[START]:  # already in the start, but it may show a standstill
         _keep(v, counts, fixes, history, z)
         if is_number:
             counts[CAME_LATE] = 0
@@ -430,7 +411,6 @@ def _place(step, v, counts, fixes, speeds, history, marks, z):
 
 @_plain
 def _watch(counts, lately, sample):
-    """Store a sample for the divergence monitor."""
     if lately.shape[0] > 0:
         row = counts[NEWEST] = (counts[NEWEST] + 1) % lately.shape[0]
         counts[N_LATELY] = min(counts[N_LATELY] + 1, lately.shape[0])
@@ -439,7 +419,6 @@ def _watch(counts, lately, sample):
 
 @_plain
 def _sees_more(v, counts, fixes, t):
-    """Return whether fixes have arrived since the last call, up to a time."""
     f = last_fix(fixes, counts[N_FIXES], t, max(v[SEEN_FIX], v[START]))
     if f >= 0:
         v[SEEN_FIX] = fixes[f, FIX_TIME]
@@ -448,7 +427,7 @@ def _sees_more(v, counts, fixes, t):
 
 @_plain
 def _is_due(v, counts, fixes, t):
-    """Return whether the monitor is due after a sample: once in each interval, after a new fix."""
+    """Return True if the monitor is due after a sample: once in each interval, after a new fix."""
     if not _sees_more(v, counts, fixes, t):
         return False
     slot = slot_of(t, v[START], LOOK_INTERVAL)
@@ -461,7 +440,7 @@ def _is_due(v, counts, fixes, t):
 
 def _take_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
-        """Process an IMU sample; ignore it if not after the last sample; if far ahead, it waits for a second sample."""
+        """Process an IMU sample; one that is far ahead waits for a second sample."""
         step, v, counts, memory, fixes, speeds, history, marks, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
@@ -492,7 +471,7 @@ def _take_sample(sources):
         if lately.shape[0] == 0 or t <= v[START]:
             return TAKEN
         if agrees:
-            _sees_more(v, counts, fixes, held[0])  # the sample that ends a silence is no time for a check
+            _sees_more(v, counts, fixes, held[0])  # no check at the sample that ends a gap
         return DUE if _is_due(v, counts, fixes, t) else TAKEN
 
     return sample
@@ -500,7 +479,7 @@ def _take_sample(sources):
 
 def _take_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-        """Process a fix: it waits for its sample, is late, or, if it is far ahead, waits for a second fix."""
+        """Process a fix; one that is far ahead waits for a second fix."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
@@ -528,7 +507,6 @@ def _take_fix(sources):
 
 def _take_speed(sources):
     def speed(handle, t, value):
-        """Process an odometer reading: it waits for its sample, or later samples are processed again."""
         step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or speeds.shape[0] == 0:
             return IGNORED
@@ -552,7 +530,6 @@ def _take_speed(sources):
 
 def _look_back(sources):
     def heading(handle, gyro_bias):
-        """Approximate heading at the last sample from the last seconds: see `watch`."""
         _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
         if sources == "":
             return math.nan
@@ -563,7 +540,6 @@ def _look_back(sources):
 
 def _look_at_covariance(sources):
     def definite(handle):
-        """Return whether the covariance is positive semidefinite now, also between two checks."""
         v = memory_at(handle)[1]
         return sources != "" and is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
 
@@ -574,15 +550,11 @@ def _look_at_covariance(sources):
 class LiveCalls:
     """Compiled functions on the memory of a live filter; the first argument is `Memory.handle`.
 
-    Attributes
-    ----------
-    sample : ``(handle, t, a, b, c, d, e, f)``, process an IMU sample with the axes in the filter's order; return its
-        result
-    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``, process a fix; return its result
-    speed : ``(handle, t, speed)``, process an odometer reading; return its result
-    heading : ``(handle, gyro_bias)``, approximate heading from the log alone, rad, with the gyro bias in rad/s; NaN if
-        unknown
-    definite : ``(handle)``, whether the covariance is positive semidefinite
+    - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample, axes in the filter's order
+    - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``
+    - ``speed(handle, t, speed)``: process an odometer reading
+    - ``heading(handle, gyro_bias)``: rough heading from the log alone, rad, with the gyro bias in rad/s; NaN if unknown
+    - ``definite(handle)``: True if the covariance is positive semidefinite
     """
 
     sample: Any
@@ -597,7 +569,7 @@ class LiveCalls:
 
 @once
 def live_calls():
-    """Functions that are compiled once, on import; numbers of other types are converted."""
+    """Compile the functions once, on import; numbers of other types are converted."""
     makers = (_take_sample, _take_fix, _take_speed, _look_back, _look_at_covariance)
     calls = [cached_by_sources(make, "live") for make in makers]
     for function, numbers in zip(calls, (7, 10, 2, 1, 0), strict=True):

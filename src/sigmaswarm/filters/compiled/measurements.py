@@ -1,12 +1,11 @@
-"""Update the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
+"""Updates of the compiled filter: fixes, velocities, and the constraints of a car on its wheels.
 
 Each measurement fills, lane by lane, the innovation nu, its variance S and the covariances C = Cov(state, z); then
-`_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C follow from
-sigma points. If z is linear in the state, they equal those of the Kalman filter. If z is rotated by the heading, they
-have a closed form, as in planar5.py and planar8.py.
+`_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C are the moments
+of sigma points. If z is linear in the state, they equal those of the Kalman filter. If z is rotated by the heading,
+they have a closed form, as in planar5.py and planar8.py.
 
-Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`, as are the parts that depend on the
-gyro's bias (its index, or -1); `absorbers` returns the result.
+Loops over states (i, j, row) are unrolled for the model's n by `unroll.unrolled`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -65,15 +64,15 @@ TWO_PI = 2.0 * math.pi
 
 
 def axis_of(bias):
-    """Column of a step with the axis of the gyro whose bias has an index."""
+    """Return the column of a step with the gyro axis of a bias."""
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
 def absorb_fix(w, z, lever, since, *, looks, gated, adaptive, fix_error, note_prior):
     """Update with a position fix of the antenna.
 
-    ``z`` is a row of `Timeline.fixes`, ``since`` is the scale of Q since the last fix. Parts that no column needs are
-    left out, which does not change the results.
+    ``z`` is a row of `Timeline.fixes`, ``since`` the scale of Q since the last fix. Parts that no lane needs are left
+    out.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
@@ -154,7 +153,7 @@ def _look(w, l):
 def _measure_fix(w, z, lever, *, n):
     """Compute nu, H P H^T, C and R of z = p + R(theta) lever - latency v.
 
-    R(theta) lever depends only on theta, so its sigma points have planar5's closed form.
+    The sigma points of R(theta) lever have planar5's closed form.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]
@@ -186,7 +185,7 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """Compute R(theta) lever, k J R(theta) lever, and e: effects of the heading and its variance on the lever arm."""
+    """Compute R(theta) lever, k J R(theta) lever, and e, for the mean heading and its variance."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
@@ -199,7 +198,7 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
     """Compute the position's rows of P again, from P+ H^T = C S^-1 R, which subtracts no large numbers.
 
     P - C S^-1 C^T loses all digits of a variance that a fix reduces by a factor of a billion. H has 1 at the position
-    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading; R is S less H P
+    and at the correlated fix error, -latency at the velocity and k J R(theta) lever at the heading. R here is S - H P
     H^T.
     """
     for l in range(LANES):
@@ -234,10 +233,10 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
 def _fade(w, *, n):
     """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu (FADING < 0: off).
 
-    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. There are
-    two changes. The innovations are averaged with weights rho and 1 - rho, since the weights in the paper, rho and 1
-    over 1 + rho, forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1
-    C^T, since the rest would grow without limit.
+    The single fading factor, from traces, of D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996, with two changes.
+    The innovations are averaged with weights rho and 1 - rho, since the paper's weights, rho / (1 + rho) and 1 / (1 +
+    rho), forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T,
+    since the rest would grow without limit.
     """
     for l in range(LANES):
         rho = w[R.FADING, l]
@@ -255,10 +254,7 @@ def _fade(w, *, n):
 
 
 def _reason(w, *, n):
-    """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`.
-
-    The previous factors of R and Q are replaced by the new ones.
-    """
+    """Scale R and Q by fuzzy rules on a fix's NIS (FUZZY < 0: off): see `filters.fuzzy`."""
     for l in range(LANES):
         memory = w[R.FUZZY, l]
         used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # a rejected fix is not used
@@ -308,11 +304,11 @@ def _stretch(w, l, s11, s12, s22, factor, *, n):
 
 
 def _weigh(w, since):
-    """Student's t: the weight of a fix, whose R is divided by it (DOF = 0: off).
+    """Student's t: compute the weight w of a fix, and divide R by it (DOF = 0: off).
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012. With S = H P H^T + R / w and e = S^-1 nu, the residual after the
-    update is r = R / w e. Its covariance is A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
+    the multivariate Student-t distribution, MLSP 2012. Let S = H P H^T + R / w and e = S^-1 nu. The residual after the
+    update is r = R / w e, with covariance A = R / w - R / w S^-1 R / w. Then w = (dof + 2) / (dof + r^T R^-1 r +
     tr R^-1 A), three times from w = 1.
 
     A filter with a wrong state would treat all fixes as outliers. So the fix that ends a long run of outliers has
@@ -352,10 +348,10 @@ def _weigh(w, since):
 def _adapt(w, since, *, n):
     """Adapt Q and R to a fix's innovation, with weight 1 - FORGETTING (1: off).
 
-    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
-    their weights (1 - b) / (1 - b^(k+1)). R is estimated from the residual after the update, eps eps^T + H P+ H^T,
-    which is positive by construction. Q is estimated from K nu nu^T K^T + P+ - (P- - Q), whose negative values are not
-    used. A second fix at the same time (since = 0) contains no information on Q.
+    A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of their
+    weights (1 - b) / (1 - b^(k+1)). The estimate of R is eps eps^T + H P+ H^T, with the residual eps after the
+    update; it is positive by construction. That of Q is K nu nu^T K^T + P+ - (P- - Q), without negative values. A
+    second fix at the same time (since = 0) has no information on Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):
@@ -375,7 +371,7 @@ def _adapt(w, since, *, n):
 
 
 def absorb_velocity(w, z, *, n):
-    """Update with the receiver's velocity over ground, m/s east and north; linear in the state."""
+    """Update with the receiver's velocity over ground, m/s east and north."""
     for l in range(LANES):
         w[R.R1, l] = w[R.R_VELOCITY, l]
     _take_velocity(w, z[FIX_U], z[FIX_V])
@@ -384,8 +380,7 @@ def absorb_velocity(w, z, *, n):
 def absorb_standstill(w, u, *, n, gyro_biases, tilted):
     """Update at a standstill: the velocity is 0, and the gyro measures its biases, if they are states.
 
-    The measurements are linear in the error, so sequential updates equal a joint update if the error is injected at the
-    end.
+    The measurements are linear, so sequential updates equal a joint update if the error is injected at the end.
     """
     for l in range(LANES):
         w[R.R1, l] = w[R.R_STANDSTILL, l]
@@ -403,7 +398,7 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def _take_velocity(w, zu, zv, *, n):
-    """Update with a velocity (variance in row R1); then compute its rows of P again, as in `_keep_digits`."""
+    """Update with a velocity (variance in row R1); compute its rows of P as in `_keep_digits`."""
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
         s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
@@ -420,14 +415,12 @@ def _take_velocity(w, zu, zv, *, n):
 
 
 def _measure_along(w, u, wheels, *, n, bias, lateral):
-    """Compute nu, S and C of z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward.
+    """Compute nu, S and C of the velocity R(theta)^T v to the left (``lateral``) or forward.
 
     To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: the reading of the wheels, speed /
-    scale = forward - delay (ax - b).
-
-    R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, rotated back into the body frame, with t
-    = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is rotated by 90 degrees;
-    ``away`` is its forward velocity.
+    scale = forward - delay (ax - b). R(theta)^T v has planar8.py's closed form, rotated back into the body frame, with
+    t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body rotated by 90 degrees, with
+    forward velocity ``away``.
     """
     if lateral:
         shown = u[GZ]
@@ -467,7 +460,7 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
                 w[C1 + i, l] = c * w[at(i, R.V), l] - s * w[at(i, R.U), l] - turn * w[at(i, R.T), l]
             else:
                 w[C1 + i, l] = c * w[at(i, R.U), l] + s * w[at(i, R.V), l] - turn * w[at(i, R.T), l]
-        if bias >= 0:  # what is shown has a bias, too
+        if bias >= 0:  # the IMU's reading has a bias
             w[R.N1, l] -= arm * w[bias, l]
             variance += 2.0 * arm * w[C1 + bias, l] + arm * arm * w[at(bias, bias), l]
             for i in range(n):
@@ -552,7 +545,7 @@ def _absorb_two(w, *, n, tilted):
 
 
 def absorbers(name: str, note_prior=None, noted=0):
-    """`forecast_fix` and the six `absorb_...` functions of a kernel's name.
+    """Return `forecast_fix` and the six `absorb_...` functions of a kernel's name.
 
     ``note_prior``: see `tape`; ``noted``: see `move_fix_error`.
     """

@@ -1,4 +1,4 @@
-"""Pass a live filter's memory to compiled code as one number, since passing eight arrays takes longer than a step."""
+"""A live filter's memory as one number for compiled code, since passing eight arrays takes longer than a step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
@@ -21,8 +21,6 @@ _KIND = types.Tuple((int64, *_ARRAYS))
 
 
 class LiveArrays(NamedTuple):
-    """Arrays of a live filter: see `live`."""
-
     belief: NDArray[np.float64]
     counts: NDArray[np.int64]
     calm: NDArray[np.float64]
@@ -34,16 +32,9 @@ class LiveArrays(NamedTuple):
 
 
 class Memory:
-    """The arrays of a live filter and the address of its step: see `live`.
+    """The arrays of a live filter (see `live`) and the address of its step.
 
-    Attributes
-    ----------
-    step : SingleStep
-    arrays : LiveArrays
-        The state is a copy of the given one.
-    handle : int
-        Argument of `memory_at`, valid while this object exists. Without compilation it contains the step and the
-        arrays.
+    ``handle`` is the argument of `memory_at`, valid while this object exists. ``arrays.belief`` is a copy.
     """
 
     def __init__(self, step: Any, given: LiveArrays) -> None:
@@ -71,8 +62,6 @@ def _numbers(arrays):
 
 @intrinsic
 def _at(typing_context, handle):
-    """The step's address and the arrays."""
-
     def generate(context, builder, signature, arguments):
         size = ir.IntType(64)
         table = builder.inttoptr(arguments[0], size.as_pointer())

@@ -11,8 +11,7 @@ planar5, t = R P[b, theta], and m = (1 - cos d) / P[theta, theta]. The sums over
     Cov(g)      = R P[b, b] R^T + k^2 (P[theta, theta] J g0 (J g0)^T - gamma^2 t t^T)
                   - k cos d (J g0 t^T + t (J g0)^T) + (alpha^2 (n + kappa - 1) + beta) mu mu^T
 
-Without the second-order terms (gamma = SECOND = 0), mu = 0, m = 0 and k = cos d = 1: this is the extended Kalman
-filter.
+The extended Kalman filter has no second-order terms: gamma = SECOND = 0, so mu = 0, m = 0 and k = cos d = 1.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -57,7 +56,7 @@ def _turn(w, dt, ax, ay):
 
 @kernel
 def predict_planar8(w, u):
-    """One step of the process model."""
+    """Compute a step of the process model."""
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
     _turn(w, dt, ax, ay)
     h = 0.5 * dt

@@ -2,8 +2,7 @@
 
 `filters.robot_localization` contains the equations and the textbook form. The eight states are in planar8's rows: x, y,
 vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one for each row that
-differs from the identity, and measurements of single states are used one after the other: with a diagonal R this is the
-joint update.
+differs from the identity. R is diagonal, so sequential updates with single states equal the joint update.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -35,9 +34,8 @@ from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: a twist with vy = 0, and the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
-"""Rows of the stated variances."""
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
-"""Rows of the largest accepted NIS of the IMU's gz and ax, which are free since the model has no rear axle."""
+"""Rows of the largest accepted NIS of gz and ax; they are free, since the model has no rear axle."""
 _TWO_PI = 2 * math.pi
 
 
@@ -86,13 +84,12 @@ def _predict(w, d, q):
 
 
 RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
-"""Pairs of states and their derivatives."""
 
 
 def _absorb(w, z, *, state, noise, gate):
-    """Update with a measurement of one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
+    """Update with one state: x += K nu; P' = P - p p' / S, and the column of this state is p R / S.
 
-    ``gate``: the row of the NIS at which it is rejected; 0: none.
+    ``gate``: the row of the NIS from which the measurement is rejected; 0: none.
     """
     for l in range(LANES):
         r, use = w[noise, l], 1.0
@@ -129,7 +126,7 @@ _absorb_vy = kernel(_absorb, state=R.V, noise=R_VY, gate=0)
 
 @kernel
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
-    """Compute nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU at the mean heading."""
+    """Compute nu, H P H' and R of a fix; the antenna is ``forward`` and ``left`` of the IMU, m."""
     for l in range(LANES):
         s, c = sincos(w[R.T, l])
         w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]
@@ -142,7 +139,7 @@ def _measure_fix(w, x, y, var_x, var_y, forward, left):
 
 @kernel
 def _look_at_fix(w):
-    """Compute the likelihood of a fix, and whether the NIS is within the squared threshold."""
+    """Add the likelihood of a fix; reject it if its NIS exceeds the squared threshold."""
     for l in range(LANES):
         nis = _look(w, l)
         det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
@@ -151,7 +148,6 @@ def _look_at_fix(w):
 
 
 BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
-"""Rows with x and y before a fix."""
 
 
 def _absorb_axis(w, *, state, noise, innovation):

@@ -1,7 +1,7 @@
-"""Allocate the array of a run on the stack, aligned to a cache line.
+"""The array of a run on the stack, aligned to a cache line.
 
-Numba's `np.empty` starts at any multiple of 32 bytes, so with AVX-512 each load and store may touch two cache lines. In
-this case the run takes a seventh longer.
+Numba's `np.empty` starts at any multiple of 32 bytes, so with AVX-512 each load and store may touch two cache lines.
+Then the run takes a seventh longer.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -14,8 +14,7 @@ from numba.extending import intrinsic
 
 from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS
 
-CACHE_LINE = 64
-"""Size of a cache line, bytes; also the width of the widest vectors."""
+CACHE_LINE = 64  # bytes; also the width of the widest vectors
 
 
 @intrinsic

@@ -28,28 +28,24 @@ from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
 
-# Place of a run in pieces: the next step, fix and target, Q's scale since the last fix, and the next wheel speed.
+# Place of a run in pieces: the next step, fix and target, the scale of Q since the last fix, and the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
-"""Record of a run without recorded rows."""
 
 
 def kept(column: Array) -> Array:
-    """Return an input array for kernels, contiguous and not writable, since kernels are compiled for this form only."""
+    """Return a contiguous array that is not writable: the form of input for which kernels are compiled."""
     view = np.ascontiguousarray(column).view()
     view.flags.writeable = False
     return view
 
 
-TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]
-"""See `replay.Targets.columns`."""
+TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]  # see `replay.Targets.columns`
 _NOTHING, NO_DOUBTS = kept(np.empty(0)), kept(np.empty((0, 4)))
 NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DOUBTS
-"""Targets of a run without comparison."""
 
 
 def new_place() -> Array:
-    """Return the place at the start of a run."""
     return np.zeros(5)
 
 
@@ -59,10 +55,7 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 
 @kernel
 def _take_logarithm(w):
-    """Add the logarithms of the products of the last fixes to the sums, and reset the products.
-
-    This function is slow and rarely called.
-    """
+    """Add the logarithms of the products of the last fixes to the sums, and reset the products."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
         w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
@@ -89,14 +82,13 @@ def _add(w, l, x, y, wrong, scores_heading):
 
 
 def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Add the squared errors at a moment of truth, and the position's NEES with the covariance at the later sample."""
+    """Add the squared errors at a time of truth, and the position's NEES with the covariance at the later sample."""
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
         _add(w, l, x, y, wrong, scores_heading)
 
 
 def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
-    """`_score` at the time of an IMU sample."""
     for l in range(LANES):
         x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, _wrapped(w[heading, l] - true_theta)
         _add(w, l, x, y, wrong, scores_heading)
@@ -107,7 +99,7 @@ def _score_doubtful(
 ):
     """Score like `_score`, for truth with a variance, which weights each time and is added to P in the NEES.
 
-    This function is separate from `_score`, which would round differently with a factor of 1.
+    A separate function, since `_score` with a factor of 1 would round differently.
     """
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
@@ -123,8 +115,8 @@ def _run(
 ):  # fmt: skip
     """Run the steps from a place to a stop; w has the state and memory of the filters, before and after.
 
-    ``state``: the recorded rows; ``heading``: the row of the scored heading. The numbers of a step and of a fix are
-    passed as tuples, since a row of an array would be reference-counted at each step.
+    ``state``: the recorded rows; ``heading``: the row of the scored heading. Steps and fixes are passed as tuples,
+    since a row of an array would be reference-counted at each step.
     """
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
     wheels = (0.0, 0.0, 0.0)
@@ -232,7 +224,6 @@ _ELSEWHERE = (
     student,
     tilted,
 )
-"""Sources in other folders that kernels use."""
 
 
 @cache
@@ -245,11 +236,11 @@ def _digest():
 
 
 def named_by_sources(make, name, known=None):
-    """The function of ``make(sources)``, whose key in a cache is a hash of all kernels' sources.
+    """Return the function of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
 
-    Numba keeps machine code in a cache, and would not notice that a function in another file has changed, or that the
-    same lines call another function under another ``name``; but values in a function's closure are part of its key.
-    ``known``: returns the values of make's keyword-only parameters, which are needed only for compilation.
+    Numba alone would not notice a change of a function in another file, or that the same lines call another function
+    under another ``name``; but values in a closure are part of the key. ``known``: returns the values of make's
+    keyword-only parameters, which are needed only for compilation.
     """
     sources = f"{name} {_digest()}"
 
@@ -265,7 +256,6 @@ def named_by_sources(make, name, known=None):
 
 
 def cached_by_sources(make, name, known=None):
-    """Compile a function for use by Python: see `named_by_sources`."""
     return cached(named_by_sources(make, name, known), **OPTIONS)
 
 
@@ -314,7 +304,6 @@ def _machine_code(sources, *, steps_to):
 
 
 def _kernel_of(model, step, rows, name):
-    """``step`` returns the model's step, which is inlined into the kernel for compilation."""
     described = FILTERS[model]
     heading = R.HEADING if described.tilts else R.T
 
@@ -331,13 +320,12 @@ def _kernel_of(model, step, rows, name):
 
 @once
 def run_kernel(model):
-    """The function that `run_lanes` calls; generated and compiled for a model on first use."""
     return _kernel_of(model, partial(step_of, model), state_rows(model), model)
 
 
 @once
 def taped_kernel(model):
-    """Run like `run_kernel`, but write the `tape.taped_rows` to ``record``; if all flags contain IMU, of every step."""
+    """Return a kernel that writes the `tape.taped_rows` to ``record``; if all flags contain IMU, of every step."""
     return _kernel_of(model, partial(step_of, model, noted=True), taped_rows(model), f"{model}, taped")
 
 
@@ -360,28 +348,28 @@ def run_lanes(
 ) -> None:
     """Run up to `most_lanes` filters over some steps of one time line, from the end of the last call.
 
-    Runs in pieces give the same results as the whole run, if each piece except the last stops after a step with the
-    flag IMU.
+    Runs in pieces give the same results as the whole run if each piece except the last stops after a step with the flag
+    IMU.
 
     Parameters
     ----------
     model : name of the model
     steps : (k, 3) as `Timeline.steps`
     sample : (k,) row of ``driving`` for each step
-    driving : (n, 3 or 6) as `Timeline.driving`; with all the axes that the model reads
+    driving : (n, 3 or 6) as `Timeline.driving`, with all axes that the model reads
     flags : (k,) bits of each step: see `schedule`
-    fixes : (f, 8) as `Timeline.fixes`, in the order in which steps absorb them
+    fixes : (f, 8) as `Timeline.fixes`, in the order of their updates
     speeds : (o, 3) as `drives.odometer.Wheels.rows`
     lever : (3,) m forward, left and up from the IMU to the antenna
-    targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval
+    targets : columns (m,) as `Targets.columns`
     target_end : (k,) number of targets before the end of each step (constant where flags lack IMU)
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants, sums and memory of each lane
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which the run stops; for k the sums are complete
     record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes, up
         to LANES, at each IMU sample of these steps; r = 0: none
-    innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before it
-        is absorbed; of no rows: none
+    innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before
+        the update; no rows: none
     """
     arrays = steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, rows, place, stop
     run_kernel(model)(*arrays, record, innovations)

@@ -1,7 +1,7 @@
-"""Compile one step of one filter, which other compiled code calls by its address.
+"""One step of one filter as a separate function, which other compiled code calls by its address.
 
 Numba would inline the step into its callers and compile them for each model, although the rest of a live filter is the
-same for all models. So a step is a separate compiled function, and the loop over steps receives its address.
+same for all models.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -28,7 +28,6 @@ SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, 
 
 def _one_step(sources, *, step, kept, tape, taped):
     def one_step(v, u, happens, z, wheels, lever, since):
-        """A step as in `step`, with arrays instead of tuples; ``v`` is the filter before and after the step."""
         if sources == "":  # never; so the name is closed over
             return
         control = exchange_control(-1)
@@ -57,12 +56,10 @@ def _one_step(sources, *, step, kept, tape, taped):
 
 @dataclass(frozen=True, eq=False)
 class SingleStep:
-    """A model's step in this process; in other processes the address differs, so a copy looks it up again.
+    """A model's step in this process; a copy in another process looks up its own address.
 
-    Attributes
-    ----------
-    address : argument of `take_step`; a function without compilation
-    made_by : the function that returns it, and its arguments
+    ``address`` is the argument of `take_step` (without compilation a function); ``made_by`` is the function that
+    returns this object, and its arguments.
     """
 
     address: Any
@@ -76,7 +73,7 @@ class SingleStep:
 def single_step(model, tape=-1):
     """Return the compiled step of a model.
 
-    ``tape``: the index in the filter's numbers of the number of logged steps; the `taped_rows` of each follow it.
+    ``tape``: index, in the filter's numbers, of the number of logged steps; the `taped_rows` of each step follow it.
     Negative: no log.
     """
     noted = tape >= 0
@@ -114,12 +111,12 @@ def _called(step, v, u, happens, z, wheels, lever, since):
 take_step = _called if config.DISABLE_JIT else _call
 """``(step, v, u, happens, z, wheels, lever, since)``, for compiled code: one step of one filter.
 
-step : the address of the result of `single_step`
-v : (N_KEPT or more,) the filter before and after
-u : (9,) a step's numbers, DT ... GY of `drives.timeline`
-happens : the step's bits of `schedule`
-z : (8,) a row of `Timeline.fixes`
-wheels : (3,) a row of `odometer.Wheels.rows`
-lever : (3,) lever arm of the time line, m
-since : Q's scale since the last fix
+- ``step``: the address of the result of `single_step`
+- ``v``: (N_KEPT or more,) the filter before and after
+- ``u``: (9,) a step's numbers, DT ... GY of `drives.timeline`
+- ``happens``: the step's bits of `schedule`
+- ``z``: (8,) a row of `Timeline.fixes`
+- ``wheels``: (3,) a row of `odometer.Wheels.rows`
+- ``lever``: (3,) lever arm of the time line, m
+- ``since``: scale of Q since the last fix
 """

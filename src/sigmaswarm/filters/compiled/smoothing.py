@@ -4,10 +4,10 @@
     m^s = m + G (m^s' - m-)
     P^s = P + G (P^s' - P-) G^T
 
-with m, P the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state after the step (H.
-E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE
-TAC 53(3), 2008: P A^T is the cross-covariance of its sigma points, see `tape`). With X = G^T the gain is the solution
-of P- X = A P. A model with attitude takes differences and sums in the tangent space: see `tilted`.
+m, P is the filter's state before a step, m-, P- its prediction, and m^s', P^s' the smoothed state after the step (H. E.
+Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC
+53(3), 2008: P A^T is the cross-covariance of its sigma points, see `tape`). X = G^T is the solution of P- X = A P. A
+model with attitude takes differences and sums in the tangent space: see `tilted`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
@@ -28,13 +28,12 @@ from sigmaswarm.filters.tilted import GRAVITY, STEP_FIRST
 
 
 def _plain(function, **known):
-    """Compile a function without lanes."""
     return njit(unrolled(function, **known), **OPTIONS)
 
 
 @_plain
 def _moved_planar5(move, p, ap, n):
-    """A P."""
+    """Compute A P."""
     h, je, jn = 0.5 * move[0], move[1], move[2]
     for c in range(n):
         vx, vy = p[2, c] + je * p[4, c], p[3, c] + jn * p[4, c]
@@ -44,7 +43,6 @@ def _moved_planar5(move, p, ap, n):
 
 @_plain
 def _moved_planar8(move, p, ap, n):
-    """A P."""
     dt, je, jn, cos, sin = move[0], move[1], move[2], move[3], move[4]
     h = 0.5 * dt
     for c in range(n):
@@ -103,7 +101,7 @@ _MOVED = {
 
 
 def _spread(state, p, *, n, first):
-    """Return the covariance (n, n) of an upper triangle that is packed column by column."""
+    """Unpack the covariance (n, n) from its upper triangle, which is packed column by column."""
     at = first
     for b in range(n):
         for a in range(b + 1):
@@ -112,7 +110,7 @@ def _spread(state, p, *, n, first):
 
 
 def _solve(s, x, *, n):
-    """S^-1 x, in place of x (n, n); S (n, n), symmetric, is overwritten by its Cholesky factor."""
+    """Replace x (n, n) by S^-1 x; the symmetric S (n, n) is overwritten by its Cholesky factor."""
     for a in range(n):
         for b in range(a):
             s[a, a] -= s[a, b] * s[a, b]
@@ -140,7 +138,7 @@ def _solve(s, x, *, n):
 
 @_plain
 def _turn_between(q, p, error):
-    """The rotation from attitude p to q, q = exp(e) p, in the error's elements; quaternions (4,)."""
+    """Compute the rotation e from attitude p to q, q = exp(e) p, in the error's elements; quaternions (4,)."""
     w = q[0] * p[0] + q[1] * p[1] + q[2] * p[2] + q[3] * p[3]
     x = -q[0] * p[1] + q[1] * p[0] - q[2] * p[3] + q[3] * p[2]
     y = -q[0] * p[2] + q[1] * p[3] + q[2] * p[0] - q[3] * p[1]
@@ -154,7 +152,7 @@ def _turn_between(q, p, error):
 
 @_plain
 def _turned(q, x, y, z, out):
-    """Return exp((x, y, z)) q."""
+    """Compute exp((x, y, z)) q."""
     angle = 0.5 * math.sqrt(x * x + y * y + z * z)
     k = 0.5 * math.sin(angle) / angle if angle > 0.0 else 0.5
     c, x, y, z = math.cos(angle), k * x, k * y, k * z
@@ -258,11 +256,11 @@ def smooth_back(name, tape, start, ends, started, sampled, behind, out):
     ----------
     name : name of the kernel of the forward pass
     tape : (k, t) `tape.taped_rows` of each step
-    start : (s,) the filter's state before the first one: its `state_rows`
-    ends, started : (a,) int, (a, s) the steps after which the filter was reset, and its state then; steps before a
-        reset are smoothed without later ones
+    start : (s,) the filter's `state_rows` before the first step
+    ends, started : (a,) int, (a, s) the steps after which the filter was reset, and the state after the reset; steps
+        before a reset do not use later ones
     sampled : (k,) bool: the steps whose ends are returned
-    behind : (s,) changed: at first the smoothed state after the last step, at the end the one before the first step
+    behind : (s,) changed from the smoothed state after the last step to that before the first step
     out : (r, s) written: the smoothed states at the chosen ends
     """
     _kernel_of(name)(tape, start, ends, started, sampled, behind, out)

@@ -1,4 +1,4 @@
-"""Compute one step of LANES filters, in a run or a live filter: predict, then update with the measurements."""
+"""One step of LANES filters: predict, then update with the measurements."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -55,9 +55,9 @@ def _step(
 ):  # fmt: skip
     """Predict, and update with the measurements.
 
-    The following arguments are tuples: ``u``, the numbers DT ... GY of a step; ``z``, a row of `Timeline.fixes`;
-    ``wheels``, a row of `Wheels.rows`. ``happens`` contains the bits of `schedule`, ``lever`` is the lever arm of the
-    time line, and ``since`` is the scale of Q since the last fix.
+    ``u`` (DT ... GY of a step), ``z`` (a row of `Timeline.fixes`) and ``wheels`` (a row of `Wheels.rows`) are tuples.
+    ``happens`` contains the bits of `schedule`, ``lever`` is the lever arm of the time line, m, and ``since`` is the
+    scale of Q since the last fix.
     """
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:
@@ -83,7 +83,7 @@ def _step(
         absorb_odometer(w, u, wheels)
     if happens & STANDSTILL:
         absorb_standstill(w, u)
-    if settle:  # noqa: SIM102 (the one is known when it is written out)
+    if settle:  # noqa: SIM102 (``settle`` is known at compilation)
         if happens & COMPARED:
             settle(w)
 
@@ -99,7 +99,7 @@ _PREDICTIONS = {
 
 @cache
 def step_of(name, *, noted=False):
-    """A step of LANES filters of a kernel's name, to be inlined.
+    """Return a step of LANES filters of a kernel's name, to be inlined.
 
     ``noted``: the step also writes the inputs of a smoother to the rows of the first lane; see `tape`.
     """

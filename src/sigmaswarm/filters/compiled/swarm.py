@@ -1,12 +1,12 @@
-"""Compute a step of a filter bank: LANES filters of one model at once, and the evidence of each filter.
+"""A step of a filter bank: LANES filters of one model at once, and the evidence of each filter.
 
-This step replaces the `single_step` of a live filter. The filter of the live filter is the bank's first lane. All lanes
-are stored after its state (`live.BEHIND`), so that late fixes also return them to an earlier state:
+This step replaces the `single_step` of a live filter, which is the bank's first lane. All lanes are stored after its
+state (`live.BEHIND`), so that late fixes also return them to an earlier state:
 
     NUMBERS   a few numbers, then for each lane: evidence, log-prior penalty, weight
-    ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the marks of a live filter reach to here
+    ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the checkpoints of a live filter end here
     SCRATCH   (N_ROWS - N_KEPT, LANES)
-    TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
+    TAPE      ring buffer of the last steps for a search, N_TAPE numbers each
 
 The evidence of a lane is the logarithm of the Gaussian likelihood of the fixes, which a wrong covariance lowers; it
 fades with time. The weight is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
@@ -31,28 +31,24 @@ from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.schedule import FIX
 
-EVIDENCE_LASTS = 60.0
-"""Time in which the evidence decays to 1/e, s."""
+EVIDENCE_LASTS = 60.0  # s in which the evidence decays to 1/e
 LARGEST_NIS = 200.0
-"""Upper limit of the NIS of a fix in the evidence, so that a single fix does not decide. Student's t would penalize
-jumps too little: between high buildings fixes are good until they jump, and a lane with a small R would gain.
-"""
-EVIDENCE_COUNTS = 0.1
-"""Weight of a fix in the evidence: errors of fixes are correlated, so about ten of them count as one."""
+"""Upper limit of a fix's NIS, so that no single fix decides. Student's t would penalize jumps too little: between high
+buildings fixes are good until they jump, and a lane with a small R would gain."""
+EVIDENCE_COUNTS = 0.1  # weight of a fix: errors of fixes are correlated, so about ten count as one
 
-# Behind the belief, counted from BEHIND: how many steps there were on tape, and how many the tape holds; when the last
-# fix was absorbed, how many were; nu and S of the mixture at the last one.
+# Counted from BEHIND: number of logged steps, and the largest number in the log; time of the last fix, and number of
+# fixes; nu and S of the mixture at the last fix.
 TAPED, TAPE_LENGTH, FIXED_AT, N_FIXED, NU_X, NU_Y, S_XX, S_XY, S_YY = range(9)
 EVIDENCE = slice(16, 16 + LANES)
 AGAINST = slice(EVIDENCE.stop, EVIDENCE.stop + LANES)
 WEIGHT = slice(AGAINST.stop, AGAINST.stop + LANES)
 NUMBERS = WEIGHT.stop
 ROWS = slice(NUMBERS, NUMBERS + N_KEPT * LANES)
-MARKED = ROWS.stop
-"""Number of values of a checkpoint."""
+MARKED = ROWS.stop  # values of a checkpoint
 TAPE = NUMBERS + N_ROWS * LANES
 
-# A row of the tape: a step's numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Wheels.rows`, Q's scale
+# A logged step: its numbers DT ... GY, its flags, its rows of `Timeline.fixes` and `Wheels.rows`, the scale of Q
 # since the last fix, and the end time of the step, s.
 T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 18), slice(18, 21), 21, 22
 N_TAPE = 23
@@ -62,7 +58,6 @@ _AT_EVIDENCE, _AT_AGAINST, _AT_WEIGHT = (BEHIND + part.start for part in (EVIDEN
 
 @intrinsic
 def _rows_behind(typing_context, v):
-    """The array of rows within a bank's numbers."""
     kind = types.Array(float64, 2, "A")
 
     def generate(context, builder, signature, arguments):
@@ -91,7 +86,7 @@ _rows_of = _rows_in_python if config.DISABLE_JIT else _rows_behind
 
 @njit(**OPTIONS)
 def weigh(v):
-    """Weights of the lanes from their evidence; all 0 if no lane has evidence."""
+    """Compute the weights of the lanes from their evidence; all 0 if no lane has evidence."""
     best = -math.inf
     for lane in range(LANES):
         for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_AGAINST + lane]
@@ -110,13 +105,12 @@ def weigh(v):
 
 @njit(**OPTIONS)
 def _foretold(w, lane):
-    """Return whether a lane has a finite prediction of the fix."""
     return math.isfinite(w[R.NU1, lane] + w[R.NU2, lane] + w[R.V11, lane] + w[R.V12, lane] + w[R.V22, lane])
 
 
 @njit(**OPTIONS)
 def _note_fix(v, w, now):
-    """Store the mixture's prediction of a fix; then update the evidence of each lane: see the module."""
+    """Store the mixture's prediction of a fix, and update the evidence of each lane."""
     x, y, total = 0.0, 0.0, 0.0
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]
@@ -152,7 +146,7 @@ def _note_fix(v, w, now):
 
 @njit(**OPTIONS)
 def _check_lanes(v, w):
-    """Mark lanes as failed whose covariance is no longer definite; the live filter checks the first lane."""
+    """Mark lanes with an indefinite covariance as failed; the live filter checks the first lane."""
     for lane in range(1, LANES):
         if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v, FACTOR.start):
             w[R.OK, lane] = 0.0
@@ -160,7 +154,6 @@ def _check_lanes(v, w):
 
 def _swarm_step(sources, *, step, kept):
     def swarm_step(v, u, happens, z, wheels, lever, since):
-        """A step of all lanes; ``v`` is a live filter's state, and the numbers after it."""
         if sources == "":  # never; so the name is closed over
             return
         control = exchange_control(-1)
@@ -199,7 +192,6 @@ def _swarm_step(sources, *, step, kept):
 
 @once
 def swarm_step(model):
-    """Return the compiled step of a filter bank of a model, like `single.single_step`."""
     kept = (*(int(r) for r in state_rows(model)), *range(CONSTANT_ROWS.start, N_KEPT))
     function = named_by_sources(_swarm_step, f"swarm {model}", lambda: {"step": step_of(model), "kept": kept})
     return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (swarm_step, model))

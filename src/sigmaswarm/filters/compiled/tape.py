@@ -1,11 +1,8 @@
-"""Log each step of the compiled filter for a smoother: the prediction before any update, and its transition.
+"""The log of each step of the compiled filter for a smoother: the prediction before any update, and its transition A.
 
-A smoother does not need the measurements. For each step it uses three things: the state after it; the prediction
-(mean and covariance, with Q, gaps, fading factor and the inflation after a run of outliers); and the covariance of the
-state before with the state after, P A^T. A is the transition: the Jacobian of an extended filter, or the statistical
-linearization of an unscented filter, Cov(s', s) P^-1. In the closed forms of planar5.py and planar8.py this
-linearization is the Jacobian with k J g0 + m t in place of J g0. The few numbers that determine A are written to rows
-MOVE, which `smoothing` reads.
+A is the Jacobian of an extended filter, or the statistical linearization of an unscented filter, Cov(s', s) P^-1. In
+planar5.py and planar8.py this linearization is the Jacobian with k J g0 + m t in place of J g0. The prediction includes
+the fading factor and the inflation after a run of outliers.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -38,23 +35,23 @@ def _moves_of(name):
 
 
 def taped_rows(name):
-    """The rows of a logged step: the state after it, the prediction, the step's length and the other numbers of A."""
+    """Return the rows of a logged step: the state after it, the prediction, the step's length, other numbers of A."""
     state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
 
 def phi_place(model):
-    """Index of phi among the rows MOVE; 0 for a model without phi."""
+    """Return the index of phi among the rows MOVE; 0 for a model without phi."""
     return 1 + len(_moves_of(model)) if FILTERS[model].fix_error else 0
 
 
 def _note_move(w, dt, *, places, moves, phi):
     for l in range(LANES):
         w[MOVE, l] = dt
-        for i in places:  # a step of no length predicts nothing: A is one
+        for i in places:  # A is the identity in a step of length 0
             w[MOVE + 1 + i, l] = w[moves[i], l] if dt > 0.0 else 0.0
         if phi:
-            w[MOVE + phi, l] = 1.0  # but at a fix: see `move_fix_error`
+            w[MOVE + phi, l] = 1.0  # except at a fix: see `move_fix_error`
 
 
 def _note_prior(w, *, state):
@@ -64,10 +61,9 @@ def _note_prior(w, *, state):
 
 
 def note_move(name):
-    """Kernel that logs the numbers of A after a prediction."""
     return kernel(_note_move, places=range(len(_moves_of(name))), moves=_moves_of(name), phi=phi_place(name))
 
 
 def note_prior(name):
-    """Kernel that logs the prediction before a measurement, and again if P is inflated for the measurement."""
+    """Return the kernel that logs the prediction before a measurement, and again if the measurement inflates P."""
     return kernel(_note_prior, state=tuple(int(row) for row in state_rows(name)))

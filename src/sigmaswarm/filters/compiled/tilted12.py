@@ -4,14 +4,14 @@ The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T o
 north and up, which is 0 except between a measurement and `fold`, which rotates the quaternion by this error. All other
 rows are those of planar8; K and L are the biases of gx and gy.
 
-F has seven rows that differ from those of the identity, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h
-= dt/2:
+F has seven rows that differ from those of the identity, with D = dt R at the middle of the step, a = D f, g = 9.81 dt
+and h = dt/2:
 
     u' = u + g J - a_n T - D11 A - D12 B        x' = x + h (u + u')
     v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')
     I' = I - D11 K - D12 L - D13 W              J', T' likewise
 
-So P' = F P F^T is computed in two parts: first F P, whose seven rows are in scratch, then the product with F from the
+So P' = F P F^T is computed in two parts: first F P, with these seven rows in scratch, then the product with F from the
 right. The columns of A, B, W, K and L are computed last.
 """
 
@@ -43,22 +43,21 @@ KEPT = (R.A, R.B, R.W, R.K, R.L)
 """States that a step changes (MOVED), and the biases, which a step does not change (KEPT)."""
 
 
-# What shares most of its numbers is done in one loop: fewer of them are loaded, and the processor finds more to do.
+# Each group is one loop. Its members share most of their numbers, so fewer are loaded and more run in parallel.
 COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
 """Columns of F P; those of KEPT are last, since they overwrite rows that the other columns read. States that do not
 enter F may follow."""
-ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)
-"""Rows of (F P) F'."""
+ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (F P) F'
 
 
 def fp(i, j):
-    """Row that holds (F P)[i, j], i among MOVED: in scratch, or in P where column j does not change."""
+    """Return the row of (F P)[i, j], i among MOVED: in scratch, or in P where column j does not change."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
 @kernel
 def _turn_far(w):
-    """The quaternions of `_half_turn` for any angle; lanes with a small angle are not changed."""
+    """Compute the quaternions of `_half_turn` for any angle; lanes with a small angle are not changed."""
     for l in range(LANES):
         x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
         angle = math.sqrt(x * x + y * y + z * z) + TINY
@@ -73,7 +72,7 @@ def _turn_far(w):
 
 @kernel
 def _half_turn(w, u):
-    """The quaternion of half the step's rotation, which is small except in long gaps of the IMU."""
+    """Compute the quaternion of half the step's rotation, which is small except in long gaps of the IMU."""
     gx, gy, gz, quarter = u[GX], u[GY], u[GZ], 0.25 * u[DT]
     far = 0
     for l in range(LANES):
@@ -89,7 +88,7 @@ def _half_turn(w, u):
 
 @kernel
 def _move(w, u):
-    """The mean, and D and a for the covariance."""
+    """Compute the mean, and D and a for the covariance."""
     dt, ax, ay, az = u[DT], u[AX], u[AY], u[AZ]
     h = 0.5 * dt
     for l in range(LANES):
@@ -103,7 +102,7 @@ def _move(w, u):
         q1 = m0 * x + m1 * c + m2 * z - m3 * y
         q2 = m0 * y - m1 * z + m2 * c + m3 * x
         q3 = m0 * z + m1 * y - m2 * x + m3 * c
-        one = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)  # what rounding has made of its norm
+        one = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)  # normalizes after rounding
         w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l] = one * q0, one * q1, one * q2, one * q3
         d11, d12, d13 = 1.0 - 2.0 * (m2 * m2 + m3 * m3), 2.0 * (m1 * m2 - m0 * m3), 2.0 * (m1 * m3 + m0 * m2)
         d21, d22, d23 = 2.0 * (m1 * m2 + m0 * m3), 1.0 - 2.0 * (m1 * m1 + m3 * m3), 2.0 * (m2 * m3 - m0 * m1)
@@ -147,7 +146,7 @@ def predict_tilted12(w, u, *, columns):
                 bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
                 ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
                 bk, bl, bw = w[fp(i, R.K), l], w[fp(i, R.L), l], w[fp(i, R.W), l]
-                # Of the pairs among MOVED each comes once, with the one that comes later there in the column.
+                # Each pair among MOVED is computed once; its column is the state that is later in MOVED.
                 if i in (R.X, R.Y, R.U, R.V):
                     u1 = bu + g * bj - w[R.NORTH, l] * bt - w[R.D11, l] * ba - w[R.D12, l] * bb
                     v1 = bv - g * bi + w[R.EAST, l] * bt - w[R.D21, l] * ba - w[R.D22, l] * bb
@@ -190,7 +189,6 @@ def fold(w):
 
 @kernel
 def settle(w):
-    """Compute the heading for scores."""
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         w[R.HEADING, l] = angle_of(2.0 * (q1 * q2 + q0 * q3), 1.0 - 2.0 * (q2 * q2 + q3 * q3))
@@ -281,4 +279,3 @@ def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
 
 
 ALONG = {"lateral": {"lateral": 1, "bias": R.W}, "odometer": {"lateral": 0, "bias": R.A}}
-"""Bound values of `measure_along_tilted`."""

@@ -1,8 +1,8 @@
 """tilted12's unscented filter; compare `filters.tilted` and `textbook.ManifoldUnscentedKalmanFilter`.
 
-Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Every square root L of P is valid; the
-one used begins with the states that do not enter linearly, in the order of `tilted.STEP_FIRST` and `MEASURED_FIRST`.
-The other columns change only states that enter linearly while the first states are fixed: position, velocity and the
+Sigma points are rotation vectors and offsets, added to the mean: exp([e]x) R. Every square root L of P is valid. Here
+its order is that of `tilted.STEP_FIRST` and `MEASURED_FIRST`: first the states that do not enter linearly. The later
+columns change only states that enter linearly while the first states are fixed: position, velocity and the
 accelerometer's biases. Only the first columns need points:
 
 - In a step, the gyro's biases. The columns of the attitude, which follow, do not change these biases. Their points
@@ -53,14 +53,13 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
-"""States whose step is not linear, in the order of the step's outputs, and states that are integrals of the first
-two."""
+"""States with a nonlinear step, in the order of the step's outputs; and states that are integrals of the first two."""
 WIDTH, OUTPUTS = 6, 5
 """Numbers of a state in the rows ROOT, and of a column in SLOPE and BEND."""
 
 
 def _root(w, *, order, columns):
-    """The first columns of the square root of P, of the states in ``order``; 0 above its diagonal."""
+    """Compute the first columns of the square root of P, of the states in ``order``; 0 above its diagonal."""
     for l in range(LANES):
         for j in range(columns):
             for i in range(j, len(order)):
@@ -78,10 +77,7 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """Compute H in place of the slopes, mu, and the addition of the curvatures to the covariance.
-
-    ``columns`` of each output.
-    """
+    """Compute H in place of the slopes, mu, and the terms EXTRA; ``columns``: number of columns of each output."""
     for l in range(LANES):
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
         spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
@@ -106,7 +102,7 @@ def _linearize(w, *, columns):
 
 
 def _product(a0, a1, a2, a3, w, l):
-    """The quaternion of the point in rows POINT times a."""
+    """Return the quaternion of the point in rows POINT times a."""
     p0, p1, p2, p3 = w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l]
     return (
         p0 * a0 - p1 * a1 - p2 * a2 - p3 * a3,
@@ -117,7 +113,7 @@ def _product(a0, a1, a2, a3, w, l):
 
 
 def _turned(x, y, z, w, l):
-    """A vector of the body at the middle of the step in the local frame, times the step."""
+    """Rotate a vector of the body at the middle of the step into the local frame; multiply it by dt."""
     return (
         w[R.D11, l] * x + w[R.D12, l] * y + w[R.D13, l] * z,
         w[R.D21, l] * x + w[R.D22, l] * y + w[R.D23, l] * z,
@@ -126,14 +122,13 @@ def _turned(x, y, z, w, l):
 
 
 def _sinc_cos_far(z):
-    """Like `sinc_cos`, for any angle."""
     angle = math.sqrt(z) + TINY
     sine, cos = sincos(angle)
     return sine / angle, cos
 
 
 def _rotation_vector(q0, q1, q2, q3, x, y, z):
-    """The rotation vector of a quaternion whose vector is shorter than 1/2, by fdlibm's arcsine (e_asin.c)."""
+    """Return a quaternion's rotation vector, if its vector part is below 1/2, by fdlibm's arcsine (e_asin.c)."""
     z = q1 * q1 + q2 * q2 + q3 * q3
     p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
     z3 = z * z * z
@@ -149,7 +144,7 @@ def _rotation_vector(q0, q1, q2, q3, x, y, z):
 
 
 def _rotation_vector_far(q0, q1, q2, q3, x, y, z):
-    """The rotation vector of a quaternion, among those of the same rotation the nearest to (x, y, z)."""
+    """Return a quaternion's rotation vector, the nearest to (x, y, z) of those of the same rotation."""
     length = math.sqrt(q1 * q1 + q2 * q2 + q3 * q3) + TINY
     sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length
     half = angle_of(sine, q0)
@@ -160,14 +155,14 @@ def _rotation_vector_far(q0, q1, q2, q3, x, y, z):
 
 
 def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
-    """r of a point of column j: of the acceleration times the step, east and north, and of the error after it."""
+    """Return r of a point of column j: acceleration times dt, east and north; and the error after the step."""
     step = 4.0 * sign * w[R.QUARTER_GAMMA, l]
     bx, by, bz = (
         quarter * step * w[ROOT + WIDTH + j, l],
         quarter * step * w[ROOT + WIDTH * 2 + j, l],
         quarter * step * w[ROOT + j, l],
     )
-    # Quaternions of half the turn: v, and v0 of the centre. v0^-1 v has the vector p + c, and v v0^-1 has p - c.
+    # Quaternions of half the turn: v, and v0 of the center. v0^-1 v has the vector p + c, and v v0^-1 has p - c.
     x, y, z = w[R.HALF_X, l] - bx, w[R.HALF_Y, l] - by, w[R.HALF_Z, l] - bz
     k, d = sinc_cos(x * x + y * y + z * z)
     x, y, z = k * x, k * y, k * z
@@ -203,12 +198,11 @@ def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
 
 
 def _chosen(new, w, l, row):
-    """A number of a point far from the center, else the value of a row."""
     return new if w[R.POINT_FAR, l] > 0.0 else w[row, l]
 
 
 def _draw(w, u, *, j, far, point, sinc_cos):
-    """Slopes and curvatures of column j of the root, from its two points."""
+    """Compute slopes and curvatures of column j of the root, from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for l in range(LANES):
         gamma = 4.0 * w[R.QUARTER_GAMMA, l]
@@ -263,7 +257,6 @@ _linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
 
 @kernel
 def _turn_acceleration(w):
-    """Slopes and curvatures of the columns of the attitude."""
     for l in range(LANES):
         east, north, up = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
         gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
@@ -287,7 +280,7 @@ def _turn_acceleration(w):
 
 @kernel
 def _unscented_transition(w, u):
-    """Compute H, mu and the addition to the covariance of a step; mu is added to the mean."""
+    """Compute H, mu and EXTRA of a step; add mu to the mean."""
     _root_of_step(w)
     ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
     far = 0
@@ -320,7 +313,7 @@ def _unscented_transition(w, u):
 
 @kernel
 def predict_unscented(w, u):
-    """One step of the process model: as `tilted12.predict_tilted12`, with H in F's place."""
+    """Run one step of the process model like `tilted12.predict_tilted12`, with H in place of F."""
     _half_turn(w, u)
     _move(w, u)
     _unscented_transition(w, u)
@@ -363,7 +356,7 @@ def predict_unscented(w, u):
                     bi += w[SLOPE + OUTPUTS * k + 2, l] * p
                     bj += w[SLOPE + OUTPUTS * k + 3, l] * p
                     bt += w[SLOPE + OUTPUTS * k + 4, l] * p
-                # Of the pairs among MOVED each comes once, with the one that comes later there in the column.
+                # Each pair among MOVED is computed once; its column is the state that is later in MOVED.
                 if i == R.X:
                     w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
                 if i in (R.X, R.Y):
@@ -402,7 +395,7 @@ _linearize_along = kernel(_linearize, columns=(3,))
 
 @kernel
 def measure_fix_unscented(w, z, lever):
-    """Compute z = p + (R lever) - latency v like `tilted12.measure_fix_tilted`."""
+    """Compute nu, H P H^T, C and R of z = p + (R lever) - latency v, like `tilted12.measure_fix_tilted`."""
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     _root_of_rotation(w)
@@ -452,7 +445,7 @@ def measure_fix_unscented(w, z, lever):
 
 @kernel
 def measure_heading_unscented(w):
-    """Compute the prediction, C and H P H^T of z = yaw from the rotations of the forward axis by sigma points."""
+    """Compute the prediction, C and H P H^T of z = yaw; the sigma points rotate the forward axis."""
     _root_of_rotation(w)
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
@@ -497,7 +490,7 @@ def _measure_along(w, u, wheels, *, lateral, bias):
             e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
         c0, c1, c2 = 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
         vx, vy, climb = w[R.U, l], w[R.V, l], e2 / c2
-        d0, d1 = e0 - climb * c0, e1 - climb * c1  # what the velocity is multiplied by
+        d0, d1 = e0 - climb * c0, e1 - climb * c1  # factors of the velocity
         if lateral:
             arm, noise = w[R.ARM, l], w[R.R_LATERAL, l]
             w[R.N1, l] = arm * (shown - w[bias, l]) - (d0 * vx + d1 * vy)

@@ -1,7 +1,7 @@
 """Unroll loops over states, and inline kernels into each other.
 
 Loops over lanes become vector instructions, so their body must not contain branches (see `vectors`). Therefore
-`unrolled` unrolls the loops over states, for a known number n of states, and replaces names of rows by numbers. It also
+`unrolled` unrolls the loops over states, for a known number n of states, and replaces names of rows by numbers. It
 inlines kernels, since Numba does this slowly. Names in a function must be defined above the function in its file.
 """
 
@@ -16,26 +16,21 @@ from typing import Any, NamedTuple, TypeVar
 
 from sigmaswarm.filters.compiled.layout import R
 
-STATE_LOOPS = ("i", "j", "k", "row", "group")
-"""Names of the loop variables that are unrolled."""
-NUMBERS = ("at", "fp", "axis_of")
-"""Names of functions whose calls are replaced by their values."""
+STATE_LOOPS = ("i", "j", "k", "row", "group")  # loop variables that are unrolled
+NUMBERS = ("at", "fp", "axis_of")  # functions; their calls are replaced by their values
 
 
 T = TypeVar("T")
 Names = dict[str, Any]
-"""The values of the names in a function."""
 
 
 class Written(NamedTuple):
-    """A function whose keyword-only parameters are bound and whose loops over states and rows are unrolled."""
-
     definition: ast.FunctionDef
     names: Names
 
 
 def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
-    """A function's text, with its keyword-only parameters bound to ``known``; see `unrolled`."""
+    """Return a function's text, with its keyword-only parameters bound to ``known``; see `unrolled`."""
     if not known and (there := getattr(function, "written", None)) is not None:
         return there
     names = function.__globals__ | known
@@ -58,21 +53,9 @@ Change = Callable[[ast.FunctionDef, Names], None]
 
 
 class Kernel:
-    """A function to be inlined into others, with its keyword-only parameters bound; its text is generated when needed.
+    """A function to be inlined into others, with bound keyword-only parameters; its text is generated when needed.
 
-    Parameters
-    ----------
-    function : callable
-        Plain Python.
-    change : callable, optional
-        See `Change`.
-    known : dict
-        Values of its keyword-only parameters, and of globals.
-
-    Attributes
-    ----------
-    source, known
-        The function and these values, as given.
+    ``known`` contains the values of keyword-only parameters, and of globals.
     """
 
     is_kernel = True
@@ -83,12 +66,10 @@ class Kernel:
 
     @cached_property
     def written(self) -> Written:
-        """Functions that are inlined into others."""
         return _patiently(_changed, self.source, self._change, self.known)
 
     @cached_property
     def name(self) -> str:
-        """The qualified name of the function."""
         return _name(self.source, self.known)
 
     @cached_property
@@ -96,7 +77,6 @@ class Kernel:
         return _made(self.source, self.written, self.name)
 
     def __call__(self, *arguments: Any) -> None:
-        """The function itself, if nothing is compiled."""
         self._made(*arguments)
 
 
@@ -108,14 +88,7 @@ def unrolled(
 ) -> Callable[..., Any]:
     """Return the function with its keyword-only parameters bound to ``known``, and loops over states and rows unrolled.
 
-    Parameters
-    ----------
-    function : callable
-        Plain Python.
-    change : callable, optional
-        See `Change`.
-    **known
-        Values of its keyword-only parameters, and of globals.
+    ``change``: see `Change`. ``known`` can also contain globals.
     """
     return _patiently(lambda: _made(function, _changed(function, change, known), _name(function, known)))
 
@@ -134,7 +107,6 @@ def _name(function: Callable[..., Any], known: Names) -> str:
 
 
 def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
-    """Return a function's changed text."""
     definition, names = written_out(function, **known)
     definition = _copied(definition)
     if change is not None:
@@ -155,8 +127,7 @@ def _told_apart(known: Names) -> str:
     """Return a hash of bound names, which distinguishes functions that are generated from the same function.
 
     Numba names machine code after a function's qualified name and the number of compilations of the process. So kernels
-    of two models, compiled by two processes, may have the same name. If both are loaded from the cache, one could
-    replace the other.
+    that were compiled by two processes may have the same name; loaded from the cache, one could replace the other.
     """
     parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):

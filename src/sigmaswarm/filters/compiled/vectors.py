@@ -1,16 +1,16 @@
 """Loops over lanes, emitted as vector instructions of LLVM.
 
-A kernel with unrolled loops over states has some thousand lines of arithmetic. Numba would infer the type of each
-number, which takes half a minute and more. In kernels all numbers are doubles, so each loop over lanes is emitted
-directly as a separate function of the array of rows and the few numbers that all lanes share. The function's name
-contains a hash of its text, so all callers share one function and get identical results.
+Numba would infer the type of each number in some thousand lines, which takes half a minute and more. In kernels all
+numbers are doubles, so each loop over lanes is emitted directly as a separate function of the array of rows and the few
+numbers that all lanes share. Its name contains a hash of its text, so all callers share one function and get identical
+results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w[row, l]`` with a
 known row, arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`.
 Calls of plain functions with such a body are inlined. ``n += test`` counts the lanes in which a test is true.
 """
 
-# Numba has types of its own, which a type checker for Python does not know.
+# A type checker for Python does not know Numba's types.
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
 import ast
@@ -29,7 +29,7 @@ from numba.extending import intrinsic
 from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
 from sigmaswarm.filters.compiled.unroll import Names, written_out
 
-# NaN and inf must keep their meaning, so the flags are named in place of fast-math as a whole.
+# Not all flags of fast-math: NaN and inf must keep their meaning.
 FLAGS = ("contract", "reassoc", "nsz", "arcp")
 
 _DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
@@ -45,10 +45,7 @@ _FUNCTIONS = {math.sqrt: "sqrt", math.log: "log", math.exp: "exp", np.floor: "fl
 
 
 def put_loops(definition: ast.FunctionDef, names: Names) -> None:
-    """Replace a function's loops over lanes by calls; the called functions are added to its ``names``.
-
-    Unsupported code in such a loop raises a TypeError when it is compiled.
-    """
+    """Replace a function's loops over lanes by calls, and add the called functions to its ``names``."""
     definition.body = _Loops(definition, names).block(definition.body)
 
 
@@ -89,7 +86,7 @@ class _Loop(NamedTuple):
 
 
 def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[str], list[str]]:
-    """The enclosing function's names that a loop's body reads, and those that it adds to."""
+    """Return ``shared`` and ``counted`` of `_Loop`."""
     made, shared, counted = {"w", "l"}, dict[str, None](), list[str]()
     for statement in body:
         match statement:
@@ -112,7 +109,7 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
 
 
 def _hash(body: list[ast.stmt], names: Names) -> str:
-    """A hash of a loop's text, of the numbers of its names, and of the functions that are inlined into it."""
+    """Hash a loop's text, the numbers of its names, and the functions that are inlined into it."""
     parts = [ast.dump(statement) for statement in body]
     for name in sorted({n.id for s in body for n in ast.walk(s) if isinstance(n, ast.Name)}):
         value = names.get(name)
@@ -150,12 +147,11 @@ def _as_intrinsic(loop: _Loop) -> Any:
 
 
 def _has_avx512(codegen: Any) -> bool:
-    """True if the target's vectors hold eight numbers, else four."""
     return "+avx512f" in codegen.magic_tuple()[2]
 
 
 def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
-    """The loop as a function ``(w, lanes, shared ...)`` that goes over the lanes, ``width`` of them at a time."""
+    """Return the loop as a function ``(w, lanes, shared ...)``, which processes ``width`` lanes at a time."""
     vector = ir.VectorType(_DOUBLE, width)
     result = ir.ArrayType(_WHOLE, len(loop.counted)) if loop.counted else ir.VoidType()
     kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), _WHOLE, *(_DOUBLE for _ in loop.shared)])
@@ -164,8 +160,8 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
     function.args[0].add_attribute("noalias")
     for attribute in ("noinline", "nounwind"):
         function.attributes.add(attribute)
-    # LLVM takes half of what an Intel processor has, where wide vectors once slowed the clock down. The attribute is
-    # put past llvmlite's list, which lacks it.
+    # LLVM uses half the width on Intel processors by default, since wide vectors once reduced the clock rate. It
+    # is added directly to the set, since llvmlite does not know this attribute.
     set.add(function.attributes, '"prefer-vector-width"="512"')
     entry, body, end = (function.append_basic_block(name) for name in ("entry", "body", "end"))
     builder = ir.IRBuilder(entry)
@@ -200,7 +196,6 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
 
 
 def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
-    """A double in all lanes of a vector."""
     undefined = ir.Constant(vector, ir.Undefined)
     first = builder.insert_element(undefined, number, ir.IntType(32)(0))
     places = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
@@ -208,8 +203,6 @@ def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
 
 
 class _Frame(NamedTuple):
-    """The values of names in a function: global numbers and functions, and local values."""
-
     names: Names
     values: dict[str, Any]
 
@@ -323,7 +316,6 @@ class _Emitter:
         return getattr(self.builder, in_llvm)(self.as_vector(a), self.as_vector(b), flags=FLAGS)
 
     def lanes_of(self, test: Any) -> Any:
-        """The number of lanes in which a test is true."""
         bits = self.builder.bitcast(test, ir.IntType(self.vector.count))
         return self.builder.zext(self.builder.ctpop(bits), _WHOLE)
 

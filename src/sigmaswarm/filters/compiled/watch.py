@@ -1,4 +1,4 @@
-"""Compute the inputs of a live filter's divergence monitor: the last usable fix, and an approximate heading.
+"""Inputs of a live filter's divergence monitor: the last usable fix, and an approximate heading.
 
 The samples of the last seconds are in a ring buffer: time, ax, ay, gz, and the other axes. Rows of fixes are those of
 `live`.
@@ -14,13 +14,9 @@ from sigmaswarm.drives.alignment import ALIGNMENT_FIXES, MAX_DURATION, MIN_DURAT
 from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
-LOOK_INTERVAL = 1.0
-"""Interval between two checks of a filter, s."""
-LATEST_LOOK = 0.25
-"""Largest time from a fix to the IMU sample of a check, s; after a longer gap the filter can't be compared with the
-fix."""
-WATCHED = MAX_DURATION + 1.0
-"""Duration of the samples and fixes that a live filter stores for the monitor, s."""
+LOOK_INTERVAL = 1.0  # s between two checks of a filter
+LATEST_LOOK = 0.25  # s from a fix to the IMU sample of a check; after a longer gap they are not comparable
+WATCHED = MAX_DURATION + 1.0  # s of samples and fixes that are stored for the monitor
 
 _T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
 
@@ -29,10 +25,7 @@ _plain = njit(**OPTIONS)
 
 @_plain
 def last_fix(fixes, end, until, after):
-    """Return the row, before row ``end``, of the last fix between two times; -1 if there is none.
-
-    Stale fixes and fixes that are not numbers are left out.
-    """
+    """Return the row, before row ``end``, of the last usable fix in (after, until]; -1 if there is none."""
     for f in range(end - 1, -1, -1):
         if fixes[f, _T] <= after:
             break
@@ -48,13 +41,9 @@ def _counts(fixes, f):
 
 @_plain
 def rough_heading(samples, newest, n, fixes, end, gyro_bias):
-    """The heading at the last sample, rad, as in `Alignments.course`, propagated by the gyro; NaN if unknown.
+    """Return the heading at the last sample, rad, as in `Alignments.course`, propagated by the gyro; NaN if unknown.
 
-    Parameters
-    ----------
-    samples, newest, n : the ring, the row of its last sample, its number of samples
-    fixes, end : fixes, and how many
-    gyro_bias : known bias of the gyro, rad/s
+    ``newest``: row of the last of the ``n`` samples in the ring buffer. ``end``: number of fixes. ``gyro_bias``: rad/s.
     """
     now = samples[newest, 0]
     last = last_fix(fixes, end, now, -math.inf)
@@ -81,9 +70,9 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
 @_plain
 def _way(samples, k, steps, since, until, gyro_bias):
-    """Return the path between two times, and the change of heading up to the last sample.
+    """Return the path between two times, at 1 m/s, first to the east, and the change of heading to the last sample.
 
-    The path has 1 m/s and begins to the east. Row ``k`` is the last sample up to ``since``; ``steps`` samples follow.
+    Row ``k`` is the last sample up to ``since``; ``steps`` samples follow.
     """
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
     for _ in range(steps):

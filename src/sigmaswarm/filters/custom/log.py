@@ -24,12 +24,11 @@ class Log:
     time : ndarray, shape (k,)
         s, strictly increasing.
     measurement_time : ndarray, shape (f,)
-        Times of the measurements, s, strictly increasing; they need not be among ``time``.
+        s, strictly increasing; the times need not be among ``time``.
     measurements : ndarray, shape (f, m)
         (f,) stands for (f, 1).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Mean and covariance of the state at ``time[0]``, at which the filter starts. They must not be computed from
-        truth.
+        State estimate at ``time[0]``, where the filter starts. It must not be computed from truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; (k,) stands for (k, 1). None: the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
@@ -40,7 +39,7 @@ class Log:
     Raises
     ------
     InputError
-        If a shape or a value can't be used.
+        If a shape or a value cannot be used.
     """
 
     name: str
@@ -80,7 +79,6 @@ class Log:
             )
 
     def wrong(self, what: str) -> InputError:
-        """Return an error about this log."""
         return InputError(f"log {self.name}: {what}")
 
     def _keep(self, name: str, column: Array) -> Array:
@@ -141,35 +139,20 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps of a filter over a log.
+    """Steps of a filter over a log. The first step has length zero, for a measurement at the first time."""
 
-    The first step has length zero, for a measurement at the first time.
-
-    Attributes
-    ----------
-    dt : (k,) s
-    source : (k,) int: row of the inputs for each step
-    absorbs : (k,) int: the row of ``measurements`` for the update at the step's end, or -1
-    records : (k,) int: the row of the log's ``time`` at which the step ends, or -1
-    inputs : (i, u)
-    measurements : (f, m), those within the log's time
-    measurement_time : (f,) s
-    mean, covariance : (n,), (n, n), the start
-    """
-
-    dt: Array
-    source: NDArray[np.int64]
-    absorbs: NDArray[np.int64]
-    records: NDArray[np.int64]
-    inputs: Array
-    measurements: Array
-    measurement_time: Array
-    mean: Array
-    covariance: Array
+    dt: Array  # (k,), s
+    source: NDArray[np.int64]  # (k,), row of the inputs for each step
+    absorbs: NDArray[np.int64]  # (k,), row of ``measurements`` for the update at the step's end, or -1
+    records: NDArray[np.int64]  # (k,), row of the log's ``time`` at which the step ends, or -1
+    inputs: Array  # (i, u)
+    measurements: Array  # (f, m), those within the log's time
+    measurement_time: Array  # (f,), s
+    mean: Array  # (n,), at the start
+    covariance: Array  # (n, n), at the start
 
 
 def build_steps(log: Log) -> Steps:
-    """Merge a log's ``time`` and its measurements into steps."""
     usable = (log.measurement_time >= log.time[0]) & (log.measurement_time <= log.time[-1])
     moments = log.measurement_time[usable]
     ends = np.union1d(log.time, moments)

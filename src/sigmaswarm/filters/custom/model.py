@@ -48,7 +48,7 @@ class Model:
     """A user's process and measurement, and the parameters that are tuned in them.
 
     ``p`` contains the values of ``parameters`` by name, such as ``p.length``. Plain functions of numbers and NumPy
-    arrays are compiled with Numba; other functions run about a hundred times slower.
+    arrays are compiled with Numba; other functions are about a hundred times slower.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Model:
     Raises
     ------
     InputError
-        If a name, a bound or a function can't be used.
+        If a name, a bound or a function cannot be used.
     """
 
     name: str
@@ -113,7 +113,6 @@ class Model:
         self._check_parameters()
 
     def wrong(self, what: str) -> InputError:
-        """Return the error of this model."""
         return InputError(f"model {self.name}: {what}")
 
     def _check_names(self, field: str, names: Sequence[str]) -> None:
@@ -166,11 +165,10 @@ class Model:
         return self.record(*(float(parameters[name]) for name in known))
 
     def places(self, names: Sequence[str]) -> list[int]:
-        """Indices of states in the state vector."""
         return [self.states.index(name) for name in names]
 
     def identity(self) -> dict[str, Any]:
-        """Identity of this model in plain types: names, bounds, and a hash of the functions."""
+        """Return names, bounds, and a hash of the functions in plain types."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,
@@ -194,7 +192,6 @@ def fingerprint(*things: Any) -> str:
     """Hash values and functions; a function is hashed by its bytecode and the global values that it uses.
 
     Equal code with equal numbers has the same hash in every process, also for lambdas and functions of notebooks.
-    Comments do not change the hash.
     """
     digest = hashlib.sha256()
     seen: set[int] = set()

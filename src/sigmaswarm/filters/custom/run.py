@@ -1,4 +1,4 @@
-"""Run filters of users' models over logs, compiled if possible, else in textbook form, and smooth their estimates."""
+"""Run and smooth filters of users' models over logs, compiled if possible, else in textbook form."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -19,12 +19,8 @@ from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 
-TRIED = 20
-"""Number of steps over which the compiled filter is compared with the textbook filter before the compiled filter is
-used."""
-SAME = 1e-6
-"""Largest accepted difference between the two filters, in standard deviations: rounding causes a far smaller
-difference, a wrong translation a far larger one."""
+TRIED = 20  # steps over which the compiled filter is compared with the textbook filter before its use
+SAME = 1e-6  # in standard deviations; rounding causes far less, a wrong translation far more
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +57,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Parameters
     ----------
     log : Log
-        The log; its truth, if any, is not used.
+        Its truth, if any, is not used.
     model : Model
     parameters : mapping of str to float
         The model's parameters by name, as in `Tuning.parameters`; for an unscented filter also alpha, beta, kappa.
@@ -69,7 +65,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Returns
     -------
     ModelEstimate
-        The estimates; ``failure`` is set if the filter failed.
+        ``failure`` is set if the filter failed.
 
     Raises
     ------
@@ -128,7 +124,6 @@ def _estimate(log: Log, model: Model, steps: Steps, run: "Filtered") -> ModelEst
 
 
 def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
-    """Message on the step in which a filter failed; None for -1, no failure."""
     if failed < 0:
         return None
     moment = log.time[0] + steps.dt[: failed + 1].sum()
@@ -157,7 +152,6 @@ class Runner:
         self.kernel = kernel_of(model, self.steps[0])
 
     def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> Filtered:
-        """Filter log i with parameters by name."""
         return _run(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
 
 
@@ -205,7 +199,6 @@ def _scaling(parameters: Mapping[str, float]) -> Array:
 
 
 def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
-    """Return a result with NaN."""
     k, n, each = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
     trajectory = Trajectory.empty(k, n, covariances=covariances, failed=failed)
     return Filtered(**vars(trajectory), nis=each[0], nll=each[1])
@@ -215,14 +208,14 @@ _KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
 
 
 def kernel_of(model: Model, steps: Steps) -> Any:
-    """Return the model's filter, compiled at its first use; None if it can't be compiled."""
+    """Return the model's filter, compiled at its first use; None if it cannot be compiled."""
     if model not in _KERNELS:
         _KERNELS[model] = _compiled(model, steps) if model.kind == "ukf" else None
     return _KERNELS[model]
 
 
 def _compiled(model: Model, steps: Steps) -> Any:
-    """Compile the filter, and compare it with the textbook filter over some steps; None, with a warning, on failure."""
+    """Compile the filter, and compare it with the textbook filter; None, with a warning, on failure or a difference."""
     few = replace(
         steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "absorbs", "records")}
     )
@@ -233,7 +226,7 @@ def _compiled(model: Model, steps: Steps) -> Any:
             warnings.simplefilter("ignore")  # Numba's, on slow constructs in a user's function
             kernel = build_kernel(model.f, model.h, model.process_noise, diagonal=diagonal)
             compiled = _run(model, kernel, few, trial, covariances=True)
-    except (NumbaError, TypeError, NotImplementedError) as error:  # Numba's own are not all NumbaErrors
+    except (NumbaError, TypeError, NotImplementedError) as error:  # Numba also raises other errors
         why = _reason(error)
     else:
         textbook = _run(model, None, few, trial, covariances=True)
@@ -260,14 +253,13 @@ def _same(a: Filtered, b: Filtered) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """Return the line of Numba's message that states the reason."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if not line.startswith(("Failed in", "During", "File ", "^"))]
     return (telling or lines or [type(error).__name__])[0].rstrip(".:")
 
 
 def trial_parameters(model: Model) -> dict[str, float]:
-    """Parameters in the middle of their bounds, for trials of the model's functions."""
+    """Return parameters in the middle of their bounds."""
     middle = {
         t.name: float(np.sqrt(t.lowest * t.highest) if t.logarithmic else (t.lowest + t.highest) / 2)
         for t in model.parameters
@@ -311,7 +303,7 @@ def _shape(model: Model, log: Log, role: str, call: Callable[[], Any], wanted: l
     with np.errstate(all="ignore"):
         try:
             result = np.asarray(call(), dtype=np.float64)
-        except Exception as error:  # whatever a user's function may raise
+        except Exception as error:  # a user's function may raise any error
             said = " ".join(str(error).split())
             raise model.wrong(f"{role} fails on {log.name}: {type(error).__name__}: {said}") from error
     if result.shape not in wanted:

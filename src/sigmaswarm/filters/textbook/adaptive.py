@@ -14,23 +14,13 @@ class SageHusa:
     """Adapt Q and R to the innovations of the fixes.
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of their
-    weights (1 - b) / (1 - b^(k+1)); the maximum-a-posteriori estimate of the noise under exponential forgetting.
-    R is computed from the residual after the update, so it is positive by construction. A change that makes Q negative
-    is not used.
-
-    Attributes
-    ----------
-    process_noise : ndarray, shape (n,)
-        Diagonal of Q per nominal step.
-    measurement_noise : ndarray, shape (2,)
-        Diagonal of R.
-    forgetting : float
-        b.
+    weights (1 - b) / (1 - b^(k+1)). R is computed from the residual after the update, so it is positive by
+    construction. A change that makes Q negative is not used.
     """
 
-    process_noise: Array
-    measurement_noise: Array
-    forgetting: float
+    process_noise: Array  # (n,), diagonal of Q per nominal step
+    measurement_noise: Array  # (2,), diagonal of R
+    forgetting: float  # b
 
     def adapt(self, innovation: Innovation, since: float) -> None:
         """Adapt to a fix; ``since``: nominal steps since the last fix; with 0, Q does not change."""
@@ -47,32 +37,16 @@ class SageHusa:
 
 @dataclass
 class FuzzyNoise:
-    """Scale Q and R by fuzzy rules on the innovations of the fixes: see `filters.fuzzy`.
+    """Scale Q and R by fuzzy rules on the innovations of the fixes: see `filters.fuzzy`."""
 
-    Attributes
-    ----------
-    tuned_process_noise, tuned_measurement_noise : ndarray, shapes (n,) and (2,)
-        The diagonals of Q, per nominal step, and R at a ratio of 1.
-    memory : float
-        Weight of the previous average at each fix.
-    widths : tuple of float, length 2
-        Widths of the edges of ratio and trend.
-    gains : tuple of float, length 2
-        The largest factors of R and Q.
-    quick, slow : float
-        The ratio of the actual to the theoretical innovation covariance, averaged.
-    times_r, times_q : float
-        The current factors of R and Q.
-    """
-
-    tuned_process_noise: Array
-    tuned_measurement_noise: Array
-    memory: float
-    widths: tuple[float, float]
-    gains: tuple[float, float]
-    quick: float = 1.0
+    tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
+    tuned_measurement_noise: Array  # (2,), diagonal of R at a ratio of 1
+    memory: float  # weight of the previous average at each fix
+    widths: tuple[float, float]  # of the edges of ratio and trend
+    gains: tuple[float, float]  # largest factors of R and Q
+    quick: float = 1.0  # averages of the ratio of the actual to the theoretical innovation covariance
     slow: float = 1.0
-    times_r: float = 1.0
+    times_r: float = 1.0  # current factors of R and Q
     times_q: float = 1.0
 
     @property
@@ -116,24 +90,14 @@ class FuzzyNoise:
 class StrongTracking:
     """Inflate P before a fix until the trace of S is at least the recent mean of nu^T nu.
 
-    After D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996: the single fading factor, from the traces. There are
-    two changes. The innovations are averaged with weights rho and 1 - rho, since the weights in the paper, rho and 1
-    over 1 + rho, forget too fast. Only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1
-    C^T, since the rest would grow without limit.
-
-    Attributes
-    ----------
-    forgetting : float
-        rho.
-    recent : float or None
-        Weighted mean of nu^T nu.
+    D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996, with the two changes of `compiled.measurements._fade`.
+    ``forgetting`` is rho, ``recent`` the weighted mean of nu^T nu.
     """
 
     forgetting: float
     recent: float | None = None
 
     def stretch(self, filter: GaussianFilter, innovation: Innovation) -> Innovation:
-        """Inflate the covariance; return the new innovation."""
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
         self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
@@ -142,29 +106,18 @@ class StrongTracking:
 
 @dataclass
 class StudentT:
-    """Weight fixes whose errors have Student's t distribution: the R of each fix is divided by the weight of the fix.
+    """Weight fixes by Student's t: the R of each fix is divided by the weight of the fix.
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012. There is one change, since a filter with a wrong state would
-    treat all fixes as outliers: the fix that ends a long run of outliers has weight 1, and P is inflated before this
-    fix.
-
-    Attributes
-    ----------
-    dof : float
-        Degrees of freedom.
-    outliers : int
-        Current number of consecutive outliers.
-    since : float
-        Time of the first of these outliers, s.
+    the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
+    So the fix that ends a long run of outliers has weight 1, and P is inflated before this fix.
     """
 
-    dof: float
-    outliers: int = 0
-    since: float = 0.0
+    dof: float  # degrees of freedom
+    outliers: int = 0  # current number of consecutive outliers
+    since: float = 0.0  # time of the first of these outliers, s
 
     def weigh(self, filter: GaussianFilter, innovation: Innovation, time: float) -> Innovation:
-        """Weight the innovation of a fix of ``time`` (s)."""
         weight = self.weight(innovation)
         if not weight < OUTLYING:
             self.outliers = 0
@@ -178,7 +131,7 @@ class StudentT:
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
     def weight(self, innovation: Innovation) -> float:
-        """Mean weight of a fix, given the fix: state and weight are fitted alternately."""
+        """Return the mean weight of a fix, given the fix: state and weight are fitted alternately."""
         weight, r, nu = 1.0, innovation.noise, innovation.nu
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight
@@ -192,10 +145,7 @@ class StudentT:
 
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """Inflate the part of P that a fix observes until the trace of S is at least ``size``; return the innovation.
-
-    ``size``, m2, is a squared innovation nu^T nu.
-    """
+    """Inflate the part of P that a fix observes until tr S is at least ``size``, m2; return the innovation."""
     cross, covariance = innovation.cross, filter.covariance
     seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))

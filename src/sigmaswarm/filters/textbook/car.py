@@ -1,7 +1,4 @@
-"""Filters for cars in textbook form; each step follows the equations.
-
-Tests compare these filters with `compiled/run.py`, one step at a time.
-"""
+"""Filters for cars in textbook form. Tests compare them with `compiled/run.py`, one step at a time."""
 
 from dataclasses import replace
 
@@ -49,20 +46,8 @@ from sigmaswarm.geodesy import wrap_angle
 class TextbookCar:
     """A textbook filter on a drive's time line.
 
-    Parameters
-    ----------
-    timeline : Timeline
-    parameters : FilterParameters
-    initial : InitialState
-    heading_first, redraw_sigma_points : bool
-        See `run_textbook`.
-
-    Attributes
-    ----------
-    filter : GaussianFilter
-        The filter; its ``mean`` and ``covariance`` may be set before a step.
-    noise : SageHusa or FuzzyNoise
-        The current diagonals of Q and R.
+    The ``mean`` and ``covariance`` of its ``filter`` may be set before a step. ``noise`` has the current diagonals of Q
+    and R. ``heading_first`` and ``redraw_sigma_points``: see `run_textbook`.
     """
 
     def __init__(
@@ -168,7 +153,7 @@ class TextbookCar:
         self._since = 0.0
 
     def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
-        """Update with the heading ``latency`` s ago, whose variance is large enough for a NIS up to `HEADING_GATE`."""
+        """Update with the heading ``latency`` s ago; its variance limits the NIS to `HEADING_GATE`."""
         p, near = self.parameters, float(self.filter.mean[THETA])
         z = near + wrap_angle(theta + p.latency * yaw_rate - near)
         noise = np.array([[(p.heading_noise or 0.0) + stated]])

@@ -14,19 +14,9 @@ from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
 class TextbookModel:
     """A textbook filter of a model on a log's steps.
 
-    Parameters
-    ----------
-    model, steps
-    scaling : ndarray, shape (3,)
-        alpha, beta, kappa.
-    p : the model's record
-
-    Attributes
-    ----------
-    filter : GaussianFilter
-    nis, nll : ndarray, shape (f,)
-        Normalized innovation squared and negative log-likelihood of each measurement before its update. NaN before the
-        measurement's update.
+    ``scaling`` (3,) is alpha, beta, kappa; ``p`` the model's record. ``nis`` and ``nll`` (f,) are the normalized
+    innovation squared and the negative log-likelihood of each measurement before its update, NaN for later
+    measurements.
     """
 
     def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any) -> None:
@@ -36,7 +26,6 @@ class TextbookModel:
         self.nis, self.nll = np.full((2, len(steps.measurements)), np.nan)
 
     def step(self, i: int) -> None:
-        """Compute step i, and update with the measurement at its end, if there is one."""
         steps, kalman = self.steps, self.filter
         dt, row = float(steps.dt[i]), steps.absorbs[i]
         if dt > 0:
@@ -49,8 +38,6 @@ class TextbookModel:
 
 
 def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:
-    """Return the model's filter at the start of a log."""
-
     def f(state: Array, dt: float, u: Array) -> Array:
         return np.asarray(model.f(state.copy(), dt, u, p))  # a copy: f may work in place
 

@@ -1,7 +1,5 @@
 """The extended Kalman filter in textbook form.
 
-References
-----------
 D. Simon, Optimal State Estimation, Wiley 2006, section 13.2.3.
 """
 
@@ -47,7 +45,7 @@ class ExtendedKalmanFilter(GaussianFilter):
         self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """x' = f(x), P' = F P F^T + Q."""
+        """Compute x' = f(x), P' = F P F^T + Q."""
         jacobian = complex_step(lambda s: self.f(s, dt, u), self.mean)
         self.mean = self.f(self.mean, dt, u)
         cross = self.covariance @ jacobian.T
@@ -57,7 +55,7 @@ class ExtendedKalmanFilter(GaussianFilter):
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """nu = z - h(x), S = H P H^T + R, C = P H^T."""
+        """Compute nu = z - h(x), S = H P H^T + R, C = P H^T."""
         angles = self.measured_angles if h is None else []
         h = h or self.h
         jacobian = complex_step(h, self.mean)

@@ -47,12 +47,8 @@ class Innovation:
 class Prediction:
     """Prediction of a filter before the update, and its covariance with the previous state: see `loop.smooth_steps`.
 
-    Attributes
-    ----------
-    mean, covariance : ndarray, shapes (n,), (n, n)
-        m- and P-, including what an adaptive filter adds to P- before the update (`adaptive.stretched`).
-    cross : ndarray, shape (n, n)
-        Covariance of the previous state with the predicted state.
+    ``mean`` (n,) and ``covariance`` (n, n) are m- and P-, with the inflation of an adaptive filter
+    (`adaptive.stretched`). ``cross`` (n, n) is the covariance of the previous state with the predicted state.
     """
 
     mean: Array
@@ -61,7 +57,7 @@ class Prediction:
 
 
 def less_whole_turns(values: Array, columns: Sequence[int]) -> Array:
-    """``values``, shape (..., m), with the columns that are angles (rad) wrapped to (-pi, pi]."""
+    """Return ``values``, shape (..., m), with the columns that are angles (rad) wrapped to (-pi, pi]."""
     values = values.copy()
     values[..., columns] -= 2 * np.pi * np.round(values[..., columns] / (2 * np.pi))
     return values
@@ -72,15 +68,13 @@ class GaussianFilter:
 
     mean: Array
     covariance: Array
-    prediction: Prediction
-    """The last prediction."""
+    prediction: Prediction  # the last one
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Propagate the state by the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         raise NotImplementedError
 
     def _expect(self, cross: Array) -> None:
-        """Store the prediction and its covariance with the previous state."""
         self.prediction = Prediction(self.mean, self.covariance, cross)
 
     def measure(
@@ -98,7 +92,6 @@ class GaussianFilter:
     def update(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """Measure, and update the state."""
         innovation = self.measure(measurement, measurement_noise, h)
         self.absorb(innovation)
         return innovation

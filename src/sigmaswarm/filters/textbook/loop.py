@@ -1,7 +1,5 @@
 """Run any textbook filter over the steps of a drive or a log, and smooth its estimates (Rauch, Tung and Striebel).
 
-References
-----------
 H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3, 1965.
 S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE Transactions on Automatic Control 53(3), 2008.
 """
@@ -34,23 +32,14 @@ class Stepper(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """State estimates of a filter at some times.
+    """State estimates of a filter at some times."""
 
-    Attributes
-    ----------
-    mean, covariance : ndarray, shapes (k, n), (k, n, n)
-        NaN after a failure. The covariance is empty if it is not recorded.
-    failed : int
-        The step in which the filter failed, or -1.
-    """
-
-    mean: Array
-    covariance: Array
-    failed: int
+    mean: Array  # (k, n), NaN after a failure
+    covariance: Array  # (k, n, n), or empty
+    failed: int  # step in which the filter failed, or -1
 
     @classmethod
     def empty(cls, k: int, n: int, *, covariances: bool = True, failed: int = -1) -> "Trajectory":
-        """Make a trajectory of NaN, of n states at k times."""
         return cls(np.full((k, n), np.nan), np.full((k if covariances else 0, n, n), np.nan), failed)
 
 
@@ -78,19 +67,11 @@ def run_steps(
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Smoothed states of a filter.
+    """Smoothed states of a filter, at the start and after each of k steps; after a failure only the steps before it."""
 
-    Attributes
-    ----------
-    mean, covariance : ndarray, shapes (k + 1, n), (k + 1, n, n)
-        States at the start and after each of k steps.
-    failed : int
-        The step in which the filter failed, or -1; only the steps before it are included.
-    """
-
-    mean: Array
-    covariance: Array
-    failed: int
+    mean: Array  # (k + 1, n)
+    covariance: Array  # (k + 1, n, n)
+    failed: int  # step in which the filter failed, or -1
 
 
 def smooth_steps(

@@ -1,9 +1,7 @@
 """Filters whose mean is on a manifold, with the covariance of a small error that ``plus`` adds to the mean.
 
-References
-----------
-J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 6.
-M. Brossard, A. Barrau and S. Bonnabel, A code for unscented Kalman filtering on manifolds (UKF-M), ICRA 2020.
+J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 6. M. Brossard, A. Barrau and S.
+Bonnabel, A code for unscented Kalman filtering on manifolds (UKF-M), ICRA 2020.
 """
 
 from collections.abc import Callable
@@ -45,7 +43,7 @@ class _OnManifold(GaussianFilter):
         self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
 
     def absorb(self, innovation: Innovation) -> None:
-        """x plus K nu, P - K S K^T."""
+        """Update the state: x plus K nu, P - K S K^T."""
         mean = self.mean
         super().absorb(innovation)
         self.mean = self.manifold.plus(mean, innovation.gain @ innovation.nu)
@@ -54,17 +52,8 @@ class _OnManifold(GaussianFilter):
 class ErrorStateKalmanFilter(_OnManifold):
     """The extended Kalman filter of a small error.
 
-    Parameters
-    ----------
-    f : callable
-        ``f(state, dt, u) -> state``
-    transition : callable
-        ``transition(state, dt, u) -> F``: Jacobian of f for a small error, shape (n, n).
-    h : callable
-        ``h(state) -> measurement``, with ``h.jacobian(state)``: its Jacobian for a small error, shape (m, n).
-    mean, covariance : ndarray, shapes (n,), (n, n)
-        Mean and covariance at the start.
-    manifold : Manifold
+    ``transition(state, dt, u)`` is the Jacobian F of ``f`` for a small error, (n, n); ``h.jacobian(state)`` that of
+    ``h``, (m, n). ``mean`` (n,) and ``covariance`` (n, n) are those at the start.
     """
 
     def __init__(
@@ -80,7 +69,7 @@ class ErrorStateKalmanFilter(_OnManifold):
         self.transition = transition
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """x' = f(x), P' = F P F^T + Q."""
+        """Compute x' = f(x), P' = F P F^T + Q."""
         f = self.transition(self.mean, dt, u)
         self.mean = self.f(self.mean, dt, u)
         cross = self.covariance @ f.T
@@ -88,7 +77,7 @@ class ErrorStateKalmanFilter(_OnManifold):
         self._expect(cross)
 
     def measure(self, measurement: Array, measurement_noise: Array, h: Any = None) -> Innovation:
-        """nu = z - h(x), S = H P H^T + R, C = P H^T."""
+        """Compute nu = z - h(x), S = H P H^T + R, C = P H^T."""
         h = h or self.h
         jacobian = h.jacobian(self.mean)
         cross = self.covariance @ jacobian.T
@@ -117,7 +106,7 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
         self.points, self.measured = points, measured or points
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
-        """x' = f(x) plus the mean error; P' is the spread of the errors around it, and Q."""
+        """Compute x' = f(x) plus the mean error; P' is the spread of the errors around it, and Q."""
         wm, wc = self.points.weights(len(self.mean))
         centre = self.f(self.mean, dt, u)
         drawn = self.points.draw(np.zeros(len(self.mean)), self.covariance)
@@ -134,7 +123,7 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """nu, S and C from the sigma points."""
+        """Compute nu, S and C from the sigma points."""
         h = h or self.h
         wm, wc = self.measured.weights(len(self.mean))
         drawn = self.measured.draw(np.zeros(len(self.mean)), self.covariance)

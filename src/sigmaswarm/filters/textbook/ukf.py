@@ -1,7 +1,6 @@
-"""The unscented Kalman filter in textbook form, in NumPy: slow, general, and easy to check.
+"""The unscented Kalman filter in textbook form, in NumPy.
 
-State order, semantics of predict and update, and weights follow FilterPy 2.0.0. The filter runs any process ``f(state,
-dt, u)`` and measurement ``h(state)``; `compiled/` has kernels for cars.
+State order, semantics of predict and update, and weights follow FilterPy 2.0.0.
 
 References
 ----------
@@ -48,7 +47,7 @@ class SigmaPoints:
     first: Sequence[int] = ()
 
     def weights(self, n: int) -> tuple[Array, Array]:
-        """Weights for the mean and for the covariance, each of shape (2n + 1,)."""
+        """Return the weights for the mean and for the covariance, each of shape (2n + 1,)."""
         gamma2 = self.alpha**2 * (n + self.kappa)  # n + lambda, without the digits that lambda - n loses
         wm = np.full(2 * n + 1, 0.5 / gamma2)
         wc = wm.copy()
@@ -57,7 +56,7 @@ class SigmaPoints:
         return wm, wc
 
     def draw(self, mean: Array, covariance: Array) -> Array:
-        """The points, shape (2n + 1, n): centre, centre plus each column of the root, centre minus each."""
+        """Return the points, (2n + 1, n): center, center plus each column of the root, center minus each."""
         n = len(mean)
         gamma = np.sqrt(self.alpha**2 * (n + self.kappa))
         columns = gamma * square_root(covariance, self.first).T
@@ -96,7 +95,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         Draw new sigma points after Q is added (FilterPy 2.0.0). False: apply h to the propagated points (FilterPy
         1.4.5, which the paper probably used).
     angles : sequence of int
-        States that are angles. The changes by f of their differences from the centre point are wrapped. A circular mean
+        States that are angles. The changes by f of their differences from the center point are wrapped. A circular mean
         would be wrong, since for a small alpha the center's weight is a large negative number.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their differences from those of the center point, and their innovations, are
@@ -135,7 +134,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         # An offset may be more than half a turn; its change by f in one step may not.
         turned = (offsets - (drawn - drawn[0]))[:, self.angles]
         offsets[:, self.angles] -= 2 * np.pi * np.round(turned / (2 * np.pi))
-        shift = wm @ offsets  # the weights add up to one, so this is the mean seen from the centre
+        shift = wm @ offsets  # the weights add up to one, so this is the mean relative to the center
         spread = offsets - shift
         before = drawn - drawn[0]
         self.mean = sigmas[0] + shift
