@@ -15,7 +15,7 @@ OUTAGE_AFTER = 2.0
 """Time since the last fix after which an outage begins, s; a working receiver has 1 Hz or more."""
 STEPS = 40  # of a resampled window
 _QUIET = 1e-3
-"""Added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
+"""Offset that is added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
 _GRAVITY = 9.80665
 
 

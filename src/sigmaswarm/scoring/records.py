@@ -21,7 +21,7 @@ FEW = 4
 
 
 class DriftRecord(BaseModel):
-    """RMS drifts, m, over outages of one length: of each random placement, by method; None if the filter failed."""
+    """RMS drifts, m, over outages of one length, for each random placement, by method; None if the filter failed."""
 
     outages: int
     each: dict[str, list[float | None]]

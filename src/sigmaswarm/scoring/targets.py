@@ -77,7 +77,7 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
-    """Return windows of exactly ``length`` s that end at IMU samples with truth, if any, s, shape (k, 2)."""
+    """Return windows of exactly ``length`` s that end at IMU samples, but not in gaps of truth, s, shape (k, 2)."""
     reference = (drive.gps if drive.truth is None else drive.truth).time
     earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
     last = float(min(drive.imu.time[-1], reference[-1]))

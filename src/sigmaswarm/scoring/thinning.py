@@ -13,7 +13,8 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 class Thinned:
     """A limited number of rows of a series, with the peaks of the position error or of the NIS.
 
-    The rows are divided into equal parts; from each part the rows with the smallest and the largest value are kept.
+    The first and the last row are kept. The rows in between are divided into equal parts; from each part the rows with
+    the smallest and the largest value are kept.
     """
 
     def __init__(self, n: int, most: int) -> None:

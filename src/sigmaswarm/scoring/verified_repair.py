@@ -22,8 +22,9 @@ VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 WORSE = 1.05
 """Ratio of forecast errors after and before a repair above which the repair is withheld."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
-"""Noise densities of planar8's states, unit/sqrt(s): the filter follows the fixes over seconds and the IMU below
-that.
+"""Noise densities of planar8's states, unit/sqrt(s).
+
+With them the filter follows the fixes over seconds and the IMU over shorter times.
 """
 LEAST_STD = 0.5  # m, smallest standard deviation that is assumed for the fixes
 

@@ -21,7 +21,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
-LATE = 5.0  # s, from the start of a drive to a start of its scores that is reported
+LATE = 5.0  # s from the start of a drive; a later start of its scores is reported
 NO_TRUTH = (
     "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
     "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "

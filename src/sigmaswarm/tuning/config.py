@@ -165,7 +165,7 @@ PAPER: dict[str, Any] = {
     "prior": 0.0,
     "inflation": 0.0,
 }
-"""The paper's settings of one tuning. It does not state inertia, seed and bounds, and has 20 runs."""
+"""The paper's settings of one tuning. The paper repeats it 20 times and does not state inertia, seed and bounds."""
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:

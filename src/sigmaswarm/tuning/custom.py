@@ -118,7 +118,7 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
 
 
 def _described(log: Log) -> dict[str, Any]:
-    """Describe a log as `described` does a drive."""
+    """Describe a log by its name, size and hash, as `described` describes a drive."""
     columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
     return {
         "name": log.name,

@@ -29,7 +29,7 @@ WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
 """Objective with truth and fix-error: the likelihood distinguishes correlated fix errors from white noise."""
 MIN_DRIVEN = 30.0  # s, shortest driving time of a drive in which fixes can be hidden
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
-"""The same for custom models, which support only these."""
+"""Objectives with and without truth for custom models, which support only these."""
 
 
 def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
@@ -64,8 +64,8 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> bool:
     """Check that all logs show correlated fix errors, that the filter can model them, and that there is no truth for R.
 
-    These states reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19. With simulated receivers and
-    errors that last minutes, only the covariance improves.
+    The states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19. With simulated
+    receivers and errors that last minutes, only the covariance improves.
     """
     have, objective = [sensors_of(one) for one in drives], options.get("objective") or "auto"
     auto = objective == "auto"

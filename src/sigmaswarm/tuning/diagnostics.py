@@ -1,7 +1,8 @@
 """Find faults of a tuned filter that its objective hardly shows: divergence, drift and a wrong covariance scale.
 
 A common factor on all noise variances divides NIS by the factor, so the factor mean NIS / 2 makes the filter
-consistent. Gains that depend on the scale also change the estimates, so the effect on the position is measured.
+consistent. If the gains depend on the scale, the factor also changes the estimates. Its effect on the position is
+therefore measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,7 +32,7 @@ WATCHED = 3600.0  # s of a drive that are checked for divergence; a longer check
 FAR = 1.5
 """Ratio to the baseline's drift above which a warning is given."""
 FEW = 2
-"""Number of outage placements checked first, since all take long."""
+"""Number of outage placements checked first."""
 NEAR = 1.2
 """Drift ratio over these placements, accurate to 10%, above which all are measured."""
 LOOK = 600.0  # s in the middle of a drive that are checked for drift
@@ -136,7 +137,10 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
 def correlation_warnings(
     parameters: FilterParameters, found: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if innovations are correlated and the filter could model correlated fix errors; ``use``: for the remedy."""
+    """Warn if innovations are correlated and the filter could model correlated fix errors.
+
+    ``use``: values of ``--use`` for the proposed command.
+    """
     known = [value for value in found if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
     supported = parameters.kind in ("ukf", "ekf") and augmented in FILTERS

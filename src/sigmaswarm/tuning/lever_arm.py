@@ -31,7 +31,7 @@ from sigmaswarm.tuning.search import Search
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations, m: without a lever arm in drive.toml, and with one but without ``gps_lever_arm_std_m``."""
+"""Prior standard deviations, m: without a lever arm in drive.toml, and with one that has no ``gps_lever_arm_std_m``."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of accelerometer scales in a planar filter; they include effects of roll and pitch."""
@@ -52,7 +52,7 @@ Without it, 93% of the errors on 65 simulated drives were within 1.96 standard d
 ROUNDS, CONVERGED = 8, 0.005
 """Largest number of Gauss-Newton steps, and the step, m, below which they end."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
-"""Options of the tuning; without it the standard deviation is two to six times as large."""
+"""Options for tuning the noise; without tuning the standard deviation is two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
 """Arrays of a drive: times (f,), s; L^-1 nu (f, 2); its negative derivatives (f, 2, k); robust weights (f,)."""

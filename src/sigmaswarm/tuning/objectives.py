@@ -1,4 +1,4 @@
-"""Objectives: scores of parameter sets on drives are turned into costs."""
+"""Objectives, which turn the scores of parameter sets on drives into costs, and their weighted sums."""
 
 import re
 from collections.abc import Callable
@@ -47,7 +47,7 @@ class Objective:
     warning: str | None = None
 
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
-        """Return the cost of each set, shape (n_sets,): the mean over the ``worst`` share of its drives."""
+        """Return the mean cost over the ``worst`` share of a set's drives, shape (n_sets,); ``inf`` if any failed."""
         return mean_cost(self.each(scores), worst)
 
     def each(self, scores: Scores) -> Array:
@@ -67,7 +67,7 @@ class Objective:
 
 
 def mean_cost(each: Array, worst: float = 1.0) -> Array:
-    """Return `worst_mean`, or ``inf`` if any drive failed."""
+    """Return `worst_mean`, shape (n,); ``inf`` if any drive failed."""
     cost = worst_mean(each, worst)
     return np.where(np.isfinite(cost), cost, np.inf)
 

@@ -59,10 +59,10 @@ def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> 
 
 @dataclass(frozen=True)
 class FixNoise:
-    """Errors of a drive's fixes without truth, m per axis; NaN if unknown.
+    """Estimates of the errors of a drive's fixes, m per axis; NaN if unknown.
 
-    ``stated``: median that the receiver states. ``scatter``: about paths of ten seconds that are consistent with the
-    IMU.
+    ``stated``: median standard deviation that the receiver states. ``scatter``: standard deviation about paths of ten
+    seconds that are consistent with the IMU.
     """
 
     stated: float

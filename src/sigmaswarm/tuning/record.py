@@ -26,7 +26,7 @@ End = float | Literal["-"]
 NOT_VALIDATED = (
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
 )
-"""Omitted after an evaluation. It is recognized by its text in files, so do not change it."""
+"""Remark that is omitted after an evaluation. It is recognized by its text in files, so do not change it."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 
@@ -86,7 +86,10 @@ def tuning_file(path: Path) -> Path:
 
 
 def seen_by(file: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives of a tuning.toml; whole drives only if seen.npz is missing or old."""
+    """Return the landmarks of the training drives of a tuning.toml, from seen.npz next to it.
+
+    If seen.npz is missing or from an earlier version, only whole drives are recognized.
+    """
     data = load_record(TuningRecord, file).data
     kept = load_landmarks(file.parent / SEEN_FILE)
     if kept is not None and [marks.sha256 for marks in kept] == [drive.sha256 for drive in data]:

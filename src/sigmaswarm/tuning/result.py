@@ -75,7 +75,7 @@ class Tuning(Generic[P]):
     evaluations, failures : int
         Numbers of parameter sets that were evaluated and that failed.
     steps, full_steps : int
-        Numbers of filter steps of the search, and without racing.
+        Numbers of filter steps of the search, and of the same evaluations without racing.
     data : list of dict
         Name, length and fingerprint of each drive.
     seen : sequence of Landmarks

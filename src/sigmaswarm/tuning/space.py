@@ -28,7 +28,7 @@ SCALING = (
     Dimension("beta", "beta", 0, 0.0, 3.0, spread=False),
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
-"""Bounds of the paper."""
+"""The paper's bounds."""
 OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "velocity": (Dimension("velocity_noise", "velocity_noise", 0, 1e-4, 10.0),),
     "lateral": (
@@ -71,7 +71,7 @@ LEAST = {
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
-"""Lower limits that `tuning.inflation` applies: rad2/s, (rad/s)2/s, m/s2, rad/s."""
+"""Lower limits that `tuning.inflation` applies, in rad2/s, (rad/s)2/s, m/s2 and rad/s."""
 USUAL_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
@@ -204,8 +204,8 @@ def _dimensions(
     """Yield the dimensions in order; east and north share their noise, except in the paper's own filter.
 
     With separate noise, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
-    to the north, the lateral constraint then corrected the position along the road: docs/results/planar5.md, "One noise
-    for both map axes".
+    to the north, the lateral constraint then corrects lateral errors mostly by changes along the road:
+    docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING

@@ -69,7 +69,7 @@ BY_DEFAULT = "default"
 """Method with the filter, objective and optimizer that `tune` chooses."""
 BY_BO = "bo-ukf"
 HELPED = "pso-planar8"
-"""Its filter is used with networks: `noise-gru` does not support tilted12, and planar5 has no biases."""
+"""Method with the filter that networks support: `noise-gru` does not support tilted12, and planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),

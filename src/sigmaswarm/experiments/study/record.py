@@ -164,7 +164,7 @@ class Effort(_Part):
 
 
 class ElsewhereSummary(VariantSummary):
-    """The same on drives with other sensors or another car."""
+    """Statistics of a measure on drives with other sensors or another car."""
 
     place: str
 

@@ -41,7 +41,7 @@ TAKEN: dict[str, Callable[[Scores], Array]] = {
 class ScoreTable:
     """Scores of a study: arrays of shape (trials, drives) by variant and measure.
 
-    NaN if the trial did not test on the drive or the measure is unknown, ``inf`` if the filter failed.
+    A score is NaN if the trial did not test on the drive or the measure is unknown, and ``inf`` if the filter failed.
     """
 
     design: Design

@@ -19,7 +19,7 @@ from sigmaswarm.tuning.options import require_packages
 
 MOST = 200
 """Largest number of costs in a fit, which needs time proportional to its third power."""
-NOISE = 1e-6  # of a cost, relative to the variance of all costs
+NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
 LEAST = 1e-12
 """Smallest variance of a predicted cost, relative to the variance of all costs."""
 FEW_BEST, NEAR = 5, 0.02
@@ -36,7 +36,7 @@ class BayesianOptimization(AskTell):
     name = "bo"
     saved = ("points", "costs")
     batch: int = 1
-    """Number of points between two fits; with fewer the search needs fewer evaluations."""
+    """Number of points between two fits: fewer points use evaluations better, more points save time."""
     candidates: int = 2000
     searches: int = 3
     """Number of local searches from the best candidates."""

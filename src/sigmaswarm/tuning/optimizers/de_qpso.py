@@ -10,9 +10,9 @@ import numpy as np
 from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 
 EXPANSION = (1.0, 0.5)
-"""Contraction-expansion coefficient: first, last."""
+"""Contraction-expansion coefficient at the start and in the last generation."""
 DIFFERENTIAL, SCALE, CROSSOVER = 0.5, (0.5, 1.0), 0.7
-"""Probability of a differential move, range of its F, and its CR."""
+"""Probability of a differential move, range of its factor F, and its probability CR."""
 
 
 class QuantumSwarm(Swarm):

@@ -21,7 +21,7 @@ class DifferentialEvolution(AskTell):
     scale: tuple[float, float] = (0.5, 1.0)
     """Range of F."""
     crossover: float = 0.7
-    """CR, the probability of a coordinate of the mutant."""
+    """CR, the probability that a coordinate comes from the mutant."""
 
     def _begin(self) -> Array:
         self.members = super()._begin()
