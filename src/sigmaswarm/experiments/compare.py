@@ -126,8 +126,6 @@ def compare(
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Contenders and seeds of a comparison, and the problems on training and held-out drives."""
-
     rivals: Sequence[Contender]
     seeds: int
     problem: CarProblem
@@ -136,7 +134,6 @@ class _Grid:
     def run(
         self, out: Path, pool: Executor, resume: bool, progress: Callable[[int, int], None] | None
     ) -> Comparison:
-        """Run all tunings that are not finished in the folder."""
         steps_per_set = int(self.problem.steps.sum())
         config = {
             "compared": {c.label: c.config.model_dump(mode="json", exclude={"seed"}) for c in self.rivals},
@@ -168,7 +165,6 @@ class _Grid:
         )
 
     def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
-        """Return a function that runs a contender with a seed, or reads the finished run."""
         lock, times = threading.Lock(), out / "times.csv"
         spaces = {rival.scale: car_space(rival.config, self.problem.sensors) for rival in self.rivals}
         if not times.exists():

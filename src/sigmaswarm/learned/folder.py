@@ -70,8 +70,6 @@ class LearnedRecord(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A trained network."""
-
     record: LearnedRecord
     weights: Mapping[str, Array]
 
@@ -119,7 +117,6 @@ def load_learned(folder: Path) -> Learned | None:
 
 
 def _fits(record: LearnedRecord, weights: Mapping[str, Array]) -> bool:
-    """Check that weights have the names and shapes of the network, and are finite."""
     units, rng = record.network.units, np.random.default_rng(0)
     if record.kind == outage_lstm.NAME:
         features = np.zeros((1, 1, 2 * len(record.network.axes)))

@@ -191,7 +191,6 @@ class FinishedHistoryRecord(BaseModel):
 def _best_training(
     learner: Learner, folder: ResultFolder, config: LearnConfig, progress: Callable[[Progress], None] | None
 ) -> tuple[Settings, Fit]:
-    """Train with the first settings and with settings from an optimizer; return the best."""
     found, total = list[tuple[float, Settings, Fit]](), (1 + config.search) * learner.epochs
 
     def train(settings: Settings) -> float:
@@ -229,7 +228,6 @@ def _trained(
     number: int,
     progress: Callable[[int, float], None],
 ) -> Fit:
-    """Run a training, continue an interrupted one, or read a finished one."""
     if (done := folder.finished(number, FinishedRecord, FinishedHistoryRecord)) is not None:
         return Fit(part_of(done[1], "weights"), done[1]["losses"])
     lesson = learner.lesson(settings, seed)

@@ -40,7 +40,6 @@ stated variances, m2.
 
 
 def require_supported(p: FilterParameters) -> None:
-    """Raise `InputError` if the model, the filter type or a measurement is not supported."""
     if p.model not in ("planar5", "planar8"):
         raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
     if p.kind not in ("ukf", "ekf"):

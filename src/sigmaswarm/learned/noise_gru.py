@@ -81,7 +81,6 @@ class NoiseRun(PausingRecording):
         self._before = line.start
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Run the network at the last fix before a sample, and set the scales."""
         fix, time = self._last[sample]
         seen, theta = self._innovations[fix], float(self._estimate()[0][THETA])
         since, self._before = time - self._before, time

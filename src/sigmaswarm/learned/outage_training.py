@@ -123,7 +123,6 @@ def _loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
 def lesson(
     examples: Examples, axes: tuple[str, ...], *, window: float, units: int, seed: int
 ) -> tuple[OutageLstm, Lesson]:
-    """Prepare a new network and its training."""
     shown = examples.part(held_back=False)
     network = untrained(np.random.default_rng([seed, 1]), axes, window, units, *shown)
     fixed = {name: network.weights[name] for name in FIXED}

@@ -101,7 +101,6 @@ def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
 
 
 def may_drift_far(found: Iterable[tuple[float, ...]]) -> bool:
-    """Decide from a few outages if all must be measured."""
     tuned, other = _together(found)[:2]
     return tuned > NEAR * other
 

@@ -220,7 +220,6 @@ def costs_of_each(objective: str, scores: Scores) -> Array:
 def car_problem(
     drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
-    """Create the problem of tuning a built-in model; ``space`` may come from other drives."""
     objective = objective_named(config.objective)
     if config.prior and not objective.nats:
         raise InputError(

@@ -70,7 +70,6 @@ class FixNoise:
 
 
 def fix_noise(drive: Drive) -> FixNoise:
-    """Estimate these errors from the middle of a drive."""
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
         scatter = scatter_of(clip(drive, middle - LOOK / 2, middle + LOOK / 2)) or np.nan

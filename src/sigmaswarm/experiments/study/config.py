@@ -27,8 +27,7 @@ from sigmaswarm.wording import first_mistake
 
 ALL = "all"
 """Group of all conditions, and an unknown maneuver or environment."""
-UNTUNED = "untuned"
-"""Protocol of methods without tuning."""
+UNTUNED = "untuned"  # protocol
 ProtocolName = Literal["paper", "honest"]
 
 
@@ -97,7 +96,6 @@ NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
 BO_EVALUATIONS = 100
 """Evaluations of Bayesian optimization; with more, its own time exceeds that of the filters (docs/optimizers.md)."""
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
-"""Additional outages of a study with rivals, s, by measure."""
 MEASURES = {
     "position_rmse_m": "position RMSE against truth, m",
     "gps_rmse_m": "RMSE against the GPS fix after the update (equation 4), m",
@@ -189,7 +187,6 @@ class StudyConfig(BaseModel):
 
     @property
     def measures(self) -> dict[str, str]:
-        """Meanings and units of the measures, by name."""
         longer = {name: f"drift over a {s:g} s outage, m" for name, s in self.long_outages.items()}
         return MEASURES | longer
 

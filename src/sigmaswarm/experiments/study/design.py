@@ -150,7 +150,6 @@ class Design:
         return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
 
     def group_of(self, drive: int) -> str:
-        """Return the group of the filter that runs on a drive."""
         return self.strata[drive] if self.config.per_condition else ALL
 
     def split(self, trial: int) -> tuple[list[int], list[int]]:
@@ -236,7 +235,6 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
 
 
 def _sources(config: StudyConfig) -> Sequence[Location | Source]:
-    """Return the sources from which workers read or simulate the drives."""
     if config.drives:
         return all_drive_locations(config.drives)
     names = product(config.maneuvers, config.environments, range(config.runs))
@@ -257,7 +255,6 @@ def _identity(ready: PreparedDrive) -> str:
 
 
 def _condition_of(drive: Drive) -> tuple[str, str]:
-    """Return a drive's maneuver and environment."""
     scenario = drive.metadata.get("scenario", {})
     named = scenario if isinstance(scenario, dict) else {}
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
@@ -274,7 +271,6 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
 
 
 def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
-    """Raise `InputError` if a drive has no truth or its name is not unique."""
     names: set[str] = set()
     for drive in drives:
         if not drive.truth:

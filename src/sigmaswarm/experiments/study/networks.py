@@ -58,7 +58,6 @@ class Training:
 
     @property
     def folder(self) -> str:
-        """Folder relative to the study's folder."""
         what = f"trial-{self.trial:03d}" if self.minutes is None else f"curve-{self.minutes:g}-minutes"
         return f"learned/{self.network}/{what}"
 
@@ -69,11 +68,9 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A trained network, the parameters of its filter, and the driving time of its training, s."""
-
     parameters: FilterParameters
     learned: Learned
-    driven: float
+    driven: float  # s
 
 
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:

@@ -80,7 +80,6 @@ def results_of(
 
 
 def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
-    """Yield the summary of every variant and measure, over all conditions and in each."""
     design, everywhere = scores.design, (ALL, ALL)
     train, test = design.split(0)
     each = dict.fromkeys(condition for condition in design.conditions if condition != everywhere)
@@ -220,7 +219,6 @@ def _efforts(
 
 
 def _gains(scores: ScoreTable, networks: Iterable[Task], draws: Draws) -> Iterator[PairedComparison]:
-    """Compare each network with its filter alone, in the measures that the network changes."""
     for protocol, method in dict.fromkeys(task.variant for task in networks):
         for measure in _compared(scores):
             own, alone = (scores.values[protocol, m].get(measure) for m in (method, HELPED))

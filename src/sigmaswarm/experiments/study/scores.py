@@ -97,7 +97,6 @@ def score_all(
     executor: Executor | None = None,
     networks: Mapping[Task, Trained] | None = None,
 ) -> ScoreTable:
-    """Score every method on each trial's test drives."""
     test = [design.split(trial)[1] for trial in range(design.config.trials)]
     tested = np.array([np.isin(np.arange(len(design.drives)), drives) for drives in test])
     score = partial(_score_sets, design, _passes(design), executor)
@@ -187,7 +186,6 @@ def _unfiltered(method: str, design: Design) -> dict[str, Array]:
 def _score_unfiltered(
     ready: PreparedDrive, method: str, noise: MotionNoise | None, lengths: Mapping[str, float], seed: int
 ) -> dict[str, float]:
-    """Score the raw fixes, the IMU alone or, with ``noise``, the fixes alone on a drive."""
     drive, start = ready.drive, ready.initial
     residual, drifts = np.nan, dict.fromkeys(lengths, np.nan)
     if method == "raw-gps":

@@ -225,7 +225,6 @@ def _run(
 def _write_best(
     out: Path, trials: Mapping[Task, Trial], points: Mapping[Task, FilterParameters]
 ) -> dict[str, FilterParameters]:
-    """Write the parameters of the trial with the lowest training cost of each tuning."""
     best: dict[str, Task] = {}
     for task, trial in trials.items():
         if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
@@ -244,7 +243,6 @@ def _tune_all(
     progress: Callable[[int, Task], None],
     processes: int,
 ) -> dict[Task, Trial]:
-    """Run every tuning on the training drives of its group and trial."""
     configs = {(p, m): design.tune_config(m, p) for p, m in design.config.tuned}
     outages = {v: objective_named(config.objective).needs_outages for v, config in configs.items()}
     replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}

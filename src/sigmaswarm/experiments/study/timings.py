@@ -28,7 +28,6 @@ LIVE: dict[str, tuple[FilterKind, ModelName]] = {
     "UKF": ("ukf", "planar5"),
     "UKF, planar8": ("ukf", "planar8"),
 }
-"""Filters with timed updates."""
 
 
 class Stopwatch:
@@ -80,7 +79,6 @@ def rival_times(
 
 
 def _content(file: Path) -> dict[str, Any]:
-    """Return the content of a timings.json; empty if unreadable."""
     try:
         return read_content(file)
     except InputError:

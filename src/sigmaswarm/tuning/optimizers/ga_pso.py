@@ -17,11 +17,8 @@ class GeneticSwarm(Swarm):
     name = "ga-pso"
     saved = ("velocities", "costs", *Swarm.saved)
     inertia: float = INERTIA
-    """Inertia weight w."""
     cognitive: float = ACCELERATION
-    """Coefficient c1."""
     social: float = ACCELERATION
-    """Coefficient c2."""
 
     def _begin(self) -> Array:
         positions = super()._begin()

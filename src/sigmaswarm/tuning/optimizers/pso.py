@@ -8,16 +8,11 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class ParticleSwarm(Swarm):
-    """Particles that move toward their own best positions and the best of the swarm."""
-
     name = "pso"
     saved = ("velocities", *Swarm.saved)
     inertia: float = INERTIA
-    """Inertia weight w."""
     cognitive: float = ACCELERATION
-    """Coefficient c1."""
     social: float = ACCELERATION
-    """Coefficient c2."""
     zero_velocity_at_bounds: bool = False
     """Stop particles along the coordinates in which they reach a bound."""
 
