@@ -169,11 +169,7 @@ _HOMES = {
     "tuning.store": "saved_history saved_options",
     "tuning.tune": "tune",
 }
-"""Modules and the names that they define.
-
-Names in ``__all__`` are public. The other names (types of results, parts of the public functions, experiments, textbook
-filters) can be imported, but ``dir`` does not list them.
-"""
+"""Modules and their names that can be imported from the package; only those in ``__all__`` are public."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
 """Deprecated names of version 0.3.0."""

@@ -1,4 +1,4 @@
-"""The public functions that join several parts of the package, one for each job of the command line."""
+"""The public functions that join several parts of the package."""
 
 import tempfile
 import warnings
@@ -28,7 +28,6 @@ Filter = FilterParameters | Tuning[Any] | str | Path
 
 
 def filter_of(given: Filter) -> FilterParameters:
-    """Return the parameters of a filter that is given as in `Filter`."""
     if isinstance(given, str | Path):
         return FilterParameters.load(given)
     parameters = given.parameters if isinstance(given, Tuning) else given
@@ -59,12 +58,12 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
     Raises
     ------
     InputError
-        The log can't be read; the message has one line with file, place and remedy.
+        If the log can't be read.
 
     Warns
     -----
     SigmaswarmWarning
-        Each assumption of the import, and times that only the IMU or only the fixes cover.
+        For each assumption of the import, and for times that only the IMU or only the fixes cover.
     """
     from sigmaswarm.importing.convert import import_drive, request_of
 
@@ -80,7 +79,7 @@ def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> 
 
 
 def inspect_log(log: str | Path, **settings: Any) -> "Look":
-    """Return the tables of a log, the recipe that `import_log` would use, and the assumptions, like ``import --show``.
+    """Return the tables of a log, the recipe that `import_log` would use, and its assumptions.
 
     Parameters
     ----------
@@ -96,7 +95,7 @@ def inspect_log(log: str | Path, **settings: Any) -> "Look":
 def split(
     drive: Drive, train_fraction: float = 0.7, *, at: float | tuple[float, float] | None = None
 ) -> tuple[Drive, Drive]:
-    """Split a drive in time into a part to tune on and a part to test on. Parameters: see ``split_time``.
+    """Split a drive in time into a part to tune on and a part to test on; parameters as in ``split_time``.
 
     With two times in ``at``, the part between them is left out.
     """
@@ -120,7 +119,7 @@ def run(
     drive : Drive
     parameters : FilterParameters, Tuning, or the path of a tuning
     smooth : bool
-        Smooth the estimates, so that each uses all fixes, also later ones.
+        Smooth the estimates, so that each uses earlier and later fixes.
     bank : bool
         Run a bank of sixteen filters with different parameters; their mixture is the estimate.
     initial : InitialState, optional
@@ -138,9 +137,9 @@ def run(
     Raises
     ------
     AlignmentError
-        The drive never moves far enough to start a filter.
+        If the drive never moves far enough to start a filter.
     InputError
-        ``smooth`` and ``bank`` are both given.
+        If ``smooth`` and ``bank`` are both given.
     """
     chosen = filter_of(parameters)
     options: dict[str, Any] = {"initial": initial, "recover": recover, "as_recorded": as_recorded}
@@ -162,7 +161,7 @@ def run(
 def evaluate(
     drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
 ) -> "Evaluation":
-    """Compare a filter with the baseline, raw GPS and the IMU alone, on drives that the tuning did not use.
+    """Compare a filter with the baseline, raw GPS, fixes alone and IMU only, on drives that the tuning did not use.
 
     Parameters
     ----------
@@ -174,7 +173,7 @@ def evaluate(
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
-        ``fixes_alone`` (noise parameters of the filter of the fixes alone; a `Tuning` contains them),
+        ``fixes_alone`` (noise parameters of the filter that uses only the fixes; a `Tuning` contains them),
         ``cluster``.
 
     Returns
@@ -185,9 +184,9 @@ def evaluate(
     Raises
     ------
     InputError
-        There are no drives, or ``parameters`` is not a filter.
+        If there are no drives, or ``parameters`` is not a filter.
     AlignmentError
-        A drive never moves far enough to start a filter.
+        If a drive never moves far enough to start a filter.
     """
     from sigmaswarm.scoring import evaluation
 
@@ -221,7 +220,7 @@ def export(
     Raises
     ------
     InputError
-        The target is unknown or does not support the model.
+        If the target is unknown or does not support the model.
     """
     from sigmaswarm.exports.targets import export_texts, write_texts
 
@@ -248,7 +247,7 @@ def report(results: Any, out: str | Path | None = None) -> str:
     Raises
     ------
     InputError
-        ``results`` has no page, or a file in the folder is missing or damaged.
+        If ``results`` has no page, or a file in the folder is missing or damaged.
     """
     from sigmaswarm.files import write_whole
     from sigmaswarm.reports.folders import read_report
@@ -285,17 +284,16 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     ----------
     what : Drive, Evaluation, Tuning or Comparison
     drive : str, optional
-        For an evaluation: the drive whose track is drawn; by default the scores of all methods are compared.
+        For an evaluation: the drive with the track to draw; by default the scores of all methods are compared.
 
     Returns
     -------
     matplotlib.figure.Figure
-        The figure; ``savefig`` writes it to a file.
 
     Raises
     ------
     InputError
-        There is no figure of ``what``, or no track of ``drive``.
+        If there is no figure of ``what``, or no track of ``drive``.
     """
     from sigmaswarm.experiments.comparison import Comparison
     from sigmaswarm.reports.compare import comparison_figure

@@ -1,8 +1,8 @@
 """Compile functions with Numba, and cache the machine code between processes if this is safe.
 
-Numba caches machine code in pickles, so a user who can write these files can run code with the rights of the user who
-reads them. The cache is therefore in a folder that only its owner can write. Without a writable folder, or with a
-damaged file, Numba would fail; this module compiles the function again instead.
+Numba caches pickles: a user who can write them can run code with the rights of the user who reads them. The cache is
+therefore in a folder that only its owner can write. Without a writable folder, or with a damaged file, this module
+compiles again, whereas Numba would fail.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -49,10 +49,9 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A function that is generated only if its machine code is not cached.
+    """A function that is generated, which takes half a second, only if its machine code is not cached.
 
-    Generating a kernel takes half a second. ``like`` is a function with the same name and parameters. ``key``
-    distinguishes functions of this name, like their source text.
+    ``like`` has the same name and parameters. ``key`` distinguishes functions of this name.
     """
 
     like: Callable[..., Any]
@@ -61,7 +60,7 @@ class Recipe:
 
 
 def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) -> Any:
-    """Compile with `numba.njit`, and cache the machine code between processes if there is a safe folder."""
+    """Compile with `numba.njit`, and cache the machine code if there is a safe folder."""
     if function is None:
         return lambda function: cached(function, **options)
     if config.DISABLE_JIT:
@@ -72,7 +71,7 @@ def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) 
 
 
 def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
-    """Compile a function as `cached` does and return the address of its machine code, valid in this process.
+    """Compile a function and return the address of its machine code, valid in this process.
 
     If compilation is off (NUMBA_DISABLE_JIT), return the function itself.
     """
@@ -86,11 +85,10 @@ def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
 
 
 _CALLED: list[CFunc] = []
-"""Functions whose machine code must stay in memory, since its address is in use."""
+"""Functions with an address in use, which must stay in memory."""
 
 
 def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
-    """Make the cache of ``compiled``, a dispatcher or a CFunc of a function."""
     recipe = function if isinstance(function, Recipe) else None
     folder, trouble = _folder()
     if folder is not None:
@@ -117,10 +115,7 @@ def _write(recipe: Recipe, compiled: Any) -> None:
 
 @cache
 def _folder() -> tuple[Path | None, str]:
-    """Make the cache folder: ``sigmaswarm`` in NUMBA_CACHE_DIR, or in the user's cache folder.
-
-    Returns the folder, or None and the reason why there is none.
-    """
+    """Make the cache folder, or return the reason why there is none."""
     if config.CACHE_DIR:
         folder = Path(config.CACHE_DIR).absolute() / "sigmaswarm"
     else:
@@ -140,7 +135,7 @@ def _folder() -> tuple[Path | None, str]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return true if no other user can write into a folder or replace it; not checked on systems without user ids."""
+    """Check that no other user can write into a folder or replace it; True on systems without user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()
@@ -163,7 +158,7 @@ class _Checked(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """A cache whose damaged files are compiled and written again instead of ending the run."""
+    """A cache that compiles and writes damaged files again."""
 
     _impl_class = _Checked
     recipe: Recipe | None = None
@@ -209,7 +204,6 @@ class _NoCache(NullCache):
 
 @cache
 def _log_once(folder: str) -> None:
-    """Log the first compilation, which commands show on a terminal."""
     _log.info("compiling filters, once on this machine: about ten seconds (cached in %s)", folder)
 
 

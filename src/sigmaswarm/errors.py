@@ -1,4 +1,4 @@
-"""Errors and warnings. Each message is one sentence that states the place and the remedy."""
+"""Errors and warnings; each message is one sentence with the place and the remedy."""
 
 import warnings
 
@@ -8,11 +8,11 @@ class SigmaswarmError(Exception):
 
 
 class InputError(SigmaswarmError, ValueError):
-    """An input can't be used: a file, a value, an option."""
+    """A file, a value or an option can't be used."""
 
 
 class DriveError(InputError):
-    """A drive's folder or record is unusable; the message names file, row, column, value and remedy."""
+    """A drive is unusable; the message names file, row, column, value and remedy."""
 
 
 class AlignmentError(DriveError):
@@ -36,5 +36,4 @@ class DriveWarning(SigmaswarmWarning):
 
 
 def warn_deprecated(old: str, new: str) -> None:
-    """Warn that a name is deprecated and will be removed in 0.5.0."""
     warnings.warn(f"{old} is deprecated, use {new}", SigmaswarmWarning, stacklevel=4)

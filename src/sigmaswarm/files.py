@@ -1,10 +1,8 @@
 """Write files and folders completely or not at all.
 
-New content is written under a hidden name next to its destination, flushed to the disk and then renamed. So a kill, a
-full disk or a second run never leaves partial content under the final name, and the old content stays until the rename.
-A rename replaces a symbolic link and never follows it. A locked file next to the hidden name shows that a run is
-writing. A lock ends with its process, so the next run that writes into the same folder removes the files of killed
-runs.
+New content is written under a hidden name next to its destination, flushed to the disk and then renamed. A rename
+replaces a symbolic link and never follows it. A locked file next to the hidden name shows that a run is writing. A lock
+ends with its process, so the next run removes the files of killed runs.
 """
 
 import io
@@ -32,7 +30,7 @@ _LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write bytes, or text as UTF-8, to a file with `whole_file`."""
+    """Write bytes, or text as UTF-8, with `whole_file`."""
     with whole_file(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
@@ -54,7 +52,7 @@ def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
 
 
 def finite(content: Any) -> Any:
-    """Replace NaN and inf, which JSON does not know, by null."""
+    """Replace NaN and inf, which JSON does not know, by None."""
     if isinstance(content, dict):
         return {str(key): finite(value) for key, value in cast("dict[Any, Any]", content).items()}
     if isinstance(content, list | tuple):
@@ -63,7 +61,7 @@ def finite(content: Any) -> Any:
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
-    """Make a folder and its missing parents; an `InputError` states the obstacle and ``remedy``."""
+    """Make a folder and its parents, or raise `InputError` with ``remedy``."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -117,7 +115,7 @@ def whole_file(path: Path) -> Generator[BinaryIO]:
 
 @contextmanager
 def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
-    """Yield a path at which to make a folder, which gets its final name when the block ends.
+    """Yield a path for a folder, which gets its final name when the block ends.
 
     With ``replace`` it may replace a folder that is not empty.
     """
@@ -141,8 +139,7 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
 def staged_files(folder: Path) -> Generator[Path]:
     """Yield a hidden folder for files; when the block ends, all or none of them are moved into ``folder``.
 
-    The new files replace files of the same names; other files stay. If the block or a replacement fails, the old files
-    stay. The next run that writes into the folder restores them if this one is killed between two replacements.
+    The next run that writes into the folder restores the old files if this one is killed between two replacements.
     """
     make_folder(folder)
     with _staging(folder / "results", folder) as hidden:
@@ -179,7 +176,6 @@ def _exchange(hidden: Path, folder: Path) -> None:
 
 
 def _restore(hidden: Path, folder: Path) -> None:
-    """Move the files back that an unfinished exchange moved aside."""
     for file in (hidden / "old").rglob("*"):
         if file.is_file():
             file.replace(folder / file.relative_to(hidden / "old"))
@@ -200,12 +196,11 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 class _Part(io.FileIO):
-    """A file that remembers a failed write, which some writers replace by other errors."""
+    """A file that remembers a failed write, since some writers replace its error."""
 
     failure: OSError | None = None
 
     def write(self, data: Any, /) -> int:
-        """Write like any file."""
         try:
             return super().write(data)
         except OSError as error:
@@ -217,7 +212,7 @@ class _Part(io.FileIO):
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
     """Yield a free, hidden path next to ``path`` with a locked lock file; remove its remains at the end.
 
-    An error that names the hidden path, or no path, is raised as an error of ``named``, by default ``path``.
+    An error that names the hidden path, or no path, is raised as an error of ``named``.
     """
     _sweep(path.parent.resolve())
     stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes
@@ -247,7 +242,7 @@ def _remove(hidden: Path) -> None:
 
 
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
-    """Lock a file, made if missing, until its release or the end of the process; None where files can't be locked.
+    """Lock a file until its release or the end of the process; return None where files can't be locked.
 
     Without ``wait``, raise `TimeoutError` if another run has the lock.
     """
@@ -274,7 +269,7 @@ def _flush(folder: Path) -> None:
 
 @cache  # once per folder and process: each process removes its own
 def _sweep(folder: Path) -> None:
-    """Remove the files of killed runs from a folder: hidden names of this user whose lock file is not locked."""
+    """Remove the files of killed runs: hidden names of this user with a lock file that is not locked."""
     _sweep_all(folder, ".*.lock")
 
 

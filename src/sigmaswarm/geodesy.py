@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-Origin = tuple[float, float, float]
-"""Latitude (deg), longitude (deg) and altitude (m) of a local frame."""
+Origin = tuple[float, float, float]  # latitude (deg), longitude (deg), altitude (m)
 
 
 @overload
@@ -41,7 +40,7 @@ def enu_to_geodetic(enu: ArrayLike, origin: Origin) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array, digits: int = 0) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a rotation (3, 3), deg, rounded, in the order of ``import --mount``."""
+    """Return roll, pitch and yaw, deg, of a rotation (3, 3), as for ``import --mount``."""
     pitch = -math.asin(float(np.clip(rotation[2, 0], -1, 1)))
     angles = math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
     roll, pitch, yaw = (round(math.degrees(angle), digits) + 0.0 for angle in angles)

@@ -1,6 +1,6 @@
 """Check the sizes of files before they are read, since a small or damaged file can claim any size.
 
-Within these limits, refusing a file needs at most 1.5 GB of memory and 10 s.
+Within these limits, rejection of a file needs at most 1.5 GB of memory and 10 s.
 """
 
 import re
@@ -13,22 +13,14 @@ from sigmaswarm.errors import InputError
 if TYPE_CHECKING:
     import zipfile
 
-LONGEST_LINE = 1 << 20
-"""Largest number of bytes in a line of text."""
-MOST_CELLS = 120_000_000
-"""Largest number of cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz."""
+LONGEST_LINE = 1 << 20  # bytes of text
+MOST_CELLS = 120_000_000  # of a Parquet table, 1 GB: a week of an IMU at 50 Hz
 MOST_COLUMNS = 1000
-"""Largest number of columns of a drive's table."""
-LONGEST_NAME = 1000
-"""Largest number of characters of a column's name."""
-MOST_TOML = 1 << 20
-"""Largest size of a TOML file, bytes; parsing takes 3 s."""
-MOST_JSON = 1 << 26
-"""Largest size of a JSON file, bytes; parsing needs 0.6 GB."""
-MOST_MEMBERS = 10_000
-"""Largest number of arrays in an npz file."""
-MOST_UNPACKED = 1_000_000_000
-"""Largest total size of the arrays in an npz file, bytes."""
+LONGEST_NAME = 1000  # characters of a column's name
+MOST_TOML = 1 << 20  # bytes; parsing takes 3 s
+MOST_JSON = 1 << 26  # bytes; parsing needs 0.6 GB
+MOST_MEMBERS = 10_000  # arrays of an npz file
+MOST_UNPACKED = 1_000_000_000  # bytes of all arrays of an npz file
 
 _PACKED = {
     b"\x1f\x8b": "gzip",
@@ -39,11 +31,11 @@ _PACKED = {
 }
 """First bytes of compressed files, which polars unpacks to any size, regardless of their names."""
 _LONG_KEY = re.compile(rb"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
-"""Pattern of a long dotted key of TOML; the time of tomllib grows with the square of the number of its parts."""
+"""A long dotted key of TOML; the time of tomllib grows with the square of the number of its parts."""
 
 
 def require_regular(path: Path) -> None:
-    """Refuse everything except files and folders, since reading a pipe, a socket or a device may never end."""
+    """Reject pipes, sockets and devices, since reading them may never end."""
     try:
         mode = path.stat().st_mode
     except OSError:
@@ -53,10 +45,10 @@ def require_regular(path: Path) -> None:
 
 
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
-    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes.
+    """Reject compressed text and lines over `LONGEST_LINE` bytes; return the first line and the number of lines.
 
-    ``shown_as`` is the name of the file in messages, if it was unpacked to another place. Return the first line and the
-    number of lines, including empty lines, from which polars also makes rows.
+    Messages name the file ``shown_as``, if it was unpacked to another place. The number includes empty lines, from
+    which polars also makes rows.
     """
     require_regular(path)
     with path.open("rb") as file:
@@ -85,7 +77,6 @@ def _require_lines(path: Path, file: BinaryIO) -> int:
 
 
 def read_bounded(path: Path, most: int) -> bytes:
-    """Read a regular file of at most ``most`` bytes."""
     require_regular(path)
     with path.open("rb") as file:
         content = file.read(most + 1)
@@ -97,7 +88,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def read_toml_text(path: Path) -> str:
-    """Read the text of a TOML file that can be parsed within seconds; a byte-order mark is left out."""
+    """Read the text of a TOML file that can be parsed within seconds, without its byte-order mark."""
     content = read_bounded(path, MOST_TOML)
     if found := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, found.start()) + 1
@@ -106,7 +97,6 @@ def read_toml_text(path: Path) -> str:
 
 
 def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
-    """Refuse an npz file of too many or too large arrays."""
     unpacked = sum(member.file_size for member in members)
     if len(members) > MOST_MEMBERS or unpacked > MOST_UNPACKED:
         raise InputError(

@@ -1,6 +1,6 @@
-"""Make HTML of records for notebooks (tables and tracks, without scripts or other files), and pandas' tables.
+"""Make HTML of records for notebooks, without scripts or other files, and pandas' tables.
 
-The functions take plain numbers and texts, which each record supplies. Texts are escaped, since names come from logs.
+Texts are escaped, since names come from logs.
 """
 
 import math
@@ -16,12 +16,10 @@ from sigmaswarm.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0
-"""Width and height of a picture, px."""
-MOST_POINTS = 400
-"""Largest number of points of a line, since a notebook stores its pictures."""
+WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0  # px
+MOST_POINTS = 400  # of a line, since a notebook stores its pictures
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
-"""Colors of all pictures, distinguishable with color blindness too."""
+"""Colors that are distinguishable with color blindness too."""
 
 
 def number(value: float | None) -> str:
@@ -32,7 +30,7 @@ def number(value: float | None) -> str:
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Write a table whose first column names its rows, with caption and scopes for screen readers."""
+    """Write a table with names in the first column, and caption and scopes for screen readers."""
 
     def cell(value: object) -> str:
         text = number(value) if isinstance(value, float) else str(value)
@@ -50,7 +48,7 @@ def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -
 
 
 def listed(title: str, sentences: Sequence[str]) -> str:
-    """Write sentences as a list under a title; return an empty text if there are none."""
+    """Write sentences as a list under a title."""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<p>{escape(title)}</p><ul>{items}</ul>" if sentences else ""
 
@@ -58,8 +56,7 @@ def listed(title: str, sentences: Sequence[str]) -> str:
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
     """Draw paths from above, north up and to scale, with a sentence that describes the picture.
 
-    ``paths``: m east and north, shape (n,) each; NaN where unknown. The path with the name fixes is drawn as dots;
-    paths whose names are in `COLORS` have these colors.
+    ``paths``: m east and north, shape (n,) each; NaN where unknown. The path ``fixes`` is drawn as dots.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}
@@ -88,7 +85,7 @@ def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
 
 
 def _thinned(x: ArrayLike, y: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Thin the finite points, keeping the first and the last, shape (m, 2)."""
+    """Thin the finite points, shape (m, 2), except the first and the last."""
     points = np.stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)], axis=1)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) <= MOST_POINTS:
@@ -107,7 +104,6 @@ def _shape(name: str, path: Any, low: Any, high: Any, scale: float) -> str:
 
 
 def to_pandas(columns: Mapping[str, Any]) -> "pd.DataFrame":
-    """Make a pandas data frame; raise `InputError` if pandas is not installed."""
     try:
         import pandas as pd
     except ImportError:

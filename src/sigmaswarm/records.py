@@ -1,7 +1,4 @@
-"""Read the records that sigmaswarm writes, TOML, JSON and npz files, into typed records.
-
-All records are read by this module, so that every damaged record gives one line with the file and the remedy.
-"""
+"""Read TOML, JSON and npz files that sigmaswarm writes into typed records."""
 
 import json
 import tomllib
@@ -18,8 +15,7 @@ from sigmaswarm.limits import MOST_JSON, read_bounded, read_toml_text
 from sigmaswarm.wording import first_mistake, shown
 
 R = TypeVar("R")
-ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")
-"""Configuration of a record of an npz file."""
+ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")  # of a record of an npz file
 DAMAGED = "not a result of sigmaswarm, or a damaged one"
 MISSING = "repeat the command that made the folder"
 
@@ -31,8 +27,7 @@ def _vector(value: Any) -> NDArray[Any]:
     return array
 
 
-Vector = Annotated[NDArray[Any], BeforeValidator(_vector)]
-"""Numbers (n,) in an npz file."""
+Vector = Annotated[NDArray[Any], BeforeValidator(_vector)]  # numbers (n,) in an npz file
 
 
 def load_record(
@@ -40,8 +35,8 @@ def load_record(
 ) -> R:
     """Read a record, a pydantic model or a dataclass: JSON or npz by its suffix, else TOML.
 
-    ``remedy`` and ``missing`` end the message about a damaged or a missing file; an `InputError` names file and key.
-    NaN and inf of a JSON file become None unless ``infinite``.
+    ``remedy`` and ``missing`` end the message about a damaged or a missing file. NaN and inf of a JSON file become None
+    unless ``infinite``.
     """
     content = read_content(path, remedy, missing=missing, infinite=infinite)
     try:
@@ -54,7 +49,7 @@ def load_record(
 def read_content(
     path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> dict[str, Any]:
-    """Read the keys of a TOML, JSON or npz file, with the options and errors of `load_record`."""
+    """Read the keys of a TOML, JSON or npz file, as `load_record` does."""
     try:
         if path.suffix == ".npz":
             return {**read_arrays(path)}

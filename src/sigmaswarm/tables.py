@@ -1,4 +1,4 @@
-"""Tables of results: one record that terminal, notebooks, pages, Markdown, LaTeX and CSV render."""
+"""Tables of results for terminal, notebooks, pages, Markdown, LaTeX and CSV."""
 
 import math
 import re
@@ -15,15 +15,11 @@ from sigmaswarm import notebook
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-Range = tuple[float | None, float | None]
-"""Lowest and highest value, such as an interval; sorted by the lowest value."""
-Cell = str | float | Range | None
-"""Value of a cell; None if it is not known."""
+Range = tuple[float | None, float | None]  # such as an interval; sorted by its lower end
+Cell = str | float | Range | None  # None: unknown
 UNKNOWN = "-"
-WIDEST = 20
-"""Characters of a name that a column of a terminal shows without a break."""
-MOST_PRINTED = 10
-"""Number of rows of a table that `repr` shows."""
+WIDEST = 20  # characters of a name that a column of a terminal shows without a break
+MOST_PRINTED = 10  # rows in `repr`
 
 
 @dataclass(frozen=True)
@@ -43,16 +39,12 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """Title and unit."""
         return f"{self.title}, {self.unit}" if self.unit else self.title
 
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """A table, which a notebook shows as HTML.
-
-    The rows whose indices are in ``strong`` are emphasized; ``note`` explains the values.
-    """
+    """A table, which a notebook shows as HTML; rows with indices in ``strong`` are emphasized."""
 
     caption: str
     columns: tuple[Column, ...]
@@ -61,7 +53,6 @@ class Table:
     note: str = ""
 
     def to_markdown(self) -> str:
-        """Return the table with its caption and note as Markdown."""
         header, *rows = self._printed()
         rule = ["---", *["---:"] * (len(header) - 1)]
         lines = [f"**{self.caption}**", ""] if self.caption else []
@@ -78,7 +69,6 @@ class Table:
         return few.to_markdown()
 
     def to_html(self) -> str:
-        """Return the table as HTML for a notebook."""
         rows = [list(map(shown, row, self.columns)) for row in self.rows]
         return notebook.table(self.caption, [c.heading for c in self.columns], rows)
 
@@ -94,7 +84,6 @@ class Table:
         )
 
     def to_csv(self) -> str:
-        """Return the table as comma-separated values."""
         header, *rows = self._printed()
         return pl.DataFrame(rows, schema=header, orient="row").write_csv()
 
@@ -132,7 +121,7 @@ class Table:
         return drawn
 
     def _printed(self) -> list[list[str]]:
-        """Return heading and rows for print; the text of a joined column is added to the previous column."""
+        """Return heading and rows; the text of a joined column is added to the previous column."""
         lines: list[list[str]] = [[]]
         for column in self.columns:
             if column.joined:
@@ -160,7 +149,7 @@ def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
 
 
 def numbers_of(cell: Cell) -> list[float] | None:
-    """Return the number of a cell, or both ends of its range; None for an unknown end."""
+    """Return the number of a cell, or both ends of its range; None if unknown."""
     ends = cell if isinstance(cell, tuple) else (cell,)
     known = [float(end) for end in ends if isinstance(end, int | float) and math.isfinite(end)]
     return known if len(known) == len(ends) else None
@@ -173,7 +162,7 @@ def _short(digits: int, value: float) -> str:
 
 
 def _printed(cell: Cell, column: Column) -> str:
-    """Format a cell as `shown` does, but use the column's printed number format and put ranges in brackets."""
+    """Format a cell as `shown` does, with the printed number format and ranges in brackets."""
     column = replace(column, number=column.printed or column.number)
     if isinstance(cell, tuple):
         return f"[{', '.join(shown(end, column) for end in cell)}]"

@@ -6,7 +6,7 @@ SAME_RESULTS = {"0.3.0", "0.4.0"}
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the software that a result depends on."""
+    """Return the versions of the software that results depend on."""
     import platform
 
     import numba

@@ -6,16 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-MOST_CHARACTERS = 60
-"""Longest name or cell in a message."""
+MOST_CHARACTERS = 60  # of a name or a cell
 MOST_NAMES = 12
-"""Longest list in a message."""
-TO_DO = "TO DO: "
-"""Beginning of remarks that require action; such remarks come first."""
+TO_DO = "TO DO: "  # begins remarks that require action
 
 
 def to_do(remedy: str, why: str) -> str:
-    """Write a remark that requires action: the remedy and its reason."""
     return f"{TO_DO}{remedy}: {why}"
 
 
@@ -25,7 +21,6 @@ def in_order(remarks: Iterable[str]) -> list[str]:
 
 
 def counted(n: int, noun: str) -> str:
-    """Count in words: ``1 drive``, ``2 drives``."""
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
@@ -37,13 +32,12 @@ def visible(text: str, kept: str = "\n\t") -> str:
 
 
 def shown(text: object, most: int = MOST_CHARACTERS) -> str:
-    """Show a name or a cell in a message: escape control characters, as repr does, and cut it."""
+    """Show a name or a cell in a message: escape control characters, and cut it."""
     whole = str(text)
     return visible(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
 
 def quoted(text: object, most: int = MOST_CHARACTERS) -> str:
-    """Show a name or a cell in quotes."""
     whole = str(text)
     return repr(whole[:most]) + ("..." if len(whole) > most else "")
 
@@ -59,8 +53,7 @@ def value_shown(value: object) -> str:
 class Mistake(NamedTuple):
     """The first error that pydantic found, as a message shows it.
 
-    ``key`` has dots, and is empty for the whole record; ``value`` is empty for a table; ``kind`` is pydantic's name of
-    the error.
+    ``key`` is empty for the whole record, ``value`` for a table. ``kind`` is pydantic's name of the error.
     """
 
     key: str
@@ -70,7 +63,6 @@ class Mistake(NamedTuple):
 
 
 def first_mistake(error: "ValidationError") -> Mistake:
-    """Return the first error that pydantic found."""
     first = error.errors(include_url=False)[0]
     message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
     value = "" if isinstance(first["input"], dict) else value_shown(first["input"])

@@ -65,8 +65,6 @@ REFUSED = {
 
 
 class GridOptions(CompareOptions, total=False):
-    """All options of a comparison: those that vary between tunings, and those of every tuning."""
-
     optimizers: Sequence[str]
     scales: Sequence[str]
     seeds: int
@@ -90,7 +88,7 @@ def compare(
     drives, validation : Drive or sequence of Drive
         Training drives, and held-out drives for testing.
     out : path, optional
-        Folder for all runs, so that a killed comparison can be resumed.
+        Folder for all runs, so that a stopped comparison can be resumed.
     resume : bool
         Continue the comparison in ``out``; except for the times, the result is the same as without interruption.
     cluster : distributed.Client, optional
@@ -128,8 +126,6 @@ def compare(
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Plan of a comparison: its contenders and seeds, and the problems on training and held-out drives."""
-
     rivals: Sequence[Contender]
     seeds: int
     problem: CarProblem
@@ -138,7 +134,6 @@ class _Grid:
     def run(
         self, out: Path, pool: Executor, resume: bool, progress: Callable[[int, int], None] | None
     ) -> Comparison:
-        """Run all tunings that are not finished in the folder, and return the comparison."""
         steps_per_set = int(self.problem.steps.sum())
         config = {
             "compared": {c.label: c.config.model_dump(mode="json", exclude={"seed"}) for c in self.rivals},
@@ -170,7 +165,6 @@ class _Grid:
         )
 
     def _runner(self, out: Path) -> Callable[[tuple[Contender, int], Report], Outcome]:
-        """Return a function that runs a contender with a seed, or reads the finished run."""
         lock, times = threading.Lock(), out / "times.csv"
         spaces = {rival.scale: car_space(rival.config, self.problem.sensors) for rival in self.rivals}
         if not times.exists():
@@ -199,7 +193,6 @@ class _Grid:
 
 
 def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Grid:
-    """Check the options, and prepare the contenders and the drives."""
     seeds = options.get("seeds", SEEDS)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
@@ -216,7 +209,7 @@ def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Gr
 
 
 def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
-    """Create a contender for every optimizer and scale, and check that all have the same budget of evaluations."""
+    """Create a contender for every optimizer and scale, and check that all have the same budget."""
     given: dict[str, Any] = {**options}
     given.pop("seeds", None)
     names = given.pop("optimizers", ("pso", "ga", "ga-pso", "de", "cma-es", "random"))
@@ -257,7 +250,6 @@ def _contender(name: str, scale: str, shared: Mapping[str, Any]) -> Contender:
 
 
 def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:
-    """Return a tuning's costs and history, and its scores on held-out drives."""
     cost = rmse = heading = None
     if test:
         scores = test.replays.scores([tuning.parameters])

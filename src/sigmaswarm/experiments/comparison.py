@@ -1,4 +1,4 @@
-"""Results of a comparison of optimizers: the outcome of every tuning, and their statistics."""
+"""Results of a comparison of optimizers, and their statistics."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 FEWEST_SEEDS = 6
-"""Number of seeds below which a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
+"""Seeds below which a two-sided signed-rank test can't reach p = 5%: its lowest p is 2^(1 - seeds)."""
 
 COMPARED = {
     "cost": "training cost",
@@ -26,15 +26,11 @@ COMPARED = {
     "held_out_rmse": "held-out RMSE, m",
     "held_out_heading": "held-out heading error, deg",
 }
-"""Measures of a comparison; lower is better."""
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One row of a comparison: an optimizer with its settings, such as ``pso:polish=300``, and a scale.
-
-    ``config`` is the configuration of the tunings; each run sets its own seed.
-    """
+    """One row of a comparison: an optimizer with its settings, such as ``pso:polish=300``, and a scale."""
 
     name: str
     scale: str
@@ -47,12 +43,10 @@ class Contender:
 
     @property
     def label(self) -> str:
-        """Name and scale."""
         return f"{self.name}, {self.scale}"
 
     @property
     def folder(self) -> str:
-        """Name for files and folders."""
         return f"{self.name}-{self.scale}".replace(":", "-").replace(",", "-").replace("=", "")
 
 
@@ -63,14 +57,13 @@ class Outcome:
     Attributes
     ----------
     cost : float
-        Value of the objective on the training drives.
     held_out_cost, held_out_rmse, held_out_heading : float or None
         Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives; None without such drives,
         without truth, or if the filter failed.
     touched : tuple of str
-        Parameters that ended at a bound.
+        Parameters at a bound.
     evaluations, failures : int
-        Numbers of parameter sets tried and failed.
+        Numbers of parameter sets that were evaluated and that failed.
     history_evaluations, history_steps : tuple of int
         Total numbers of evaluations and of filter steps after each generation.
     history_best : tuple of float
@@ -90,7 +83,6 @@ class Outcome:
 
     @classmethod
     def read(cls, file: Path) -> "Outcome":
-        """Read run.json."""
         remedy = "delete it to redo this run"
         found = load_record(cls, file, remedy, missing="repeat the comparison")
         if not 0 < len(found.history_evaluations) == len(found.history_steps) == len(found.history_best):
@@ -132,7 +124,7 @@ class Comparison:
         return len(self.runs[self.contenders[0].label])
 
     def values(self, label: str, measure: str) -> Array:
-        """Return the values of a measure in every run, shape (seeds,); ``inf`` if it is None."""
+        """Return a measure in every run, shape (seeds,); ``inf`` for None."""
         found = [getattr(run, measure) for run in self.runs[label]]
         return np.array([np.inf if v is None else v for v in found], dtype=np.float64)
 
@@ -146,8 +138,7 @@ class Comparison:
     def frame(self) -> pl.DataFrame:
         """Table with one row for each contender: medians with 95% intervals, worst runs, and tests against the first.
 
-        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds. For each measure p has Holm's correction over
-        all contenders.
+        ``p`` is the p-value of a two-sided Wilcoxon test over the seeds, with Holm's correction over all contenders.
         """
         rows = [self._row(contender) for contender in self.contenders]
         for measure in self.measures:
@@ -193,8 +184,7 @@ class Comparison:
     def curves(self) -> pl.DataFrame:
         """Table of the lowest cost so far after 1%, 2%, ... of the budget: median and quartiles over the seeds.
 
-        The budget is counted in evaluations on all drives; with racing, filter steps are converted to such evaluations.
-        The cost is ``inf`` until the first generation ends.
+        The budget is counted in evaluations on all drives. The cost is ``inf`` until the first generation ends.
         """
         grid = self.budget * np.arange(1, 101) / 100
         frames: list[pl.DataFrame] = []

@@ -1,10 +1,8 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
-Each task saves its results in a folder. When the grid runs again, finished tasks are read from there, interrupted tasks
-continue and the others start. An interrupted experiment therefore gives the same results.
-
-Forked processes need 75% of the time of threads, since a tuning spends 25% of its time in the Python interpreter, which
-only one thread can use at a time. A forked process inherits drives and prepared time lines without a copy.
+Each task saves its results in a folder, so an interrupted experiment gives the same results. Forked processes need 75%
+of the time of threads, since a tuning spends 25% of its time in the Python interpreter. They inherit drives and
+prepared time lines without a copy.
 """
 
 import ctypes
@@ -27,11 +25,10 @@ from sigmaswarm.errors import SigmaswarmError
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Report = Callable[[int], None]
-"""Function that receives the number of finished rounds of a task; raises `InterruptedError` after an interrupt."""
+"""Function that receives the number of finished rounds; it raises `InterruptedError` after an interrupt."""
 PR_SET_PDEATHSIG = 1
 """Option of prctl(2): the signal that Linux sends to a process when its parent dies."""
-POLL = 0.05
-"""Interval, s, at which the progress of the tasks is read."""
+POLL = 0.05  # s, interval at which the progress of the tasks is read
 KILLED = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None
 """Function of a forked process that runs a task by its index."""
@@ -47,26 +44,12 @@ def run_grid(
     effort: Callable[[T], float] = lambda _: 0.0,
     progress: Callable[[int, int, T], None] | None = None,
 ) -> dict[T, R]:
-    """Run every task of a grid; the first failure or interruption stops the others.
+    """Run every task; the first failure or interruption stops the others. Results are in the order of the tasks.
 
-    Parameters
-    ----------
-    tasks, run : sequence, callable
-        ``run(task, report)`` runs one task and calls ``report`` with the number of finished rounds.
-    executor : concurrent.futures.Executor
-        Threads that run the tasks if ``processes`` is 0.
-    processes : int
-        Number of processes to fork (Linux only). Results and errors are pickled. Kernels should be compiled before.
-    rounds : int
-        Number of rounds of each task.
-    effort : callable
-        Returns the estimated duration of a task in any unit. The longest tasks start first.
-    progress : callable, optional
-        Called in this thread with the finished rounds of all tasks, the total number, and a task that advanced.
-
-    Returns
-    -------
-    dict of task to result, in the order of the tasks
+    ``run(task, report)`` runs a task of ``rounds`` rounds and calls ``report`` with the number of finished rounds.
+    ``executor`` has threads that run the tasks if ``processes``, the number of forks (Linux only), is 0. Kernels should
+    be compiled before a fork. Tasks with the largest ``effort`` start first. ``progress`` is called in this thread with
+    the finished rounds of all tasks, the total number, and a task that advanced.
     """
     done, stop = RawArray("q", len(tasks)), RawArray("b", 1)  # shared with forked processes
     one = partial(_one, tasks, run, rounds, done, stop)

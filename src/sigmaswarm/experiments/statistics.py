@@ -1,11 +1,8 @@
 """Statistics of repeated tunings: intervals of means and medians, paired tests, and correction for multiple tests.
 
-Scores of a study are arrays of shape (trials, drives); they are NaN if a trial did not test on a drive.
-
-Sources: C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; J. N. K. Rao and
-C. F. J. Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988. As in the
-second source, the bootstrap draws n - 1 of n values. With n draws the variance of a mean would be too small by the
-factor (n - 1) / n, which matters in small strata.
+Scores are arrays of shape (trials, drives); they are NaN if a trial did not test on a drive. The bootstrap draws n - 1
+of n values (J. N. K. Rao and C. F. J. Wu, J. American Statistical Association 83, 1988). With n draws the variance of a
+mean would be too small by the factor (n - 1) / n.
 """
 
 import math
@@ -20,15 +17,11 @@ from sigmaswarm.drives.drive import Array
 
 Interval = tuple[float, float]
 RESAMPLES = 2000
-"""Number of resamples of each bootstrap."""
 LEVEL = 0.95
 
 
 class Draws:
-    """Random weights of drives and trials in resamples; each result starts with ``seed``.
-
-    Equal weights are drawn once, since hundreds of results of a study share drives and trials.
-    """
+    """Random weights of drives and trials in resamples; equal weights are drawn once."""
 
     def __init__(self, seed: int | np.random.Generator) -> None:
         self._seed = seed
@@ -37,7 +30,7 @@ class Draws:
     def weights(
         self, strata: Sequence[str], times: Array | None = None, trials: int = 1
     ) -> tuple[Array, Array]:
-        """Return the weights of drives, see `_drive_weights`, and of a number of trials, see `_weights`."""
+        """Return the weights of drives, see `_drive_weights`, and of trials, see `_weights`."""
         key = trials, times if times is None else times.tobytes(), *strata
         if key not in self._known:
             rng = np.random.default_rng(self._seed)
@@ -46,7 +39,7 @@ class Draws:
 
 
 def trial_means(values: Array) -> Array:
-    """Return the mean over each trial's test drives, shape (trials,)."""
+    """Return the mean over each trial's drives, shape (trials,)."""
     return _mean_known(values, axis=1)
 
 
@@ -75,7 +68,7 @@ def trial_interval(values: Array) -> Interval:
 
 
 def corrected_interval(values: Array, test_per_train: float) -> Interval:
-    """Return the corrected resampled t interval of trials whose splits overlap (Nadeau and Bengio 2003, section 3)."""
+    """Return the corrected resampled t interval: C. Nadeau and Y. Bengio, Machine Learning 52, 2003, section 3."""
     n = len(values)
     if n < 2:
         return math.nan, math.nan
@@ -87,10 +80,9 @@ def corrected_interval(values: Array, test_per_train: float) -> Interval:
 def bootstrap(
     statistic: Callable[..., Array], columns: Sequence[Array], strata: Sequence[str], draws: Draws
 ) -> Interval:
-    """Return the percentile interval of a statistic of the means of paired columns.
+    """Return the percentile interval of a statistic of paired columns, with drives resampled within their strata.
 
-    Drives are resampled within their strata. ``statistic`` is called with the resampled means of each column, shape
-    (RESAMPLES,).
+    ``statistic`` is called with the resampled means of each column, shape (RESAMPLES,).
     """
     n = len(columns[0])
     if n < 2 or not all(np.isfinite(column).all() for column in columns):
@@ -102,11 +94,10 @@ def bootstrap(
 def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Interval:
     """Return the percentile interval of the mean, with drives and trials resampled independently.
 
-    The interval accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole
-    bootstrap, Annals of Applied Statistics 1, 2007). Levels of drives and of trials from `levels` are resampled instead
-    of scores, since trials also differ by their drives. With few trials or drives, quantiles give too narrow an
-    interval. Their tails are therefore widened by Student's t (T. C. Hesterberg, What teachers should know about the
-    bootstrap, The American Statistician 69, 2015).
+    It accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole bootstrap,
+    Annals of Applied Statistics 1, 2007). `levels` are resampled instead of scores, since trials also differ by their
+    drives. With few trials or drives quantiles are too narrow; Student's t widens their tails (T. C. Hesterberg, The
+    American Statistician 69, 2015).
     """
     known_values = ~np.isnan(values)
     kept, trials = known_values.any(axis=0), known_values.any(axis=1)
@@ -139,8 +130,7 @@ def levels(values: Array) -> tuple[Array, Array]:
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array | None = None) -> Array:
     """Return the weight of each drive in each resample, shape (RESAMPLES, n), drawn within each stratum.
 
-    ``times``, shape (n,), is the multiplicity of each drive. Each stratum keeps its total weight. If every stratum has
-    one drive, all are joined. A single-drive stratum among larger ones adds nothing to the width of an interval.
+    ``times``, shape (n,), is the multiplicity of each drive. If every stratum has one drive, all are joined.
     """
     names = np.array(strata)
     times = np.ones(len(names)) if times is None else times
@@ -155,7 +145,7 @@ def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array
 
 
 def _weights(n: int, rng: np.random.Generator) -> Array:
-    """Draw n - 1 of n values (Rao and Wu 1988); return their weights, with sum n, shape (RESAMPLES, n)."""
+    """Draw n - 1 of n values; return their weights, with sum n, shape (RESAMPLES, n)."""
     if n == 1:
         return np.ones((RESAMPLES, 1))
     drawn = rng.integers(0, n, (RESAMPLES, n - 1)) + n * np.arange(RESAMPLES)[:, np.newaxis]
@@ -164,7 +154,7 @@ def _weights(n: int, rng: np.random.Generator) -> Array:
 
 
 def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
-    """Return the interval between the quantiles ``tail`` and 1 - ``tail`` of the finite values."""
+    """Return the quantiles ``tail`` and 1 - ``tail`` of the finite values."""
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan
@@ -173,17 +163,16 @@ def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
 
 
 def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
-    """Return the paper's equation 5, (manual - tuned) / manual x 100, of means over drives; NaN where manual is 0."""
+    """Return the paper's equation 5, (manual - tuned) / manual x 100; NaN where manual is 0."""
     m = np.where(manual > 0, manual, np.nan)
     return np.asarray(100 * (m - tuned) / m, dtype=np.float64)
 
 
 def median_interval(values: Array) -> Interval:
-    """Return a distribution-free interval of the median.
+    """Return a distribution-free interval of the median, from symmetric order statistics.
 
-    The interval is the narrowest symmetric pair of order statistics that contains the median with at least this
-    confidence (W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2). With too few values
-    (fewer than six at 95%) the interval is from the lowest to the highest value.
+    W. J. Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2. With fewer than six values it is the
+    whole range.
     """
     ordered = np.sort(values)
     n = len(ordered)
@@ -194,10 +183,9 @@ def median_interval(values: Array) -> Interval:
 
 
 def signed_rank(ours: Array, theirs: Array) -> float:
-    """Return the p-value of the two-sided signed-rank test over pairs.
+    """Return the p-value of the two-sided signed-rank test over pairs; 1 if no pair differs.
 
-    Infinite costs count as the largest of all. Pairs without a difference are left out; if none is left, p is 1.
-    Source: F. Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945.
+    Infinite costs count as the largest of all. F. Wilcoxon, Biometrics Bulletin 1, 1945.
     """
     finite = np.concatenate([ours, theirs])
     finite = finite[np.isfinite(finite)]
@@ -213,7 +201,7 @@ def signed_rank(ours: Array, theirs: Array) -> float:
 def rank_biserial(difference: Array) -> float:
     """Return the rank-sum share of negative minus that of positive differences, from -1 to 1.
 
-    Source: D. S. Kerby, The simple difference formula, Comprehensive Psychology 3, 2014.
+    D. S. Kerby, Comprehensive Psychology 3, 2014.
     """
     nonzero = difference[difference != 0]
     if not len(nonzero):
@@ -223,10 +211,7 @@ def rank_biserial(difference: Array) -> float:
 
 
 def holm(probabilities: Sequence[float]) -> list[float]:
-    """Correct p-values so that the probability of any false alarm among all tests is that of a single test.
-
-    Source: S. Holm, A simple sequentially rejective multiple test procedure, Scandinavian J. of Statistics 6, 1979.
-    """
+    """Correct p-values for multiple tests: S. Holm, Scandinavian J. of Statistics 6, 1979."""
     p = np.asarray(probabilities, dtype=np.float64)
     order = np.argsort(p, kind="stable")
     adjusted = np.empty_like(p)

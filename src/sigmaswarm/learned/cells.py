@@ -1,7 +1,4 @@
-"""Cells of recurrent networks; ``xp`` is NumPy to run a network, or jax.numpy to train it.
-
-A network's weights are a flat mapping of names to arrays, as in their file.
-"""
+"""Cells of recurrent networks; ``xp`` is NumPy to run a network, or jax.numpy to train it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,8 +7,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 
-Weights = Mapping[str, Any]
-"""Arrays of NumPy or of JAX, by name."""
+Weights = Mapping[str, Any]  # arrays of NumPy or of JAX
 
 
 def _sigmoid(xp: Any, x: Any) -> Any:
@@ -21,8 +17,8 @@ def _sigmoid(xp: Any, x: Any) -> Any:
 def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
     """Run a step of a long short-term memory: return h and c, each (..., units), after an input (..., features).
 
-    S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997, with the forget gate of F. Gers, J. Schmidhuber and
-    F. Cummins, Neural Computation 12(10), 2000.
+    S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997; F. Gers, J. Schmidhuber and F. Cummins, Neural
+    Computation 12(10), 2000.
     """
     h, c = state
     gates = x @ weights["input"] + h @ weights["hidden"] + weights["bias"]
@@ -32,10 +28,7 @@ def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any
 
 
 def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
-    """Run a step of a gated recurrent unit: return h (..., units) after an input (..., features).
-
-    K. Cho et al., EMNLP 2014.
-    """
+    """Run a step of a gated recurrent unit (K. Cho et al., EMNLP 2014): return h (..., units)."""
     from_x = x @ weights["input"] + weights["bias"]
     from_h = h @ weights["hidden"]
     xr, xz, xn = xp.split(from_x, 3, axis=-1)
@@ -54,8 +47,8 @@ def new_weights(
 ) -> dict[str, Array]:
     """Draw initial weights; those of the output layer are zero, so that a new network has no effect.
 
-    X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM (``gates`` 4) is open at first (R. Jozefowicz, W.
-    Zaremba and I. Sutskever, ICML 2015).
+    X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM is open at first (R. Jozefowicz, W. Zaremba and I.
+    Sutskever, ICML 2015).
     """
 
     def uniform(rows: int, columns: int) -> Array:
@@ -75,5 +68,4 @@ def new_weights(
 
 
 def n_weights(weights: Weights) -> int:
-    """Count the weights of a network."""
     return sum(int(np.size(array)) for array in weights.values())

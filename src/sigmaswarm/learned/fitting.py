@@ -1,4 +1,4 @@
-"""Fit weights by Adam with early stopping, reproducibly; a killed fit continues after its last epoch.
+"""Fit weights by Adam with early stopping, reproducibly; a stopped fit continues after its last epoch.
 
 This module needs JAX and Optax, the extra ``learned``.
 """
@@ -19,7 +19,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]
-"""Function of weights and a batch that returns the mean loss of the batch."""
+"""Function of weights and a batch."""
 DECAY = 1e-4
 """Weight decay per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
 LARGEST_GRADIENT = 1.0
@@ -36,7 +36,6 @@ class Examples:
     held_back: NDArray[np.bool_]
 
     def part(self, *, held_back: bool) -> tuple[Array, ...]:
-        """Return the arrays of the validation or the training examples."""
         return tuple(array[self.held_back == held_back] for array in self.arrays)
 
 
@@ -53,15 +52,9 @@ class Lesson:
 
 @dataclass(frozen=True)
 class Schedule:
-    """The options of a training.
+    """Options of a training.
 
-    Attributes
-    ----------
-    learning_rate : float
-    epochs, batch, patience : int
-        Largest number of epochs, number of examples per step, and largest number of epochs without improvement.
-    seed : int
-        Seed of the order of the examples.
+    ``batch`` is the number of examples per step, ``patience`` the largest number of epochs without improvement.
     """
 
     learning_rate: float
@@ -73,14 +66,9 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The result of a training.
+    """Weights after the best epoch, and losses.
 
-    Attributes
-    ----------
-    weights : dict of str to ndarray
-        Weights after the epoch with the least loss on the validation examples.
-    losses : ndarray, shape (epochs + 1, 2)
-        Mean losses on the training and validation examples, before the first epoch and after each epoch.
+    ``losses``, shape (epochs + 1, 2), are means on the training and validation examples, before and after each epoch.
     """
 
     weights: dict[str, Array]
@@ -88,7 +76,6 @@ class Fit:
 
     @property
     def best(self) -> float:
-        """The least loss on the validation examples."""
         return float(np.min(self.losses[:, 1]))
 
 
@@ -114,8 +101,8 @@ def fit(
 ) -> Fit:
     """Minimize the loss by Adam; return the weights with the least loss on the validation examples.
 
-    ``checkpoint`` is a file for the state after each epoch; a killed training continues from it. ``progress`` is called
-    after each epoch with its number and the least loss so far.
+    A stopped training continues from the file ``checkpoint``. ``progress`` is called after each epoch with its number
+    and the least loss so far.
     """
     with exact():
         import jax
@@ -165,7 +152,7 @@ def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
 
 
 def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any) -> Any:
-    """Run over the batches, (steps, batch, ...) each; return weights, moments and the mean loss."""
+    """Run over the batches, (steps, batch, ...) each."""
     import jax
     import optax
 
@@ -181,8 +168,6 @@ def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any)
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The state of a training; ``moments`` belong to the optimizer."""
-
     weights: dict[str, Any]
     moments: Any
     best: dict[str, Any]
@@ -204,7 +189,7 @@ class _State:
         return {**named, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
-        """Return a saved state; raise `LookupError` or `ValueError` if its arrays are not those of this training."""
+        """Return a saved state; raise `LookupError` or `ValueError` if it is not one of this training."""
         import jax
 
         for name, now in self.arrays().items():

@@ -33,7 +33,7 @@ LEARNED_FILE, WEIGHTS_FILE, LEARNED_SEEN = "learned.toml", "weights.npz", "learn
 
 
 class NetworkRecord(BaseModel):
-    """``[network]`` of learned.toml: a network without its weights."""
+    """``[network]`` of learned.toml."""
 
     units: int = Field(gt=0, le=1000)
     window: float = Field(gt=0.0, allow_inf_nan=False)
@@ -51,12 +51,10 @@ class TrainingRecord(BaseModel):
     seed: int
     search: int
     driven_s: float
-    labelled_s: float = 0.0
-    """Duration of the training data with truth, s; always 0, since training does not use truth."""
+    labelled_s: float = 0.0  # training does not use truth
     epochs: int
     loss_before: float
-    loss: float
-    """Loss on the validation data."""
+    loss: float  # on the validation data
     held_back: str
 
 
@@ -72,20 +70,16 @@ class LearnedRecord(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A trained network: its record and its weights."""
-
     record: LearnedRecord
     weights: Mapping[str, Array]
 
     @property
     def kind(self) -> str:
-        """The type: outage-lstm or noise-gru."""
         return self.record.kind
 
     def run(
         self, replay: Replay, parameters: FilterParameters, *, recover: bool = False
     ) -> "OutageRun | NoiseRun":
-        """Run the filter with the network over a replay."""
         net = self.record.network
         if self.kind == outage_lstm.NAME:
             inflation = np.inf if net.inflation is None else net.inflation
@@ -94,7 +88,6 @@ class Learned:
         return NoiseRun(replay, parameters, self.weights, recover=recover)
 
     def save(self, folder: Path) -> list[Path]:
-        """Write learned.toml and weights.npz; return their paths."""
         paths = [folder / WEIGHTS_FILE, folder / LEARNED_FILE]
         with whole_file(paths[0]) as file:
             np.savez(file, allow_pickle=False, **dict(sorted(self.weights.items())))
@@ -103,12 +96,12 @@ class Learned:
 
 
 def seen_in(folder: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives of a folder's network, if the folder has a network."""
+    """Return the landmarks of the training drives of a folder's network, if any."""
     return [] if not folder.is_dir() else load_landmarks(folder / LEARNED_SEEN) or []
 
 
 def load_learned(folder: Path) -> Learned | None:
-    """Read the network of a folder; return None without a network; raise `InputError` if a file is damaged."""
+    """Read the network of a folder, if any; raise `InputError` if a file is damaged."""
     folder = folder if folder.is_dir() else folder.parent
     file, weights = folder / LEARNED_FILE, folder / WEIGHTS_FILE
     if not file.exists():
@@ -124,7 +117,6 @@ def load_learned(folder: Path) -> Learned | None:
 
 
 def _fits(record: LearnedRecord, weights: Mapping[str, Array]) -> bool:
-    """Return True if weights have the names and shapes of the network, and are finite."""
     units, rng = record.network.units, np.random.default_rng(0)
     if record.kind == outage_lstm.NAME:
         features = np.zeros((1, 1, 2 * len(record.network.axes)))

@@ -1,4 +1,4 @@
-"""Train a network that supports a tuned filter, search for good settings, and save the network in a folder."""
+"""Train a network that supports a tuned filter, and search for good settings."""
 
 import shutil
 import time
@@ -30,14 +30,13 @@ from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
-POPULATION = 4
-"""Number of settings in a batch of the search."""
+POPULATION = 4  # settings in a batch of the search
 Settings = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress after an epoch: number of the training and of its epoch, epochs done and in total, least loss."""
+    """Progress after an epoch; ``done`` and ``total`` count the epochs of all trainings."""
 
     trial: int
     epoch: int
@@ -48,11 +47,10 @@ class Progress:
 
 Learner = OutageLearner | NoiseLearner
 LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
-"""The training of each type of network, by name.
+"""Training of each type of network.
 
-``start``: settings of the first training; without a search, the only training. ``box``: bounds of the search, as
-logarithms to the base of 2. ``lesson`` prepares the input of `fit`. ``finish`` completes the best network, and returns
-its weights and further entries of the record.
+``start``: settings of the first training. ``box``: bounds of the search, as logarithms to the base of 2. ``lesson``
+prepares the input of `fit`. ``finish`` returns the weights of the best network and further entries of its record.
 """
 
 
@@ -68,8 +66,8 @@ class LearnConfig:
     drives : sequence of Drive
         Training drives.
     validation : sequence of Drive
-        Validation drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each
-        drive, or, for outage-lstm with three or more drives, the last third of the drives.
+        Drives for early stopping and, for outage-lstm, calibration. The default is the last quarter of each drive, or,
+        for outage-lstm with three or more drives, the last third of the drives.
     search : int
         Number of further settings (units, window, learning rate) to try; the best on the validation data is used.
     seed : int
@@ -84,7 +82,6 @@ class LearnConfig:
     seed: int = 0
 
     def record(self) -> dict[str, Any]:
-        """Return the content of config.json."""
         return {
             "kind": self.kind,
             "filter": self.parameters.to_dict(),
@@ -96,7 +93,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training and validation drives; no validation drives if the end of each drive is validation data."""
+        """Return training and validation drives, without the latter if the end of each drive is validation data."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives
@@ -185,7 +182,7 @@ class FinishedRecord(BaseModel, extra="forbid"):
 
 
 class FinishedHistoryRecord(BaseModel):
-    """history.npz of a training: losses after each epoch (e, 2), and the weights by name."""
+    """history.npz of a training: losses after each epoch (e, 2), and the weights."""
 
     model_config = ARRAYS | ConfigDict(extra="allow")
     losses: np.ndarray[Any, np.dtype[np.float64]]
@@ -194,7 +191,6 @@ class FinishedHistoryRecord(BaseModel):
 def _best_training(
     learner: Learner, folder: ResultFolder, config: LearnConfig, progress: Callable[[Progress], None] | None
 ) -> tuple[Settings, Fit]:
-    """Train with the first settings and with settings from an optimizer; return the best."""
     found, total = list[tuple[float, Settings, Fit]](), (1 + config.search) * learner.epochs
 
     def train(settings: Settings) -> float:
@@ -232,7 +228,6 @@ def _trained(
     number: int,
     progress: Callable[[int, float], None],
 ) -> Fit:
-    """Run a training, continue an interrupted one, or read a finished one."""
     if (done := folder.finished(number, FinishedRecord, FinishedHistoryRecord)) is not None:
         return Fit(part_of(done[1], "weights"), done[1]["losses"])
     lesson = learner.lesson(settings, seed)

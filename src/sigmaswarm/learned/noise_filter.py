@@ -1,7 +1,6 @@
 """The extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-The filter has the textbook form and the steps of `schedule`; a test compares it with the compiled filter. It has no
-reset after divergence, and does not use the receiver's velocity or an odometer.
+It has the textbook form and the steps of `schedule`, without reset after divergence, receiver's velocity and odometer.
 """
 
 from dataclasses import dataclass
@@ -35,13 +34,12 @@ from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 N_COLUMNS = 14
 """Columns of a step.
 
-dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y of the fix, m, and the
-variances that the receiver states, m2.
+dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y of the fix, m, and its
+stated variances, m2.
 """
 
 
 def require_supported(p: FilterParameters) -> None:
-    """Raise `InputError` if the model, the filter type or a measurement is not supported."""
     if p.model not in ("planar5", "planar8"):
         raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
     if p.kind not in ("ukf", "ekf"):
@@ -54,7 +52,7 @@ def require_supported(p: FilterParameters) -> None:
 
 
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
-    """Return the steps of a replay for `run`, (k, N_COLUMNS), and the end times of the steps, (k,) s."""
+    """Return the steps of a replay for `run`, (k, N_COLUMNS), and their end times, (k,) s."""
     line = replay.timeline
     flags = flags_of(line, measured_by(parameters))
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
@@ -74,7 +72,6 @@ class Settings:
 
     @classmethod
     def of(cls, replay: Replay, parameters: FilterParameters) -> "Settings":
-        """Return the constants for a replay's drive."""
         line = replay.timeline
         return cls(converted(parameters, line.nominal_interval), line.lever[:2], parameters)
 
@@ -140,9 +137,9 @@ def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
 
 
 def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
-    """Update the mean, covariance and number of rejected fixes with a fix; ``scale`` is the logarithm of R's factor.
+    """Update mean, covariance and number of rejected fixes with a fix; ``scale`` is the logarithm of R's factor.
 
-    Return the updated mean, covariance and number; and nu, m, and xx, xy, yy of S, m2, before the update.
+    Also return nu, m, and xx, xy, yy of S, m2, before the update.
     """
     import jax.numpy as jnp
 
@@ -166,7 +163,6 @@ def _take_fix(settings: Settings, state: tuple[Any, ...], u: Any, scale: Any) ->
 
 
 def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    """Update with a lateral velocity of zero at the rear axle."""
     import jax.numpy as jnp
 
     n, cos, sin = len(m), jnp.cos(m[THETA]), jnp.sin(m[THETA])
@@ -193,13 +189,9 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
 
 
 def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
-    """Run the filter with its network over some steps, from a mean (n,) and a covariance (n, n).
+    """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
-    Returns
-    -------
-    innovations : (k, 6)
-        For each step: nu, m, and xx, xy, yy of S, m2, before the update; 1 if the step has a fix, else 0.
-    means : (k, n)
+    Return (k, 6): nu, m, xx, xy, yy of S, m2, before the update, and 1 for a fix, else 0; and the means (k, n).
     """
     import jax
     import jax.numpy as jnp

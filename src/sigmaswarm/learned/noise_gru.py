@@ -1,10 +1,8 @@
 """noise-gru: a filter with a network that scales Q and R according to the latest innovations.
 
-After each fix the network takes one step. The inputs are the innovation in the body frame divided by its expected size,
-the NIS, and the time since the last fix. The outputs are bounded factors of R and Q. The factors apply from the next
-IMU sample to the sample after the next fix. So a factor does not depend on the fix whose update it scales.
-
-The network changes the parameters of the compiled filter between samples. `noise_filter` is its differentiable form.
+The network takes one step after each fix. Its factors apply from the next IMU sample to the sample after the next fix,
+so a factor does not depend on the fix that it scales. The inputs are the innovation in the body frame divided by its
+expected size, the NIS, and the time since the last fix.
 """
 
 from collections.abc import Mapping
@@ -22,8 +20,7 @@ from sigmaswarm.learned.cells import Weights, gru, head
 
 NAME = "noise-gru"
 FEATURES = 4
-MOST_SCALE = 30.0
-"""Largest factor of R and Q; the smallest factor is the inverse."""
+MOST_SCALE = 30.0  # of R and Q; the smallest factor is the inverse
 
 
 def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
@@ -34,17 +31,8 @@ def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
 def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:
     """Return the inputs at a fix, (..., FEATURES).
 
-    Parameters
-    ----------
-    xp : numpy or jax.numpy
-    nu : array, shape (..., 2)
-        Innovation, m east and north.
-    s : array, shape (..., 3)
-        xx, xy and yy of the innovation covariance, m2.
-    theta : array, shape (...)
-        Heading at the next IMU sample, rad.
-    since : array, shape (...)
-        Time since the last fix, s.
+    ``nu``: innovation (..., 2), m east and north. ``s``: xx, xy and yy of its covariance (..., 3), m2. ``theta``:
+    heading at the next IMU sample, rad. ``since``: time since the last fix, s.
     """
     n1, n2 = nu[..., 0], nu[..., 1]
     nis, _ = nis_of(nu, s)
@@ -64,21 +52,9 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 
 
 class NoiseRun(PausingRecording):
-    """Run of a filter over a replay with a network that scales Q and R.
+    """Run of a filter over a replay with a network that scales Q and R; ``scales``: these factors after each fix.
 
-    With an untrained network the pieces of the run equal those of `Recording`.
-
-    Parameters
-    ----------
-    replay, parameters, samples, recover
-        See `Recording`.
-    weights : mapping of str to ndarray
-        Weights of the network: see `cells`.
-
-    Attributes
-    ----------
-    scales : list of (float, float)
-        Factors of R and Q after each fix so far.
+    With an untrained network the run equals that of `Recording`.
     """
 
     def __init__(
@@ -105,7 +81,6 @@ class NoiseRun(PausingRecording):
         self._before = line.start
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Run the network at the last fix before a sample, and set the scales."""
         fix, time = self._last[sample]
         seen, theta = self._innovations[fix], float(self._estimate()[0][THETA])
         since, self._before = time - self._before, time

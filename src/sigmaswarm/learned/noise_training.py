@@ -1,6 +1,6 @@
 """Train `noise-gru` with gradients of the whole filter: maximize the likelihood of each fix before its update.
 
-Drives are cut into segments. Each segment starts from the state of the filter without a network. Truth is not used.
+Each segment of a drive starts from the state of the filter without a network.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,8 +25,7 @@ def segments_of(
 ) -> Examples:
     """Cut drives into segments of ``length`` s; ``validation`` defaults to the last segments of each drive.
 
-    The arrays are initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms
-    (s, 2).
+    The arrays are means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n) and lever arms (s, 2).
     """
     require_supported(parameters)
     twin = replace(parameters, kind="ekf")
@@ -75,8 +74,6 @@ def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
 
 
 class NoiseLearner:
-    """Training of `noise_gru`."""
-
     epochs, batch, patience = 60, 8, 10
     start: Mapping[str, float] = {"units": 8, "window": 20.0, "learning_rate": 2.0**-7}
     box: Mapping[str, tuple[float, float]] = {"units": (1, 5), "window": (3, 5), "learning_rate": (-10, -4)}
@@ -89,7 +86,6 @@ class NoiseLearner:
         self._drives, self._validation, self._parameters = drives, validation, parameters
 
     def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
-        """Prepare a training."""
         segments = segments_of(self._drives, self._parameters, settings["window"], self._validation)
         rng = np.random.default_rng([seed, 2])
         weights = new_weights(rng, 3, FEATURES, int(settings["units"]), 2)

@@ -1,16 +1,12 @@
 """outage-lstm: a filter that is updated with a network's forecasts of displacements during outages.
 
-The network reads windows of the IMU and estimates the displacement in the last second, forward and left, with its
-standard deviations. The IMU shows the speed, since a faster car vibrates more and turns less for the same lateral
-acceleration. `relative` updates the filter. The filter's speed is not an input, since the network would return this
-speed, and the update would use it twice.
+The network estimates the displacement in the last second, forward and left, from windows of the IMU, which shows the
+speed by vibration and lateral acceleration. The filter's speed is not an input, since the update would use it twice.
 
-Errors of the forecasts persist on one road and in one car; they are modeled as Gauss-Markov processes. While there are
-fixes, the error of a forecast is its difference from the filter's velocity. In an outage the last known error,
-multiplied by a decay, is subtracted. The remaining error is still correlated in time. The velocity covariance of a
-filter that was tuned with fixes is often too small in an outage. So two factors are fitted, one for the forecasts'
-variance and one for the velocity's Q in an outage. They maximize the likelihood of hidden fixes on validation drives.
-If the gain over the filter alone is not significant, the network is not used.
+Errors of the forecasts are modeled as Gauss-Markov processes. In an outage the last known error, multiplied by a decay,
+is subtracted. Two factors maximize the likelihood of hidden fixes on validation drives. The factor of the forecasts'
+variance accounts for the remaining correlation in time. The factor of the velocity's Q is needed since the velocity
+covariance of a filter tuned with fixes is often too small in an outage.
 """
 
 from collections.abc import Mapping
@@ -39,16 +35,10 @@ LEAST_STD, MOST_STD = 0.02, 20.0
 class Forecast(NamedTuple):
     """Outputs of a network for a window in an outage.
 
-    Attributes
-    ----------
-    begin, first : int
-        Numbers of the IMU samples at the start of the displacement, and after the last fix.
-    age : float
-        Time from ``first`` to the end of the displacement, s.
-    moved, variance : ndarray, shape (2,)
-        The displacement, m, and its variance, m2.
-    before : ndarray, shape (2,)
-        The displacement at ``first``, m.
+    - ``begin``, ``first``: numbers of the IMU samples at the start of the displacement, and after the last fix.
+    - ``age``: time from ``first`` to the end of the displacement, s.
+    - ``moved``, ``variance``: the displacement (2,), m, and its variance, m2.
+    - ``before``: the displacement at ``first`` (2,), m.
     """
 
     begin: int
@@ -61,21 +51,12 @@ class Forecast(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OutageLstm:
-    """A trained network.
+    """A trained network; ``axes`` of the IMU over ``window``, s, are inputs.
 
-    Attributes
-    ----------
-    axes : tuple of str
-        Axes of the IMU that are inputs.
-    window : float
-        Length of the input, s.
-    weights : mapping of str to ndarray
-        Weights of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of the outputs,
-        m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation kept exp(-t / lasts).
-    inflation : float
-        Factor of the variances; infinite: no update.
-    unsure : float
-        Factor of the velocity's Q in outages.
+    - ``weights``: those of `cells`; ``center`` and ``spread`` (f,) of the features; ``usual`` and ``scale`` (2,) of the
+      outputs, m; ``kept`` (2,) and ``lasts`` (2,), s, of the errors' autocorrelation kept exp(-t / lasts).
+    - ``inflation``: factor of the variances; infinite: no update.
+    - ``unsure``: factor of the velocity's Q in outages.
     """
 
     axes: tuple[str, ...]
@@ -108,7 +89,7 @@ class OutageLstm:
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
-    """Return the outputs for features (k, STEPS, f): scaled displacements and ln std, (k, 4)."""
+    """Return scaled displacements and ln std, (k, 4), for features (k, STEPS, f)."""
     inputs = (features - weights["center"]) / weights["spread"]
     units = weights["hidden"].shape[0]
     state = xp.zeros((len(inputs), units)), xp.zeros((len(inputs), units))
@@ -141,20 +122,7 @@ def untrained(
 class OutageRun(PausingRecording):
     """Run of a filter over a replay with forecasts of displacements in outages.
 
-    Without outages the pieces of the run equal those of `Recording`.
-
-    Parameters
-    ----------
-    replay, parameters, samples, recover
-        See `Recording`.
-    network : OutageLstm
-    windows : Windows, optional
-        Result of `outage_windows`, to avoid computing it again.
-
-    Attributes
-    ----------
-    accepted, rejected : int
-        Numbers of accepted and rejected displacements so far.
+    Without outages it equals `Recording`. ``accepted`` and ``rejected`` count displacements.
     """
 
     def __init__(

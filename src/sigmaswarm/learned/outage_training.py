@@ -1,8 +1,7 @@
 """Train `outage-lstm`: its examples, its loss, and the calibration of its variances.
 
-The network learns the displacements of the smoothed filter with all fixes; truth is not used. The training stops by the
-loss on the validation data. Then outages are placed on the validation data several times, and their hidden fixes
-calibrate the variances.
+The network learns the displacements of the smoothed filter with all fixes. Hidden fixes of outages on the validation
+data calibrate the variances.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,16 +28,12 @@ from sigmaswarm.learned.relative import body_displacement
 from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
-LENGTHS = (10.0, 40.0)
-"""Lengths of the shortest and the longest calibration outage, s."""
-PLACEMENTS = 4
-"""Number of placements of outages in each drive."""
-EVERY = 0.25
-"""Interval between examples, s."""
-BORDER = 5.0
-"""Gap between the training and validation data, s."""
+LENGTHS = (10.0, 40.0)  # s, shortest and longest calibration outage
+PLACEMENTS = 4  # of outages in each drive
+EVERY = 0.25  # s, between examples
+BORDER = 5.0  # s, gap between the training and validation data
 INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)
-"""Values of ``inflation`` and ``unsure`` that the calibration tries: see `OutageLstm`."""
+"""Values that the calibration tries: see `OutageLstm`."""
 LAGS = (2, 4, 8, 12, 20, 40, 80, 120)
 """Lags of the autocorrelation of errors, in units of `EVERY`."""
 FIXED = ("center", "spread", "usual", "scale", "kept", "lasts")
@@ -46,15 +41,9 @@ FIXED = ("center", "spread", "usual", "scale", "kept", "lasts")
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A drive with its smoothed track.
+    """A drive with its smoothed track: x, y, vx, vy, theta at the IMU samples, shape (n, 5).
 
-    Attributes
-    ----------
-    ready : PreparedDrive
-    mean : ndarray, shape (n, 5)
-        The smoothed track with all fixes: x, y, vx, vy, theta at the IMU samples.
-    held_back_from : float
-        Start of the validation data, s.
+    ``held_back_from`` is the start of the validation data, s.
     """
 
     ready: PreparedDrive
@@ -119,7 +108,7 @@ def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> 
 
 
 def _loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
-    """Return the loss: -ln N(moved; output, std^2) in units of the scale, mean over examples and directions."""
+    """Return the loss: -ln N(moved; output, std^2) in units of the scale."""
     import jax.numpy as jnp
 
     def of(weights: Any, batch: tuple[Any, ...]) -> Any:
@@ -134,7 +123,6 @@ def _loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
 def lesson(
     examples: Examples, axes: tuple[str, ...], *, window: float, units: int, seed: int
 ) -> tuple[OutageLstm, Lesson]:
-    """Prepare a new network and its training."""
     shown = examples.part(held_back=False)
     network = untrained(np.random.default_rng([seed, 1]), axes, window, units, *shown)
     fixed = {name: network.weights[name] for name in FIXED}
@@ -143,8 +131,6 @@ def lesson(
 
 
 class OutageLearner:
-    """Training of `outage_lstm`."""
-
     epochs, batch, patience = 120, 128, 15
     start: Mapping[str, float] = {"units": 16, "window": 8.0, "learning_rate": 2.0**-7}
     box: Mapping[str, tuple[float, float]] = {"units": (2, 6), "window": (1, 5), "learning_rate": (-10, -5)}
@@ -159,7 +145,6 @@ class OutageLearner:
         self._examples: dict[float, Examples] = {}
 
     def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
-        """Prepare a training."""
         window = settings["window"]
         if window not in self._examples:
             self._examples = {window: examples_of(self._tracks, self._axes, window)}
@@ -169,7 +154,6 @@ class OutageLearner:
     def finish(
         self, settings: Mapping[str, float], weights: Mapping[str, Array]
     ) -> tuple[Mapping[str, Array], dict[str, Any]]:
-        """Calibrate the network."""
         network = with_lasting(OutageLstm(self._axes, settings["window"], weights), self._tracks)
         cases = cases_of(self._tracks, self._seed)
         if not cases:
@@ -212,7 +196,7 @@ def calibrate(
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
     The inflation is infinite if the mean gain over the filter alone is below its standard error. Only outages of one
-    placement count as independent of each other.
+    placement count as independent.
     """
     windows = [
         outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases

@@ -10,14 +10,12 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 
-HORIZON = 1.0
-"""Duration of a displacement, s."""
+HORIZON = 1.0  # s, duration of a displacement
 OUTAGE_AFTER = 2.0
-"""Time since the last fix after which an outage begins, s; a working receiver has a rate of 1 Hz or more."""
-STEPS = 40
-"""Number of steps of a resampled window."""
+"""Time since the last fix after which an outage begins, s; a working receiver has 1 Hz or more."""
+STEPS = 40  # of a resampled window
 _QUIET = 1e-3
-"""Offset added to the vibration of an axis before the logarithm, m/s2; for a gyro a tenth of this number, rad/s."""
+"""Offset that is added to the vibration of an axis before the logarithm, m/s2; a tenth of it for a gyro, rad/s."""
 _GRAVITY = 9.80665
 
 
@@ -25,18 +23,11 @@ _GRAVITY = 9.80665
 class Windows:
     """Times in the outages of a drive, and the inputs at them.
 
-    Attributes
-    ----------
-    begin, end : ndarray of int, shape (k,)
-        Indices of the IMU samples, counted from the filter's start, at which the displacement begins and ends.
-    features, features_at_first : ndarray, shape (k, STEPS, f)
-        Inputs at ``end`` and at ``first``: see `features_at`.
-    first : ndarray of int, shape (k,)
-        Index of the sample after the last fix.
-    age : ndarray, shape (k,)
-        Time from ``first`` to ``end``, s.
-    over : ndarray of int
-        Indices of the samples after the fixes that end the outages.
+    - ``begin``, ``end``: IMU samples, counted from the filter's start, of a displacement (k,).
+    - ``features``, ``features_at_first``: inputs at ``end`` and ``first`` (k, STEPS, f), see `features_at`.
+    - ``first``: sample after the last fix (k,).
+    - ``age``: time from ``first`` to ``end``, s (k,).
+    - ``over``: samples after the fixes that end the outages.
     """
 
     begin: NDArray[np.intp]
@@ -97,8 +88,7 @@ def pairs_of(
 def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float) -> Array:
     """Return the inputs from the last ``window`` s before some samples, (k, STEPS, 2 axes).
 
-    For each step and axis, the inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which
-    grows with the speed of a car.
+    They are the mean (m/s2, rad/s) and the logarithm of the standard deviation, which grows with the speed of a car.
     """
     time = line.drive.imu.time
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, STEPS + 1)

@@ -1,14 +1,12 @@
 """Update a filter with a displacement between two times.
 
-A displacement measures motion, not position. A fix at the last position plus the displacement would add the error of
-the last position again at each update. So the measurement also depends on the state at the start of the displacement,
-as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
+The measurement also depends on the state at the start, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA
+2002); otherwise each update would add the error of the last position again:
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
-The update needs the covariance Cov(e_1, e_0) of the errors at both times. The earlier state is not part of the filter.
-Between the two times the error is propagated linearly, e_1 = A e_0 + an independent part, so Cov(e_1, e_0) = A P_0. The
-columns of A are finite differences of the filter over these steps, which run in the columns of the compiled kernel.
+The covariance of the errors at both times is Cov(e_1, e_0) = A P_0, since e_1 = A e_0 + an independent part. The
+columns of A are finite differences of the filter, which run in the columns of the compiled kernel.
 """
 
 from typing import Any, NamedTuple
@@ -27,7 +25,7 @@ from sigmaswarm.filters.replay import Replay, run_steps
 _SMALL = 1e-3
 """Step of the finite differences, in standard deviations."""
 GATE = 13.8
-"""Largest accepted NIS of a displacement, which rejects one in a thousand (chi-square, two degrees of freedom)."""
+"""Largest NIS of a displacement, which rejects one in a thousand (chi-square, two degrees of freedom)."""
 
 
 class Begin(NamedTuple):
@@ -38,14 +36,6 @@ class Begin(NamedTuple):
 
 
 class Displacements:
-    """Updates of a filter with displacements.
-
-    Parameters
-    ----------
-    replay : Replay
-    parameters : FilterParameters
-    """
-
     def __init__(self, replay: Replay, parameters: FilterParameters) -> None:
         self._replay = replay
         self._model = parameters.kernel
@@ -55,24 +45,11 @@ class Displacements:
         self._plus, self._minus = (tilts.plus, tilts.minus) if tilts else (np.add, np.subtract)
 
     def update(self, begin: Begin, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
-        """Update with a displacement that ends before step ``stop``.
+        """Update with a displacement that ends before step ``stop``; return False if it was rejected.
 
-        Parameters
-        ----------
-        begin : Begin
-        rows : ndarray, shape (N_KEPT, lanes)
-            State of the filter, changed in place.
-        stop : int
-        moved : ndarray, shape (2,)
-            Displacement, m forward and left, in the body frame at the start.
-        noise : ndarray, shape (2, 2)
-            Covariance of the displacement, m2.
-
-        Returns
-        -------
-        bool
-            False if the displacement was rejected: the NIS is too large, the update would diverge, or the covariance
-            would no longer be positive definite.
+        ``rows``, (N_KEPT, lanes), is changed in place. ``moved``, (2,), m, is forward and left in the body frame at the
+        start, ``noise`` its covariance, (2, 2), m2. A displacement is rejected if the NIS is too large, the update
+        would diverge, or the covariance would no longer be positive definite.
         """
         x0, p0 = self._state(begin.rows)
         x1, p1 = self._state(rows)

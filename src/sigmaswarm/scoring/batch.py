@@ -1,4 +1,4 @@
-"""Scores of many parameter sets on many drives, from the compiled replays."""
+"""Scores of many parameter sets on many drives."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,7 @@ LOG_2PI = math.log(2 * math.pi)
 class Scores:
     """Scores of every parameter set on every drive; each array has shape (n_sets, n_drives).
 
-    Names and units are as in `Score`. A value is NaN if the score is undefined or the filter failed.
+    Names and units are as in `Score`. Undefined values are NaN.
     """
 
     position_rmse: Array
@@ -47,16 +47,14 @@ class Scores:
     failed: NDArray[np.bool_]
 
     def __getitem__(self, at: tuple[int, int]) -> Score:
-        """Return the score of set i on drive j for ``scores[i, j]``."""
         return Score(**{name: values[at].item() for name, values in vars(self).items()})
 
     def stacked(self) -> Array:
-        """Return all scores as one array, shape (n_scores, n_sets, n_drives), for transport."""
+        """Return one array, shape (n_scores, n_sets, n_drives), for transport."""
         return np.array([*vars(self).values()], dtype=np.float64)
 
     @classmethod
     def unstacked(cls, stacked: Array) -> "Scores":
-        """Restore scores from the array that `stacked` returns."""
         *numbers, failed = (np.asfortranarray(one) for one in stacked)
         return cls(*numbers, failed=failed.astype(np.bool_))
 
@@ -65,9 +63,7 @@ _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed
 
 
 @dataclass(frozen=True)
-class Passes:
-    """Options of the passes over a drive (see `Replayer`) and of its preprocessing (see `PreparedDrive`)."""
-
+class Passes:  # options of Replayer and PreparedDrive
     outages: bool = False
     forecasts: bool = False
     outage_seed: int = 0
@@ -77,13 +73,8 @@ class Passes:
 class Replayer:
     """Drives that are prepared once and replayed with any number of parameter sets.
 
-    ``outages`` and ``forecasts`` each add a pass over every drive: with outages of ``outage_length`` s, placed by
-    ``outage_seed``, or with fixes hidden in windows of 3 to 5 s.
-
-    Raises
-    ------
-    AlignmentError
-        If a drive never moves far enough to start a filter.
+    ``outages`` and ``forecasts`` each add a pass over every drive: with outages of ``outage_length`` s, or with fixes
+    hidden in windows of 3 to 5 s.
     """
 
     def __init__(
@@ -105,7 +96,7 @@ class Replayer:
 
     @staticmethod
     def together(parts: Sequence["Replayer"]) -> "Replayer":
-        """Join replayers that have the same passes; prepared drives are reused."""
+        """Join replayers that have the same passes, without preparing drives again."""
         whole = Replayer.__new__(Replayer)
         whole._ready = tuple(one for part in parts for one in part._ready)
         whole._passes = {
@@ -115,7 +106,7 @@ class Replayer:
         return whole
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
-        """Return a replayer of some of the drives, by index; prepared drives are reused."""
+        """Return a replayer of some of the drives, by index."""
         if list(drives) == list(range(len(self._ready))):
             return self
         part = Replayer.__new__(Replayer)
@@ -125,37 +116,32 @@ class Replayer:
 
     @cached_property
     def drives(self) -> tuple[Drive, ...]:
-        """The drives."""
         return tuple(ready.drive for ready in self._ready)
 
     @cached_property
     def initial(self) -> tuple[InitialState, ...]:
-        """Initial state on each drive."""
         return tuple(ready.initial for ready in self._ready)
 
     @property
     def dataset(self) -> LocalDataset:
-        """The drives as a dataset."""
         return LocalDataset(self.drives)
 
     @property
     def truth_moments(self) -> list[int]:
-        """Number of truth times at which each drive is scored."""
         return [replay.targets.n_positions for replay in self._passes["tracking"]]
 
     @property
     def hidden_fixes(self) -> list[int]:
-        """Number of hidden fixes on each drive; empty without forecasts."""
+        """Number of hidden fixes on each drive."""
         return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Number of filter steps of one parameter set on each drive, over all passes, shape (n_drives,)."""
+        """Number of filter steps of one parameter set over all passes, shape (n_drives,)."""
         return np.sum(np.array([*self._steps.values()], dtype=np.int64), axis=0)
 
     @cached_property
     def _steps(self) -> dict[str, list[int]]:
-        """Number of steps of each replay."""
         return {name: [len(r.timeline.dt) for r in replays] for name, replays in self._passes.items()}
 
     @cached_property
@@ -168,7 +154,7 @@ class Replayer:
         return {}
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Score the parameter sets; the result does not depend on the executor or its number of workers."""
+        """Score the parameter sets; the result does not depend on the executor."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
@@ -180,15 +166,13 @@ class Replayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the parameter sets, and apply a function to the scores that returns shape (n_sets, n_drives)."""
+        """Score the parameter sets, and apply ``take``, which returns shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        """Apply a function to each prepared drive."""
         return [function(one) for one in self._ready]
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
-        """Run every pass with every set, divided into jobs that keep all workers busy."""
         workers = cores() if executor else 1
         work: list[tuple[Job, NDArray[np.intp], KernelArray]] = []
         for places, table in tables_of(parameter_sets):
@@ -212,15 +196,14 @@ class Replayer:
 
 
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
-    """Compute scores from the sums of each pass (``tracking``, ``outages``, ``forecasts``); NaN without a pass."""
+    """Compute scores from the sums of each pass."""
     return _scores_by({name: _divisors_of(passes[name]) for name in sums}, sums)
 
 
 def _divisors_of(replays: Sequence[Replay]) -> Array:
     """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN in place of 0.
 
-    The divisors are the number of positions, the total weights of positions and of headings, and the numbers of all
-    fixes and of hidden fixes.
+    They are the number of positions, the weights of positions and headings, and the numbers of fixes and hidden fixes.
     """
     counts = np.array(
         [
@@ -245,7 +228,7 @@ def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, Sums]) -> Score
 
 
 def _scores_in(name: str, divisors: Array, sums: Sums) -> dict[str, Array]:
-    """Compute the scores of a pass, each of shape (n_drives, n_sets)."""
+    """Compute the scores of a pass, shape (n_drives, n_sets)."""
     moments, positions, headings, fixes, hidden = divisors
     if name == "outages":
         return {"outage_drift": np.sqrt(sums.squared_position / positions)}

@@ -1,7 +1,7 @@
 """Consistency of a filter's covariances: NIS, NEES and the whiteness of the innovations.
 
-Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and Navigation, Wiley 2001,
-section 5.4.
+Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and Navigation, Wiley 2001, section
+5.4.
 """
 
 import math
@@ -19,13 +19,11 @@ from sigmaswarm.filters.run import Innovations, run_innovations
 GATE_95 = -2 * math.log(0.05)
 """95% quantile of NIS for a consistent filter: 5.99."""
 FAR_NEES = 4.0
-"""Mean NEES above which errors are clearly too large (by a factor of 1.4); the limit is fixed, since NEES has no
-band."""
+"""Mean NEES above which errors are clearly too large; a constant, since NEES has no band."""
 RIGHT_NEES = 1.5
-"""Lowest mean NEES for which a filter's position covariance counts as right; the highest is `FAR_NEES`."""
-LAGS = 10
-"""Largest lag, in fixes, at which innovations are tested for correlation."""
-_KEYS = {
+"""Lowest mean NEES of a consistent position covariance; the highest is `FAR_NEES`."""
+LAGS = 10  # fixes, largest lag of the autocorrelation
+_KEYS = {  # in scores.json
     "nis_band": "nis_band_95",
     "inside_gate": "share_inside_95_gate",
     "white_band": "autocorrelation_band_95",
@@ -33,7 +31,6 @@ _KEYS = {
     "expected": "expected_m",
     "own_sigma": "own_sigma_m",
 }
-"""Names in scores.json that differ from those of the attributes."""
 _CONFIG = ConfigDict(
     frozen=True,
     alias_generator=lambda name: _KEYS.get(name, name),
@@ -49,7 +46,7 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        Mean NIS: 2 for a consistent filter, more for an overconfident one.
+        2 for a consistent filter, more for an overconfident one.
     nis_band : (float, float)
         95% band of the mean NIS of a consistent filter with ``n_fixes`` independent innovations.
     inside_gate : float
@@ -61,12 +58,12 @@ class Consistency(BaseModel):
     white_p : float
         p-value of the test for whiteness of G. M. Ljung and G. E. P. Box (1978).
     mean_nees : float or None
-        Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. Position errors are
-        correlated over time, so there is no band.
+        Mean NEES of the position at truth times: 2 for a consistent filter, None without truth. It has no band, since
+        position errors are correlated over time.
     missed, expected : float or None
         RMS of the innovations, m: actual, and according to their covariances.
     own_sigma : float or None
-        RMS over the drive of the filter's position standard deviation, m; None if not computed.
+        RMS of the filter's position standard deviation, m; None if not computed.
     """
 
     model_config = _CONFIG
@@ -94,7 +91,7 @@ def consistency(
 def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
-    """Compute consistency from innovations; None if a covariance is invalid or there are too few innovations."""
+    """Compute consistency from innovations; None if there are too few or a covariance is invalid."""
     n = len(innovations.time)
     s = innovations.covariance
     if n <= 2 * LAGS or not (
@@ -133,19 +130,18 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Kind of a verdict, which depends on the innovations relative to their covariances.
+"""Kind of a verdict: the size of the innovations relative to their covariances.
 
-``optimistic``: larger (overconfident). ``pessimistic``: smaller. ``alike``: smaller, and consecutive innovations are
-nearly equal, so the position error is unknown without truth. ``lasting``: smaller, although errors against truth agree
-with the covariances, since predictions share the fixes' errors. ``correlated``: of the right size, but consecutive
-innovations are correlated; only without truth.
+- ``optimistic``: larger (overconfident). ``pessimistic``: smaller.
+- ``alike``: smaller, and consecutive innovations are nearly equal, so the position error is unknown without truth.
+- ``lasting``: smaller, but errors against truth agree with the covariances, since predictions share the fixes' errors.
+- ``correlated``: of the right size, but correlated; only without truth.
 """
 ALIKE = 0.5
-"""Lag-1 correlation above which consecutive innovations count as nearly equal."""
+"""Lag-1 correlation above which consecutive innovations are nearly equal."""
 CORRELATED = 0.2
 """Lag-1 correlation above which a right NIS does not prove consistency."""
 FORECASTS = "this covers predictions of the fixes; position errors cannot be judged without truth"
-"""Note that is added to the verdicts without truth."""
 
 VERDICTS: dict[Kind, str] = {
     "optimistic": "is overconfident: the sigmas of its predictions are {nis_size}",
@@ -172,7 +168,7 @@ VERDICTS: dict[Kind, str] = {
 
 
 def verdicts(found: Sequence[Consistency | None]) -> dict[Kind, str]:
-    """Return sentences on the consistency on several drives, one sentence for each kind of verdict."""
+    """Return one sentence for each kind of verdict on several drives."""
     known = [one for one in found if one]
     of = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)
@@ -214,7 +210,7 @@ def _size(mean_squares: Sequence[float], what: str) -> str:
 
 
 def size_of(ratio: float) -> str:
-    """Describe the ratio of sigmas to the right values, as ``20% too small``."""
+    """Describe the ratio of sigmas to the right values, such as ``20% too small``."""
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:
         return f"{100 * abs(ratio - 1):.0f}% too {size}"

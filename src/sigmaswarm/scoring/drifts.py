@@ -1,4 +1,4 @@
-"""Measure the drift of each method during outages, over several random placements of the outages."""
+"""Drifts of methods during outages, over several random placements."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -26,22 +26,16 @@ from sigmaswarm.scoring.targets import (
 )
 from sigmaswarm.scoring.truth import root_mean
 
-SMOOTHED = "smoothed"
-"""The tuned filter, smoothed."""
-SWARM = "swarm"
-"""A filter bank of the tuned filter."""
+SMOOTHED = "smoothed"  # the tuned filter, smoothed
+SWARM = "swarm"  # a filter bank of the tuned filter
 LEARNED = ("outage-lstm", "noise-gru")
-"""Networks that support the tuned filter: see `learned`."""
-OWN = "against"
-"""Another tuning, or the user's own filter."""
-FIXES = "fixes_alone"
-"""A constant-velocity filter that uses the fixes only, without the IMU."""
-UNTUNED = "untuned"
-"""The baseline: the tuned filter's model with typical noise parameters instead of tuned ones."""
+OWN = "against"  # another tuning, or the user's own filter
+FIXES = "fixes_alone"  # a constant-velocity filter without the IMU
+UNTUNED = "untuned"  # the baseline
 
 
 class Run(Protocol):
-    """A run over a drive, which yields its estimates in pieces."""
+    """A run over a drive that yields its estimates in pieces."""
 
     @property
     def initial(self) -> InitialState: ...
@@ -53,14 +47,12 @@ class Run(Protocol):
 
 
 Runs = Mapping[str, Callable[[Replay], Run]]
-"""Methods other than single filters: functions that run them on a replay, by name."""
 
 
 class Outages:
     """Outages of one length on a drive in several placements, and the drifts of methods over them.
 
-    ``seeds`` has the seed of each placement; it is empty if no outage fits. ``failed`` has the methods that failed in
-    any placement.
+    ``seeds`` has a seed per placement; it is empty if no outage fits. ``failed``: methods that failed in any placement.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -76,11 +68,10 @@ class Outages:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Ends of the outages, s, and the tuned filter's position variances, m2 per axis, and errors, m, there."""
+        """Ends of the outages, s, with position variances, m2 per axis, and errors, m, of the tuned filter."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
-        """Add an existing estimate that uses no fixes, so that hiding fixes does not change it."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
     def run(
@@ -90,7 +81,7 @@ class Outages:
         *,
         watched: bool = True,
     ) -> None:
-        """Run filters and other methods with the fixes hidden, without storing their estimates.
+        """Run methods with the fixes hidden, without storing their estimates.
 
         With ``watched`` filters are monitored and reset after divergence. Otherwise they run as one batch.
         """
@@ -102,7 +93,7 @@ class Outages:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs, *, watched: bool
     ) -> None:
-        """Run one placement; a separate function, so that its memory is freed before the next placement."""
+        """Run one placement; a separate function, so that its memory is freed before the next."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if watched:
@@ -135,7 +126,7 @@ class Outages:
             self.failed.add(method)
 
     def drift(self, method: str) -> float:
-        """Return the RMS drift over the outages of all placements, m; NaN if no outage fits or the method failed."""
+        """Return the RMS drift over all placements, m; NaN if no outage fits or the method failed."""
         if not self.seeds or method in self.failed:
             return float("nan")
         counts = [len(ends) for ends in self._ends]
@@ -143,19 +134,17 @@ class Outages:
 
     @property
     def record(self) -> DriftRecord:
-        """Record for scores.json."""
         each = {m: [v if np.isfinite(v) else None for v in values] for m, values in self._each.items()}
         return DriftRecord(outages=sum(map(len, self._ends)), each=each)
 
 
 def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: Array) -> float:
-    """Return the RMS position error at the ends of outages, m; NaN without outages."""
+    """Return the RMS position error at the ends of outages, m."""
     places = [np.interp(ends, estimate.time, estimate.mean[:, i]) for i in (0, 1)]
     return _drift(ready, ends, np.column_stack(places))
 
 
 def _drift(ready: PreparedDrive, ends: Array, places: Array) -> float:
-    """Return the RMS error, m, of positions at the ends of outages, shape (k, 2)."""
     return root_mean(np.square(_errors(ready, ends, places)).sum(axis=1), drift_weights(ready, ends))
 
 
@@ -165,5 +154,5 @@ def _errors(ready: PreparedDrive, time: Array, places: Array) -> Array:
 
 
 def _rows_at(ends: Array, piece: Piece) -> NDArray[np.intp]:
-    """Return the rows of a piece at those ends of outages that lie in it; each end is the time of a sample."""
+    """Return the rows of a piece at ends of outages; each end is the time of a sample."""
     return np.searchsorted(piece.time, ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])])

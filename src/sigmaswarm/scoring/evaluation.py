@@ -75,12 +75,11 @@ class Options:
     outage_length : float
         Length of the medium outages, s; the others last 1 s and 30 s.
     outage_seed : int
-        Seed of the outages, which are the same for all methods; see `placements`.
+        Seed of the outages, which are the same for all methods.
     as_recorded : bool
         Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth : bool
-        Also evaluate the smoothed estimates: see `sigmaswarm.smooth`. During an outage smoothed estimates use later
-        fixes.
+        Also evaluate the smoothed estimates, which use fixes after an outage: see `sigmaswarm.smooth`.
     swarm : bool
         Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
@@ -100,7 +99,6 @@ class Options:
     fixes_alone: MotionNoise | None = None
 
     def further(self, parameters: FilterParameters) -> dict[str, Callable[[Replay], Run]]:
-        """Return the methods other than single filters, without fixes alone."""
         runs: dict[str, Callable[[Replay], Run]] = {}
         if self.smooth:
             runs[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
@@ -114,10 +112,8 @@ class Options:
 class Evaluated:
     """Results of all methods on a drive.
 
-    ``scores`` and ``restarts`` (times of resets, s) are by method, ``drifts`` by measure. ``consistency`` and
-    ``innovations`` belong to the tuned filter. ``tracks`` is the content of tracks.npz; ``picture`` has more points,
-    for print. ``frozen`` is the number of stale fixes, which no filter used. ``findings`` are findings of the doctor.
-    ``truth_offset`` is a sentence on a constant offset between fixes and truth. ``radius``: see `ScoresRecord`.
+    ``restarts`` are times of resets, s, by method; ``drifts`` are by measure. ``consistency`` and ``innovations``
+    belong to the tuned filter. ``picture`` has more points than ``tracks``. ``frozen`` is the number of stale fixes.
     """
 
     scores: Mapping[str, Score]
@@ -134,7 +130,6 @@ class Evaluated:
     radius: Mapping[str, RadiusRecord] = field(default_factory=dict[str, RadiusRecord])
 
     def called(self, name: str) -> "Evaluated":
-        """Return a copy with another drive name, for drives of the same name."""
         tracks, picture = self.tracks, self.picture
         return replace(
             self,
@@ -144,7 +139,7 @@ class Evaluated:
         )
 
     def seen_in(self, overlap: Overlap) -> "Evaluated":
-        """Return a copy that records which part of the drive the filter was tuned on."""
+        """Return a copy that records the part of the drive that the tuning used."""
         part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
         return replace(self, record=self.record.model_copy(update=part))
 
@@ -187,7 +182,7 @@ class Evaluation:
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
-        """Return the mean of a measure over the drives with a value; None without values or if the method failed.
+        """Return the mean of a measure over the drives; None without values or if the method failed.
 
         ``method`` is a key of scores.json (``untuned``) or a display name (``baseline``).
         """
@@ -212,22 +207,22 @@ class Evaluation:
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """`MEASURES`, with the outage length of this evaluation in their names."""
+        """`MEASURES`, with the outage length in their names."""
         return measures(self.outage_length)
 
     @property
     def restarted(self) -> tuple[str, ...]:
-        """Sentences on the drives on which the tuned filter diverged."""
+        """Sentences on drives on which the tuned filter diverged."""
         return restarted(self.record)
 
     @property
     def worse_than_raw(self) -> tuple[str, ...]:
-        """Sentences on the drives on which the tuned filter's position is worse than the raw fixes."""
+        """Sentences on drives on which the tuned filter's position is worse than the raw fixes."""
         return worse_than_raw(self.record)
 
     @property
     def worse_than_untuned(self) -> tuple[str, ...]:
-        """Sentences on the methods without tuning that are better on average over the drives."""
+        """Sentences on methods without tuning that are better on average over the drives."""
         return worse_than_untuned(self.record, self.measures)
 
     @property
@@ -287,13 +282,7 @@ class Evaluation:
         return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return the table of `to_frame` as a pandas DataFrame.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
+        """Return the table of `to_frame` as a pandas DataFrame."""
         return notebook.to_pandas(self.to_frame().to_dict(as_series=False))
 
     def __repr__(self) -> str:
@@ -328,14 +317,14 @@ def evaluate(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Preferably drives that the tuning did not use. Without truth the only error is the outage drift, relative to
-        the hidden fixes.
+        Preferably drives that the tuning did not use. Without truth the only error is the outage drift, relative to the
+        hidden fixes.
     parameters : FilterParameters
         Parameters of the tuned filter.
     seen : sequence of Landmarks, optional
-        Landmarks of the training drives: ``tuning.seen``, or the result of `tuning.record.seen_by` for a tuning.toml.
-        With them the evaluation reports the part of each drive that was used for training, even if the drive was
-        renamed, cut or repaired. Without seen.npz only complete drives are recognized.
+        Landmarks of the training drives: ``tuning.seen``, or the result of `tuning.record.seen_by`. With them the
+        evaluation reports the part of each drive that was used for training, even if the drive was renamed, cut or
+        repaired. Without seen.npz only complete drives are recognized.
     cluster : distributed.Client, optional
         Dask cluster whose workers read the drives (also given as paths or URLs) and run the filters. The result does
         not depend on the cluster.
@@ -375,7 +364,7 @@ def evaluate(
 def _evaluated(
     drive: Drive, parameters: FilterParameters, options: Options, marked: bool
 ) -> tuple[str, Evaluated, Landmarks | None]:
-    """Run every method over a drive; return the drive's name, the results and, if ``marked``, its landmarks."""
+    """Run every method over a drive; return its name, the results and, if ``marked``, its landmarks."""
     marks = landmarks(drive) if marked else None
     own = {} if options.against is None else {OWN: options.against}
     filters = compared(drive, parameters) | own
@@ -427,7 +416,7 @@ def _evaluated(
 def _radius(
     drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
 ) -> RadiusRecord | None:
-    """Summarize the radius of the tuned filter's position from times, s, variances, m2, and errors, m."""
+    """Summarize the radius of the tuned filter from times, s, variances, m2, and errors, m."""
     time, variance, error = stated
     lasting = lasting_variance(drive, parameters, time)
     return radius_record(variance, lasting, None if drive.truth is None else error)
@@ -438,7 +427,7 @@ def _tracked(
 ) -> tuple[Evaluated, Runs]:
     """Run every method over all fixes; return the results, and the methods other than single filters.
 
-    It is a separate function, so that its memory is freed before the next pass.
+    A separate function, so that its memory is freed before the next pass.
     """
     replay = tracking_replay(ready)
     further = options.further(filters["tuned"])

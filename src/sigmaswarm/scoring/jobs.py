@@ -1,7 +1,6 @@
 """Jobs of a batch: each runs some of the replays with some of the parameter sets.
 
-A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time. Therefore jobs have
-`most_lanes` sets, except where workers would be idle at the end.
+A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time.
 """
 
 import os
@@ -14,15 +13,13 @@ from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
 
 Result = TypeVar("Result")
 
-MOST_SETS = 64
-"""Largest number of parameter sets in a job of a single worker, to limit the memory."""
-SHORT = 20_000
-"""Number of steps below which replays share a job, unless workers would be idle."""
+MOST_SETS = 64  # in a job of a single worker, to limit the memory
+SHORT = 20_000  # steps; shorter replays share a job, unless workers would be idle
 
 
 @dataclass(frozen=True)
 class Job:
-    """A range of replays of the pass ``name``, ``steps`` long in total, and a range of parameter sets."""
+    """A range of replays of the pass ``name``, and a range of parameter sets."""
 
     name: str
     replays: range
@@ -31,15 +28,11 @@ class Job:
 
     @property
     def work(self) -> int:
-        """Steps times sets."""
         return self.steps * len(self.sets)
 
 
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, workers: int) -> list[Job]:
-    """Divide a batch into jobs, in the order of passes, replays and sets.
-
-    ``steps`` has the number of steps of each replay, by pass.
-    """
+    """Divide a batch into jobs; ``steps`` has the number of steps of each replay, by pass."""
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(SHORT, total / workers)))
     most = MOST_SETS if workers == 1 else most_lanes(kernel)
@@ -74,9 +67,9 @@ def cores() -> int:
 def run_jobs(
     function: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], executor: Executor | None
 ) -> list[Result]:
-    """Call a function with each tuple of arguments, in ``executor`` or, without one, in this thread.
+    """Call a function with each tuple of arguments, in ``executor`` or in this thread.
 
-    After an exception or an interrupt no further job starts. The exception is raised after the running jobs end.
+    After an exception or an interrupt no further job starts; running jobs end first.
     """
     if executor is None:
         return [function(*job) for job in jobs]

@@ -1,4 +1,4 @@
-"""The methods and measures of a comparison, and their display names."""
+"""Methods and measures of a comparison, and their display names."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -16,11 +16,9 @@ METHODS = {
     "raw_gps": "raw GPS",
     "imu_only": "IMU only",
 }
-"""Rows of every comparison: display names by their keys in files."""
+"""Display names of the rows of every comparison."""
 HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noise parameters are fitted to {}"
-"""Sentence that defines the filter without an IMU."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
-"""Hint for users who did not compare another filter."""
 ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
@@ -28,7 +26,6 @@ ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
 
 
 def filter_called(kind: str, model: str) -> str:
-    """Return the display name of a filter: its type, and its model unless that is planar5."""
     name = kind.replace("-", " ").replace("ukf", "UKF").replace("ekf", "EKF")
     return name if model == "planar5" else f"{name}, {model}"
 
@@ -40,10 +37,9 @@ def method_names(
     also: Collection[str] = (),
     against: tuple[str, str] | None = None,
 ) -> dict[str, str]:
-    """Return the display names of the methods, with the type and model of the tuned filter.
+    """Return the display names of the methods.
 
-    ``also``: optional rows from `ALSO`, and `OWN` for another filter, which becomes the first row.
-    ``against``: type and model of the other filter, if known.
+    ``also``: optional rows from `ALSO`, and `OWN` for another filter. ``against``: its type and model, if known.
     """
     first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
@@ -51,7 +47,6 @@ def method_names(
 
 
 def how_untuned(tuned: str) -> str:
-    """Return the sentence that defines the baseline, by the display name of the tuned filter."""
     if tuned.endswith("robot-localization"):
         return (
             "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 "
@@ -65,20 +60,17 @@ def how_untuned(tuned: str) -> str:
 
 @dataclass(frozen=True)
 class Measure:
-    """A measure: title, unit, and a function that takes the value from a score."""
-
     title: str
     unit: str
     of: Callable[[Score], float]
 
     @property
     def heading(self) -> str:
-        """Title and unit."""
         return f"{self.title}, {self.unit}"
 
 
 def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
-    """Return the measures in display units; ``outage_length`` is the length of the medium outages, s."""
+    """Return the measures in display units; ``outage_length``, s, is that of the medium outages."""
     return {
         "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
         "position_median_m": Measure("position 50%", "m", lambda s: s.position_median),
@@ -96,6 +88,6 @@ def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
 
 MEASURES = measures()
 DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
-"""Measures of drift, in which a filter with an IMU should be better than the fixes alone."""
+"""Measures in which a filter with an IMU should be better than the fixes alone."""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
 """Measures for comparing a filter with the raw fixes, and their names in sentences."""

@@ -1,20 +1,18 @@
 """Compute the radius within which a position error lies with a stated probability, and its coverage.
 
-A filter averages the fixes, but correlated errors do not average out, and a log does not show them. The variance of the
-position error contains that of the correlated errors, which the filter's covariance may lack. The total variance per
+The filter's covariance may lack the variance of correlated fix errors, which do not average out. The total variance per
 axis is estimated as
 
     sigma^2 = P + max(s^2 - w^2 - g s^2, 0)
 
 where P is the mean of the filter's variances of x and y, s is the standard deviation of the fixes (`receiver_std`), and
-w is the standard deviation of their white noise (`white_noise`). If the filter has states for correlated errors, P
-contains their variance g s^2; otherwise g = 0. For a receiver with white errors nothing is added. A short training
-drive determines a covariance from few independent errors. Therefore error / sigma is modeled by Student's t
-distribution with `DOF` degrees of freedom, and for a probability q
+w that of their white noise (`white_noise`). If the filter has states for correlated errors, P contains their variance g
+s^2; otherwise g = 0. A short training drive determines a covariance from few independent errors. Therefore error /
+sigma is modeled by Student's t with `DOF` degrees of freedom, and for a probability q
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 
-which is the quantile of 2 F(2, DOF). The filter's estimates and covariances do not change.
+which is the quantile of 2 F(2, DOF).
 """
 
 import math
@@ -30,23 +28,18 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate
 
 DOF = 7.0
-"""Degrees of freedom of Student's t for error / sigma, chosen on the parts of the development drives that tunings with
-seed 0 did not use."""
-LEVELS = 0.95, 0.999
-"""Probabilities of the radii that an evaluation reports."""
-TRACKING = "tracking"
-"""Key of the radii of runs with all fixes."""
+"""Degrees of freedom, chosen on parts of the development drives that tunings with seed 0 did not use."""
+LEVELS = 0.95, 0.999  # probabilities
+TRACKING = "tracking"  # key of the radii with all fixes
 LOW = 0.85
-"""Share of errors inside the 95% radius below which an evaluation warns."""
+"""Share of errors inside the 95% radius below which a warning is given."""
 
 
 class RadiusRecord(BaseModel):
-    """Radii of a filter's position on a drive, and the share of errors inside them.
+    """Radii of a filter's position on a drive (medians), and the share of errors inside them.
 
-    ``n`` is the number of errors, or of estimates without truth. ``radius_95_m`` and ``radius_999_m`` are medians.
-    ``inside_95`` and ``inside_999`` are the shares of the errors inside the radii. ``sigma_ratio`` is the RMS of the
-    filter's sigma divided by the RMS error, per axis. These three are None without truth. ``lasting_m`` is the RMS of
-    the correlated errors, m per axis.
+    ``n``: number of errors, or of estimates without truth. ``sigma_ratio``: RMS of the filter's sigma divided by the
+    RMS error, per axis. ``lasting_m``: RMS of the correlated errors, m per axis.
     """
 
     n: int
@@ -92,12 +85,12 @@ def position_radius(
 
 
 def factor_of(level: float) -> float:
-    """Return the radius of a probability divided by sigma per axis."""
+    """Return the ratio of the radius to sigma per axis."""
     return math.sqrt(DOF * ((1.0 - level) ** (-2.0 / DOF) - 1.0))
 
 
 def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) -> Array:
-    """Return the variance per axis, m2, of correlated fix errors that the filter does not model, at each time, (n,)."""
+    """Return the variance per axis, m2, of correlated fix errors that the filter does not model, shape (n,)."""
     gps, typical = drive.gps, float(np.mean(np.square(receiver_std(drive))))
     white = white_noise(gps.x + 1j * gps.y) ** 2 / typical
     share = max(1.0 - white - (parameters.fix_error or 0.0), 0.0)
@@ -108,10 +101,7 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array) ->
 
 
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
-    """Summarize radii from variances of the filter and of correlated errors, m2, and position errors, m, each (n,).
-
-    Returns None if there are no values or the filter failed.
-    """
+    """Summarize variances of the filter and of correlated errors, m2, and position errors, m; None if invalid."""
     total = variance + lasting
     if not len(total) or not np.isfinite(total).all():
         return None

@@ -1,4 +1,4 @@
-"""The records of an evaluation: scores.json and evaluation.json."""
+"""Records of an evaluation: scores.json and evaluation.json."""
 
 import hashlib
 from collections.abc import Iterable
@@ -16,16 +16,12 @@ from sigmaswarm.scoring.radius import RadiusRecord
 
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 Measured = dict[str, float | None]
-"""Scores by measure; None if unknown."""
 FEW = 4
-"""Number of outages per placement below which all placements hide nearly the same fixes."""
+"""Outages per placement below which all placements hide nearly the same fixes."""
 
 
 class DriftRecord(BaseModel):
-    """Drifts over outages of one length on a drive, for each random placement of the outages.
-
-    ``each`` contains the RMS drift of each placement, m, by method; None if the filter failed.
-    """
+    """RMS drifts, m, over outages of one length, for each random placement, by method; None if the filter failed."""
 
     outages: int
     each: dict[str, list[float | None]]
@@ -37,7 +33,7 @@ class DriftRecord(BaseModel):
 
 
 class ScoresRecord(BaseModel):
-    """scores.json: scores by drive, method and measure, means over the drives, consistency, and improvements."""
+    """scores.json: scores by drive, method and measure."""
 
     drives: dict[str, dict[str, Measured]] = Field(min_length=1)
     mean: dict[str, Measured]
@@ -45,20 +41,14 @@ class ScoresRecord(BaseModel):
     improvement_percent: dict[str, Measured] = Field(default_factory=dict)
     restarts: dict[str, dict[str, list[float]]] = Field(default_factory=dict)
     """Times of resets after divergence, s, by drive and method."""
-    drifts: dict[str, dict[str, DriftRecord]] = Field(default_factory=dict)
-    """Drifts by drive and measure."""
-    failed: dict[str, list[str]] = Field(default_factory=dict)
-    """Failed methods by drive."""
+    drifts: dict[str, dict[str, DriftRecord]] = Field(default_factory=dict)  # by drive and measure
+    failed: dict[str, list[str]] = Field(default_factory=dict)  # methods by drive
     radius: dict[str, dict[str, RadiusRecord]] = Field(default_factory=dict)
-    """Radii of the tuned filter by drive for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
+    """Radii by drive for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
-    """Number of stale fixes by drive; a stale fix repeats an earlier fix although the vehicle may have moved."""
 
     def drift_said(self, measure: str, method: str = "tuned") -> str:
-        """Describe the number of outages behind a drift, and the range of the drifts of single placements.
-
-        The text is empty if the drift is unknown, or if the method failed in any placement.
-        """
+        """Describe the outages behind a drift, and the range of single placements; empty if unknown."""
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]
         count = min(map(len, drawn), default=0)
@@ -71,29 +61,23 @@ class ScoresRecord(BaseModel):
         return f"{outages} outages in {count} placements; {single}{few}"
 
     def mean_of(self, method: str, measure: str) -> float | None:
-        """Return the mean of a measure over the drives with a value, or None."""
         return self.mean.get(method, {}).get(measure)
 
     def known(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
-        """Return the methods and measures with any value; without truth there are no errors and no raw GPS."""
+        """Return the methods and measures with any value; raw GPS needs truth."""
         methods, measures = [*methods], [*measures]
         known = [m for m in measures if any(self.mean_of(method, m) is not None for method in methods)]
         raw = any(self.mean_of("raw_gps", m) is not None for m in known)
         return [m for m in methods if m != "raw_gps" or raw], known or measures
 
 
-class AgainstRecord(BaseModel):
-    """Type and model of the other filter in the comparison."""
-
+class AgainstRecord(BaseModel):  # another filter in the comparison
     kind: str
     model: str
 
 
 class EvaluationRecord(BaseModel):
-    """evaluation.json: the options and the drives.
-
-    ``against``: another filter in the comparison, if any; its parameters are in against.toml.
-    """
+    """evaluation.json: the options and the drives; the parameters of ``against`` are in against.toml."""
 
     outage_length_s: float
     outage_seed: int
@@ -101,28 +85,26 @@ class EvaluationRecord(BaseModel):
     data: list[DriveRecord]
     against: AgainstRecord | None = None
     findings: dict[str, list[str]] = Field(default_factory=dict)
-    """Serious findings and warnings of the doctor by drive, as sentences; empty in records of versions before 0.4.0."""
+    """Serious findings and warnings of the doctor by drive; empty before version 0.4.0."""
     truth_offsets: dict[str, str] = Field(default_factory=dict)
     """Sentence on a constant offset between fixes and truth, by drive."""
     fixes_alone: MotionNoise | None = None
-    """Noise parameters of the filter that uses only the fixes, from the tuning; None if they were fitted to each
-    drive."""
+    """Noise parameters from the tuning; None if they were fitted to each drive."""
     files: dict[str, str] = Field(default_factory=dict)
-    """SHA-256 of the files of the evaluation, by name; empty in records of versions before 0.4.0."""
+    """SHA-256 of the files by name; empty before version 0.4.0."""
 
 
 _SEALED = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
 
 
 def seal(folder: Path) -> None:
-    """Add the SHA-256 of the other files to evaluation.json."""
     record = load_record(EvaluationRecord, folder / ASKED_FILE)
     found = {name: _sha256(folder / name) for name in _SEALED if (folder / name).exists()}
     write_json(folder / ASKED_FILE, record.model_copy(update={"files": found}).model_dump())
 
 
 def require_sealed(folder: Path, record: EvaluationRecord) -> None:
-    """Raise `InputError` if a file of the folder differs from the SHA-256 in evaluation.json."""
+    """Raise `InputError` if a file differs from its SHA-256 in evaluation.json."""
     for name, expected in record.files.items():
         if name not in _SEALED or not (folder / name).is_file() or _sha256(folder / name) != expected:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Sentences about scores: resets, comparisons with the raw fixes and the baseline, errors without truth."""
+"""Sentences about scores."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,22 +14,19 @@ from sigmaswarm.scoring.tracks import FirstLook
 from sigmaswarm.wording import counted
 
 ALL_OF_IT = 0.99
-"""Share of the time with truth above which gaps in the truth are not reported."""
+"""Share of the time with truth above which gaps are not reported."""
 FAR_BELOW = 1.0
-"""Mean NIS, half of the expected value, below which predictions of the fixes do not measure the position error."""
+"""Mean NIS below which predictions of the fixes do not measure the position error."""
 NOTABLE = 0.9
-"""Ratio of the error of a method without tuning to the tuned filter's error, below which the method is reported as
-better."""
+"""Ratio to the tuned filter's error below which a method without tuning counts as better."""
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
-    """Return a sentence for each drive on which the tuned filter diverged."""
     found = {drive: times for drive, of in scores.restarts.items() if (times := of.get("tuned"))}
     return tuple(f"the tuned filter {said_of_restarts(drive, times)}" for drive, times in found.items())
 
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
-    """Describe the number of drives, and the parts of these drives that the tuning used."""
     called = counted(len(data), "drive")
     each = [
         f"the tuning used {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
@@ -43,7 +40,6 @@ def said_of_drives(data: Sequence[DriveRecord]) -> str:
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
-    """Return a sentence for each drive on which only a part has truth."""
     return tuple(
         f"errors on {drive.name} cover {drive.truth_share:.0%} of the time from the filters' start: the rest has no "
         "truth"
@@ -53,7 +49,6 @@ def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
 
 
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
-    """Return a sentence for each drive on which the tuned filter's position is worse than the raw fixes."""
     said: list[str] = []
     for drive, found in scores.drives.items():
         worse = [
@@ -69,7 +64,6 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    """Return a sentence for each method without tuning that is better on average over the drives."""
     said: list[str] = []
     for method, name in ((UNTUNED, "the baseline"), (FIXES, "the filter that uses only the fixes")):
         known = {
@@ -92,7 +86,7 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
 
 
 def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
-    """Return a sentence for each of the first three drives without truth that estimates the position error."""
+    """Estimate the position error on each of the first three drives without truth."""
     blind = [one.name for one in data if one.has_truth is False]
     found = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
     return tuple(_without_truth(name, c) for name, c in found[:3])
@@ -121,9 +115,8 @@ def _without_truth(drive: str, found: Consistency) -> str:
 def said_of_position(found: Consistency) -> str:
     """Return a sentence that estimates a filter's position error on a drive without truth.
 
-    The estimate is the RMS of the filter's position sigmas, checked by its innovations. If the innovations are far
-    smaller than expected, the receiver smooths its fixes or their errors are correlated. Then the position error may
-    be as large as the error of the fixes.
+    The estimate is the RMS of the filter's position sigmas. If the innovations are far smaller than expected, the fixes
+    are smoothed or their errors are correlated, and the position error may be as large as that of the fixes.
     """
     own, missed, expected = found.own_sigma or 0.0, found.missed or 0.0, found.expected or 0.0
     (low, high), nis = found.nis_band, f"mean NIS {found.mean_nis:.2g} (2 is consistent)"

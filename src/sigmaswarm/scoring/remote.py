@@ -20,11 +20,11 @@ from sigmaswarm.scoring.batch import Passes, Replayer, Scores
 
 T = TypeVar("T")
 Check = Callable[[Replayer], None]
-"""Function that raises `InputError` if prepared drives can't be used; it must be picklable."""
+"""Picklable function that raises `InputError` if prepared drives can't be used."""
 
 
 def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "Replays":
-    """Prepare the drives of a local or remote dataset for the given passes; ``check`` rejects unusable drives."""
+    """Prepare the drives of a local or remote dataset; ``check`` rejects unusable drives."""
     if isinstance(dataset, RemoteDataset):
         remote = RemoteReplayer(dataset, passes, check)
         _ = remote.steps  # prepares the drives
@@ -43,7 +43,7 @@ def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> 
 
 @dataclass(frozen=True)
 class RemoteReplayer:
-    """A `Replayer` of a remote dataset; it ignores executors, since the cluster's workers do the work."""
+    """A `Replayer` of a remote dataset; executors are ignored, since the cluster's workers do the work."""
 
     dataset: RemoteDataset
     passes: Passes
@@ -51,18 +51,15 @@ class RemoteReplayer:
 
     @cached_property
     def steps(self) -> NDArray[np.int64]:
-        """Number of filter steps of one parameter set on each drive, over all passes, shape (n_drives,)."""
         steps = partial(_steps, passes=self.passes, check=self.check)
         return np.array(in_order(self.dataset.call(apply_to_each, steps)), np.int64)
 
     def subset(self, drives: Sequence[int]) -> "RemoteReplayer":
-        """Return a replayer of some of the drives, by index."""
         part = RemoteReplayer(self.dataset.subset(drives), self.passes, self.check)
         part.__dict__["steps"] = self.steps[list(drives)]
         return part
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Score all sets on all drives."""
         return Scores.unstacked(self.measured(Scores.stacked, parameter_sets))
 
     def measured(
@@ -71,7 +68,7 @@ class RemoteReplayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the sets on the workers and apply a function there; it returns shape (..., n_sets, n_drives)."""
+        """Score the sets and apply ``take``, which returns shape (..., n_sets, n_drives), on the workers."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]
@@ -81,18 +78,15 @@ class RemoteReplayer:
         return whole
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        """Apply a function to each prepared drive."""
         return map_prepared(self.dataset, function, as_recorded=self.passes.as_recorded)
 
 
 Replays = Replayer | RemoteReplayer
-"""Prepared drives that can be replayed with any number of parameter sets."""
 
 
 def map_prepared(
     dataset: RemoteDataset, function: Callable[[PreparedDrive], T], *, as_recorded: bool
 ) -> list[T]:
-    """Apply a function to each prepared drive of a remote dataset."""
     return in_order(dataset.call(apply_to_each, partial(_with_prepared, function, as_recorded)))
 
 

@@ -1,8 +1,7 @@
 """Compute the errors of one estimate against truth: the reference definitions in NumPy.
 
-error = estimate - truth, at truth times from the common start of all methods (`InitialState.time`) to the last IMU
-sample. The estimate is linearly interpolated to the truth times. If the truth has standard deviations, errors are
-weighted (see `truth.py`). The compiled batch uses the same definitions through `targets.py`; tests compare the two.
+error = estimate - truth, at truth times from the common start of all methods to the last IMU sample. The estimate is
+linearly interpolated. If the truth has standard deviations, errors are weighted (see `truth.py`).
 """
 
 import math
@@ -17,10 +16,8 @@ from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.truth import heading_weights, is_known, root_mean, weights_at
 
-HEADING_COUNTS_ABOVE = 2.0
-"""True speed below which the heading error is not scored, m/s."""
-PIECE = 100_000
-"""Number of estimates that are scored at once, to limit the memory."""
+HEADING_COUNTS_ABOVE = 2.0  # m/s, true speed
+PIECE = 100_000  # estimates scored at once, to limit the memory
 
 
 @dataclass(frozen=True)
@@ -64,22 +61,9 @@ class Score:
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
     """Return the negative log-likelihood, nats, of innovations under a distribution that tolerates outliers.
 
-    The value is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c). With c = v this is the negative logarithm of
-    Student's t in two dimensions with v degrees of freedom, up to a constant. The value of c is chosen so that the
-    minimum for Gaussian innovations is at a mean NIS of 2: see `sigmaswarm.filters.student`.
-
-    Parameters
-    ----------
-    innovation : ndarray, shape (f, 2)
-        nu, m.
-    covariance : ndarray, shape (f, 2, 2)
-        S, m2.
-    dof, scale : float
-        v and c.
-
-    Returns
-    -------
-    ndarray, shape (f,)
+    The value is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c), shape (f,), where v is ``dof`` and c is
+    ``scale``. Innovations have shape (f, 2), m, and S has shape (f, 2, 2), m2. With c = v this is Student's t in two
+    dimensions, up to a constant. For c see `sigmaswarm.filters.student`.
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
     half_log_det = 0.5 * np.log(np.linalg.det(covariance))
@@ -87,7 +71,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that arrive in pieces, as in `score_estimate`; ``initial`` is the start of the method."""
+    """Errors of estimates that arrive in pieces; ``initial`` is the start of the method."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth
@@ -98,7 +82,7 @@ class PieceErrors:
         self._turned: list[Array] = []
 
     def add(self, time: Array, mean: Array, variance: Array | None = None) -> None:
-        """Add estimates: times, s, (r,), state means (r, n), and optional position variances, m2, (r,)."""
+        """Add times, s, (r,), state means (r, n), and optional position variances, m2, (r,)."""
         truth, first = self._truth, self._next
         self._next = int(np.searchsorted(truth.time, time[-1], side="right"))
         at, nodes = slice(first, self._next), np.concatenate([[self._time], time])
@@ -120,7 +104,6 @@ class PieceErrors:
 
     @property
     def score(self) -> Score:
-        """Score of position and heading so far."""
         if not self._off:
             return Score()
         truth, scored = self._truth, slice(self._first, self._next)
@@ -140,13 +123,13 @@ def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
 
 
 def distance_from(truth: Truth, time: Array, x: Array, y: Array) -> Array:
-    """Return the distances of positions from the truth, m; NaN at times without truth."""
+    """Return distances from the truth, m; NaN at times without truth."""
     true_x, true_y = truth_at(truth, time)
     return np.hypot(x - true_x, y - true_y)
 
 
 def score_estimate(drive: Drive, estimate: Estimate) -> Score:
-    """Score position and heading of an estimate; NaN without truth or after a failure."""
+    """Score position and heading; NaN without truth or after a failure."""
     failed = estimate.failure is not None
     if drive.truth is None:
         return Score(failed=failed)
@@ -158,7 +141,7 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
 
 
 def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
-    """Score the positions of the raw fixes, at their times after the common start."""
+    """Score the raw fixes at their times after the common start."""
     if drive.truth is None:
         return Score()
     gps = drive.gps.select((drive.gps.time >= initial.time) & (drive.gps.time <= drive.imu.time[-1]))
@@ -168,6 +151,6 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
 
 
 def _position_score(errors: Array, weights: Array | None) -> Score:
-    """Return RMSE, 50% and 95% quantiles (linear between ranks) of errors, m, shape (m,); NaN without errors."""
+    """Return RMSE and quantiles (linear between ranks) of errors, m, shape (m,); NaN without errors."""
     median, most = np.quantile(errors, [0.5, 0.95]).tolist() if errors.size else (math.nan, math.nan)
     return Score(root_mean(errors**2, weights), position_median=median, position_95=most)

@@ -1,4 +1,4 @@
-"""Make the targets of the compiled batch: truth along the drive, or at the ends of outages."""
+"""Targets of the compiled batch: truth along the drive, or at the ends of outages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,33 +12,25 @@ from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
 from sigmaswarm.scoring.truth import heading_weights, is_known, weights_at
 
-OUTAGE_LENGTH = 5.0
-"""Default length, s, of the medium outages."""
-LONG_OUTAGE_LENGTH = 30.0
-"""Length, s, of the long outages, which show errors of the estimated biases."""
-SHORT_OUTAGE_LENGTH = 1.0
-"""Length, s, of the short outages: about the time to the next fix."""
+OUTAGE_LENGTH = 5.0  # s, medium outages
+LONG_OUTAGE_LENGTH = 30.0  # s; shows errors of the estimated biases
+SHORT_OUTAGE_LENGTH = 1.0  # s, about the time to the next fix
 FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
-"""Lengths, s, of outages over which the drift of a tuned filter is compared with that of the fixes alone."""
 Seed = int | tuple[int, ...]
-OUTAGES_WANTED = 200
-"""Number of outages per drive for which placements are made. With this number the drift is known to about 10%."""
-MOST_PLACEMENTS = 8
-"""Largest number of placements of outages on a drive; more placements would hide the same fixes again."""
-OUTAGE_FIRST_AFTER = 10.0
-"""Shortest time, s, from the start to the first outage."""
-OUTAGE_APART = 5.0
-"""Shortest time, s, between outages."""
+OUTAGES_WANTED = 200  # per drive; the drift is then accurate to about 10%
+MOST_PLACEMENTS = 8  # more placements would hide the same fixes again
+OUTAGE_FIRST_AFTER = 10.0  # s, from the start to the first outage
+OUTAGE_APART = 5.0  # s, shortest time between outages
 
 
 def tracking_replay(ready: PreparedDrive) -> Replay:
-    """Create a replay with all fixes, compared with truth at all times at which it is known."""
+    """Create a replay with all fixes, compared with truth where it is known."""
     timeline = ready.timeline()
     return Replay(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
 
 def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> Replay:
-    """Create a replay with fixes hidden in random outages; the ends are compared with truth or else with the fixes."""
+    """Create a replay with fixes hidden in random outages; the ends are compared with truth, else with the fixes."""
     windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
     ends, reference = windows[:, 1], drift_reference(ready)
@@ -51,7 +43,7 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
-    """Return the reference for the drift over outages: truth, or else the fixes without stale ones."""
+    """Return truth, else the fixes without stale ones."""
     drive = ready.drive
     return drive.gps.select(~ready.frozen) if drive.truth is None else drive.truth
 
@@ -63,22 +55,21 @@ def drift_weights(ready: PreparedDrive, ends: Array) -> Array | None:
 
 
 def forecast_replay(ready: PreparedDrive, *, seed: int = 0) -> Replay:
-    """Create a replay with fixes hidden in random windows of 3 to 5 s; each is compared with its prediction."""
+    """Create a replay with fixes hidden in random windows of 3 to 5 s."""
     windows = forecast_windows(ready.drive, ready.initial, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))
     return Replay(timeline, ready.initial, Targets.none(timeline))
 
 
 def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array:
-    """Return windows of 3 to 5 s over the whole drive, s, shape (k, 2); k may be 0."""
+    """Return windows of 3 to 5 s over the whole drive, s, shape (k, 2)."""
     return balanced_windows(initial.time, float(drive.imu.time[-1]), np.random.default_rng(seed))
 
 
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
     """Return seeds for several random placements of outages of ``length`` s, since the drift depends on the placement.
 
-    The list contains at least two and at most `MOST_PLACEMENTS` seeds, if possible enough for `OUTAGES_WANTED` outages.
-    The list is empty if no outage fits. The first seed is ``seed`` itself.
+    There are 2 to `MOST_PLACEMENTS` seeds, or none if no outage fits. The first one is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
     wanted = min(max(-(-OUTAGES_WANTED // fitting), 2), MOST_PLACEMENTS) if fitting else 0
@@ -86,10 +77,7 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
-    """Return windows of exactly ``length`` s that end at IMU samples, s, shape (k, 2); k may be 0.
-
-    If truth has standard deviations, windows that end in a gap of truth are left out.
-    """
+    """Return windows of exactly ``length`` s that end at IMU samples, but not in gaps of truth, s, shape (k, 2)."""
     reference = (drive.gps if drive.truth is None else drive.truth).time
     earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
     last = float(min(drive.imu.time[-1], reference[-1]))
@@ -125,6 +113,6 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
-    """Return the number of target times before the end of each step; it changes at IMU samples."""
+    """Return the number of target times before the end of each step."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
     return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

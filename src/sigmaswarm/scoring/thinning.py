@@ -1,4 +1,4 @@
-"""Thin series that arrive in pieces to a size that does not depend on the length of the drive."""
+"""Thin series that arrive in pieces to a limited size."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -11,11 +11,10 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
 class Thinned:
-    """A limited number of rows of a series that includes the peaks of the position error or of the NIS.
+    """A limited number of rows of a series, with the peaks of the position error or of the NIS.
 
-    The first and the last row are kept. The rows in between are divided into equal parts, and from each part the rows
-    with the smallest and the largest value are kept (without such values the first and the last row). The choice does
-    not depend on the pieces.
+    The first and the last row are kept. The rows in between are divided into equal parts; from each part the rows with
+    the smallest and the largest value are kept.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -29,7 +28,6 @@ class Thinned:
         self._kept: list[Columns] = []
 
     def add(self, columns: Columns) -> None:
-        """Add the next rows."""
         if self._ends is None:
             self._kept.append({name: np.array(values) for name, values in columns.items()})
             return
@@ -53,7 +51,6 @@ class Thinned:
 
 
 def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the rows of the smallest and the largest value of each part, without duplicates."""
     order = np.arange(len(columns["time"]), dtype=np.float64)
     key = np.nan_to_num(columns.get("position_error", columns.get("nis", order)), nan=0.0)
     parts = [(first, key[first:end]) for first, end in pairwise([0, *ends.tolist()])]
@@ -73,7 +70,6 @@ class CloseUp:
         self._was_near = True
 
     def add(self, columns: Columns) -> None:
-        """Add the next rows."""
         if "x" not in columns:
             return
         points = np.column_stack([columns["x"], columns["y"]]).astype(np.float64)
@@ -85,6 +81,5 @@ class CloseUp:
 
     @property
     def columns(self) -> Columns:
-        """Kept x and y, m; complete after the last piece."""
         points = np.concatenate(self._kept) if self._kept else np.empty((0, 2))
         return {"x": points[:, 0], "y": points[:, 1]}

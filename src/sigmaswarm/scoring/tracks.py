@@ -1,7 +1,6 @@
-"""Record tracks and errors of every method on a drive, thinned while the methods run; write tracks.npz.
+"""Record thinned tracks and errors of every method on a drive; write tracks.npz.
 
 tracks.npz has one array ``i/series/column`` for each column of each series of the drive with index ``i`` in ``names``.
-The same result gives an identical file, which contains no date.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,31 +31,21 @@ from sigmaswarm.scoring.truth import is_known
 
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
-"""Suffix of the series of a filter's NIS."""
-SHARES, MOVED = ".shares", ".moved"
-"""Suffixes of two series of a filter bank: its weights, and its distance from the tuned parameters."""
-MOST_POINTS = 1500
-"""Largest number of points of a series in a file; more than the pixel columns of most charts."""
-MOST_DRAWN = 20_000
-"""Largest number of points of a series in a static plot."""
+SHARES, MOVED = ".shares", ".moved"  # of a filter bank: weights, distance from the tuned parameters
+MOST_POINTS = 1500  # of a series in a file; more than the pixel columns of most charts
+MOST_DRAWN = 20_000  # of a series in a static plot
 NOTHING_STATED: tuple[Array, Array, Array | None] = np.empty(0), np.empty(0), None
-CLOSE_UP = 50.0
-"""Side of the close-up of a track, m."""
+CLOSE_UP = 50.0  # m, side of the close-up of a track
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Estimates and errors of all methods on one drive.
 
-    Attributes
-    ----------
-    name : str
-        Name of the drive.
-    series : mapping of str to mapping of str to ndarray, shape (n,)
-        ``truth``, ``raw_gps``, ``imu_only`` and the filters have the columns time (s), x and y (m). All but ``truth``
-        also have position_error (m). Filters and ``imu_only`` have heading_error (deg), and filters have
-        position_3sigma (m) and heading_3sigma (deg). ``F.nis`` has the time and NIS of the fixes that filter ``F``
-        used. Without truth there are no errors; in gaps of truth they are NaN.
+    Series have the columns time (s), x and y (m). All but ``truth`` also have position_error (m). Filters and
+    ``imu_only`` have heading_error (deg), and filters have position_3sigma (m) and heading_3sigma (deg). ``F.nis`` has
+    the time and NIS of the fixes that filter ``F`` used. Without truth there are no errors; in gaps of truth they are
+    NaN.
     """
 
     name: str
@@ -67,9 +56,9 @@ class Tracks:
 class Picture:
     """Data of a static plot of the tracks on a drive.
 
-    ``whole`` has more points than tracks.npz. ``close`` has all x and y of each series around the sharpest turn, and
-    NaN outside. ``start`` and ``turn``, shape (2,), are the positions of the filters' start and of the sharpest turn, m
-    east and north. ``frame``, shape (2, 2), has the smallest and the largest x and y of the fixes.
+    ``close`` has all x and y of each series around the sharpest turn, and NaN outside. ``start`` and ``turn``, shape
+    (2,), are the positions of the filters' start and of the turn, m east and north. ``frame``, shape (2, 2), has the
+    smallest and the largest x and y of the fixes.
     """
 
     whole: Tracks
@@ -80,17 +69,16 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """Return the baseline and the tuned filter; the tuned filter is last, so that it is drawn on top."""
+    """Return the baseline and the tuned filter, which is last, so that it is drawn on top."""
     return {UNTUNED: baseline(drive, like=tuned), "tuned": tuned}
 
 
 class Tracker:
     """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
-    ``scores`` contains the position and heading scores of each method, ``own_sigma`` the RMS of each filter's position
-    standard deviation, m. ``stated`` contains times, s, position variances per axis, m2, and position errors, m, of the
-    tuned filter. With truth these are at the times of the truth, else at all estimates and without errors. A series has
-    at most ``most_points`` points. With ``picture`` the data of a static plot are also recorded.
+    ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times, s, position variances per
+    axis, m2, and errors, m, of the tuned filter at the times of truth, else at all estimates without errors. With
+    ``picture`` the data of a static plot are also recorded.
     """
 
     def __init__(
@@ -112,7 +100,6 @@ class Tracker:
     def record(
         self, series: str, replay: Replay, parameters: FilterParameters, *, recover: bool = False
     ) -> Recording:
-        """Run a filter over a replay, and record its track as a series."""
         recording = Recording(replay, parameters, recover=recover)
         self._follow(series, recording, replay.initial)
         if recording.failure is None:
@@ -121,7 +108,6 @@ class Tracker:
         return recording
 
     def follow(self, series: str, run: Run) -> None:
-        """Run another method, such as a filter bank, and record its track."""
         self._follow(series, run, run.initial)
         self.scores[series] = replace(self.scores[series], failed=run.failure is not None)
         if isinstance(run, BankRun):
@@ -131,7 +117,6 @@ class Tracker:
             self._keep(series + MOVED, [{"time": log.time, **moved}], len(log.time))
 
     def _follow(self, series: str, run: Iterable[Piece], initial: InitialState) -> None:
-        """Record a track that arrives in pieces, and score it."""
         truth, imu_time = self._ready.drive.truth, self._ready.drive.imu.time
         errors = None if truth is None else PieceErrors(truth, initial)
         variance, count = 0.0, 0
@@ -159,11 +144,10 @@ class Tracker:
             self.stated = errors.errors if errors else (*np.hstack(blind), None)
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
-        """Record the track of an estimate."""
         self._keep(series, [self._columns(estimate)], len(estimate.time))
 
     def _columns(self, found: Estimate | Piece) -> Columns:
-        """Compute the columns of a series: position, errors against truth, and 3 sigma."""
+        """Compute position, errors against truth, and 3 sigma."""
         time, mean, truth = found.time, found.mean, self._ready.drive.truth
         columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
         if truth is not None:
@@ -189,12 +173,10 @@ class Tracker:
             self._fine[series], self._close[series] = fine.columns, close.columns
 
     def tracks(self, name: str) -> Tracks:
-        """Return the recorded tracks and the fixes."""
         self._keep_fixes()
         return Tracks(name, self._thin)
 
     def picture(self, name: str) -> Picture:
-        """Return the data of a static plot of the tracks."""
         self._keep_fixes()
         gps = self._ready.drive.gps
         frame = np.array([[gps.x.min(), gps.y.min()], [gps.x.max(), gps.y.max()]])
@@ -215,7 +197,6 @@ class Tracker:
 
 
 def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
-    """Run filters over a drive and return the data of a static plot of their tracks."""
     ready = prepared(drive)
     tracker = Tracker(ready, picture=True)
     for series, parameters in filters.items():
@@ -227,8 +208,7 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
 class FirstLook:
     """Result of a tuned filter on a training drive.
 
-    ``position_rmse``, m, contains the RMSE of the tuned filter, the baseline and the raw fixes; NaN without truth.
-    ``consistency`` is None if the tuned filter failed or had too few fixes.
+    ``position_rmse``, m: tuned filter, baseline and raw fixes; NaN without truth.
     """
 
     picture: Picture
@@ -237,7 +217,6 @@ class FirstLook:
 
 
 def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstLook:
-    """Run a tuned filter and its baseline over a training drive."""
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker = Tracker(ready, picture=True)
     filters = compared(drive, parameters)
@@ -251,7 +230,7 @@ def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool)
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Return the position, m east and north, around which the car turns most within 4 s, as a median of five fixes."""
+    """Return the position, m east and north, of the largest turn within 4 s, as a median of five fixes."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]
@@ -265,7 +244,6 @@ def sharpest_turn(ready: PreparedDrive) -> Array:
 
 
 def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
-    """Write tracks.npz."""
     arrays = {
         f"{i}/{series}/{column}": values
         for i, one in enumerate(tracks)
@@ -278,7 +256,6 @@ def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
 
 
 def load_tracks(path: Path) -> list[Tracks]:
-    """Read a file written by `save_tracks`."""
     try:
         arrays = read_arrays(path)
         names = [str(name) for name in arrays.pop("names")]

@@ -1,7 +1,4 @@
-"""Weights of the rows of truth, times at which it is known, and its constant offset from the fixes.
-
-Causes of an offset are the lever arm of the antenna, and another origin or datum of the truth.
-"""
+"""Weights of truth, times at which it is known, and its constant offset from the fixes."""
 
 import math
 
@@ -15,24 +12,21 @@ from sigmaswarm.drives.gaps import MANY, SHORTEST
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-The value is the accuracy of the best filters with cheap receivers. Without this limit, stretches under open sky would
-have nearly all the weight, since the reference is most accurate there, although every filter is accurate under open
-sky.
+It is the accuracy of the best filters with cheap receivers. Without it, stretches under open sky, where every filter is
+accurate, would have nearly all the weight.
 """
-HEADING_FLOOR = math.radians(0.3)
-"""Standard deviation of the true heading, rad, below which the weight hardly increases."""
+HEADING_FLOOR = math.radians(0.3)  # the same for the heading
 BLOCKS = 8
-"""Number of parts of a drive; the spread of their means shows the effect of correlated errors."""
+"""Parts of a drive; the spread of their means shows the effect of correlated errors."""
 CLEAR = 5.0
-"""Ratio of an offset to the standard deviation of its mean above which it is reported."""
-LEAST = 0.3, 0.3
-"""Smallest reported offset: in m, and as a share of the fixes' scatter."""
+"""Ratio of an offset to its standard deviation above which it is reported."""
+LEAST = 0.3, 0.3  # smallest reported offset: m, and share of the scatter of the fixes
 
 
 def weights_at(truth: Truth, time: Array) -> Array | None:
     """Return the weights of squared position errors at times, s: floor^2 / (sigma^2 + floor^2); None if all are 1.
 
-    sigma^2 is the mean variance of both axes, from linearly interpolated standard deviations of truth.
+    sigma^2 is the mean variance of both axes.
     """
     if truth.std_x is None or truth.std_y is None:
         return None
@@ -41,21 +35,21 @@ def weights_at(truth: Truth, time: Array) -> Array | None:
 
 
 def heading_weights(truth: Truth) -> Array | None:
-    """Return the weights of squared heading errors, shape (m,); None if truth has no standard deviation of heading."""
+    """Return the weights of squared heading errors, shape (m,); None if all are 1."""
     return None if truth.std_theta is None else HEADING_FLOOR**2 / (truth.std_theta**2 + HEADING_FLOOR**2)
 
 
 def root_mean(squares: Array, weights: Array | None = None) -> float:
-    """Return the weighted RMS from squared errors, shape (m,); NaN without errors."""
+    """Return the weighted RMS from squared errors; NaN without errors."""
     if not squares.size:
         return float("nan")
     return float(np.sqrt(np.mean(squares) if weights is None else np.average(squares, weights=weights)))
 
 
 def is_known(truth: Truth, time: Array) -> NDArray[np.bool_]:
-    """Return True for each of the times, s, shape (n,), at which truth is known: outside of its gaps.
+    """Return True for times, s, shape (n,), outside of gaps of truth.
 
-    Truth without standard deviations is known from its first row to its last.
+    Truth without standard deviations has no gaps.
     """
     inside = (time >= truth.time[0]) & (time <= truth.time[-1])
     if truth.std_x is None or len(truth) < 2:
@@ -65,7 +59,7 @@ def is_known(truth: Truth, time: Array) -> NDArray[np.bool_]:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the share of the time from ``start`` to ``end``, s, that is not in a gap of truth."""
+    """Return the share of the time from ``start`` to ``end``, s, without gaps of truth."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)
@@ -73,7 +67,7 @@ def share_known(truth: Truth | None, start: float, end: float) -> float:
 
 
 def _gaps(truth: Truth) -> NDArray[np.bool_]:
-    """Return True for each interval between rows, shape (m - 1,), that is a gap: much longer than the median."""
+    """Return True for intervals between rows, shape (m - 1,), that are much longer than the median."""
     intervals = np.diff(truth.time)
     return intervals > max(MANY * float(np.median(intervals)), SHORTEST)
 
@@ -81,8 +75,8 @@ def _gaps(truth: Truth) -> NDArray[np.bool_]:
 def truth_offset(drive: Drive) -> str:
     """Return a sentence on a constant offset of the fixes from truth, with its remedy; empty if there is none.
 
-    The fixes' errors are averaged in the map frame (east, north) and in the vehicle frame (forward, left). The offset
-    belongs to the frame in which the averages over `BLOCKS` parts of the drive agree better.
+    The offset belongs to the map frame (east, north) or the vehicle frame (forward, left): to the one in which the
+    averages over `BLOCKS` parts of the drive agree better.
     """
     gps, truth = drive.gps, drive.truth
     if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):

@@ -18,18 +18,19 @@ from sigmaswarm.scoring.batch import Replayer
 
 CLOCKS = {"shift-clock", "shift-fixes"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
-"""Repairs that change a filter's motion and are verified: axes, signs, units and clocks."""
+"""Repairs of axes, signs, units and clocks, which change a filter's motion."""
 WORSE = 1.05
 """Ratio of forecast errors after and before a repair above which the repair is withheld."""
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
-"""Noise densities of planar8's states, unit/sqrt(s), with which the filter follows the fixes over seconds and the IMU
-over shorter times."""
-LEAST_STD = 0.5
-"""Smallest standard deviation, m, that is assumed for the fixes."""
+"""Noise densities of planar8's states, unit/sqrt(s).
+
+With them the filter follows the fixes over seconds and the IMU over shorter times.
+"""
+LEAST_STD = 0.5  # m, smallest standard deviation that is assumed for the fixes
 
 
 def checking_filter(drive: Drive) -> FilterParameters:
-    """Return the filter whose forecasts verify repairs: planar8 with the lateral constraint and fixed noise."""
+    """Return the filter that verifies repairs: planar8 with the lateral constraint and fixed noise."""
     dt = drive.nominal_interval
     std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
     return FilterParameters(
@@ -49,9 +50,9 @@ def checking_filter(drive: Drive) -> FilterParameters:
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a copy of the drive with all repairable faults repaired, except repairs that make forecasts worse.
 
-    A filter with fixed noise runs over the log before and after the repairs; for repairs of clocks the baseline of the
-    default filter also runs. These filters forecast the next fix, and fixes hidden for 3 to 5 s. If any forecast error
-    increases by more than 5%, the responsible repair of axes or clocks is withheld.
+    A filter with fixed noise, and for clocks also the baseline of the default filter, runs over the log before and
+    after the repairs. These filters forecast the next fix, and fixes hidden for 3 to 5 s. If a forecast error increases
+    by more than 5%, the responsible repair of axes or clocks is withheld.
 
     Parameters
     ----------
@@ -106,16 +107,13 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
 
 
 def _without(diagnosis: Diagnosis, codes: Collection[str]) -> Diagnosis:
-    """Return a copy of the diagnosis without the repairs of some findings."""
+    """Remove the repairs of some findings."""
     findings = tuple(replace(f, repair=None) if f.code in codes else f for f in diagnosis.findings)
     return replace(diagnosis, findings=findings)
 
 
 def _forecasts(drive: Drive, judges: list[FilterParameters]) -> Array:
-    """Return the RMS forecast errors of n filters, m, shape (2 n,): of the next fix, and of fixes hidden for 3 to 5 s.
-
-    An error is NaN if the filter can't run or no fix can be hidden.
-    """
+    """Return RMS errors, m, shape (2 n,), of the next fix and of hidden fixes, by n filters; NaN if unknown."""
     errors = np.full((len(judges), 2), np.nan)
     for row, parameters in zip(errors, judges, strict=True):
         try:

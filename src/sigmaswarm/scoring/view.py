@@ -21,8 +21,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
-LATE = 5.0
-"""Time, s, from the start of a drive to the start of its scores above which this start is reported."""
+LATE = 5.0  # s from the start of a drive; a later start of its scores is reported
 NO_TRUTH = (
     "without truth there are no errors of position and heading. The tables have the drift of each filter while fixes "
     "are hidden from it, measured against these fixes (their own errors included), and the consistency of its "
@@ -32,10 +31,7 @@ NO_TRUTH = (
 
 @dataclass(frozen=True, eq=False)
 class EvaluationView:
-    """Tables and sentences of an evaluation, from memory or from its files.
-
-    ``names`` has the display names of the methods, in the order of the rows.
-    """
+    """Tables and sentences of an evaluation; ``names``: display names of the methods, in order."""
 
     scores: ScoresRecord
     setup: EvaluationRecord
@@ -43,28 +39,23 @@ class EvaluationView:
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """The measures, with the outage length in their names."""
         return measures(self.setup.outage_length_s)
 
     @property
     def blind(self) -> bool:
-        """True if no drive has truth."""
         return all(drive.has_truth is False for drive in self.setup.data)
 
     def best_untuned(self, measure: str) -> str | None:
-        """Return the method without tuning that has the lowest mean of a measure; None without values."""
         known = {m: v for m in ("raw_gps", FIXES, UNTUNED) if (v := self.scores.mean_of(m, measure))}
         return min(known, key=known.__getitem__, default=None)
 
     # ---- tables ----
 
     def mean_table(self) -> Table:
-        """Return the table of means over the drives."""
         means = self.scores.mean
         return self._table("Mean over drives", [("mean", m, "", means[m]) for m in self.names if m in means])
 
     def drive_table(self) -> Table:
-        """Return the table of scores on each drive."""
         failed = self.scores.failed
         rows = [
             (drive, m, " (failed)" * (m in failed.get(drive, ())), found[m])
@@ -75,7 +66,7 @@ class EvaluationView:
         return self._table("Each drive", rows)
 
     def _table(self, caption: str, rows: Sequence[tuple[str, str, str, Measured]]) -> Table:
-        """Return a table of all known scores (drive, method, remark, scores); the tuned filter's are emphasized."""
+        """Return a table of all known scores (drive, method, remark, scores)."""
         methods, known = self.scores.known(self.names, self.measures)
         rows = [row for row in rows if row[1] in methods]
         columns = Column("drive"), Column("method"), *(_column(self.measures[m]) for m in known)
@@ -84,7 +75,6 @@ class EvaluationView:
         return Table(caption, columns, cells, strong)
 
     def drift_table(self) -> Table:
-        """Return the table of drifts, with the number of outages and the range of drifts of single placements."""
         drifts = self.scores.drifts
         known = [m for m in self.measures if any(m in of for of in drifts.values())]
         columns = [Column("drive"), Column("method")]
@@ -102,7 +92,6 @@ class EvaluationView:
         return Table("Drifts over all placements of the outages", tuple(columns), tuple(rows), strong)
 
     def consistency_table(self) -> Table:
-        """Return the table of NIS, NEES and whiteness of the tuned filter on each drive."""
         columns: list[tuple[Column, Callable[[Consistency], Cell]]] = [
             (Column("fixes"), lambda c: c.n_fixes),
             (Column("mean NIS"), lambda c: c.mean_nis),
@@ -118,7 +107,6 @@ class EvaluationView:
         return Table("", (Column("drive"), *(column for column, _ in columns)), rows)
 
     def radius_table(self) -> Table:
-        """Return the table of stated radii of the tuned filter's position, and the shares of the errors inside."""
         percent = "{:.1f}".format
         columns = [
             Column("95% radius", "m"),
@@ -151,7 +139,7 @@ class EvaluationView:
     # ---- sentences ----
 
     def result(self) -> str:
-        """Return a sentence on the result: the position error with truth, else the drift over outages."""
+        """Return a sentence on the position error with truth, else on the drift over outages."""
         drives, mean_of = said_of_drives(self.setup.data), self.scores.mean_of
         for measure, what in (
             ("position_rmse_m", "has a position RMSE of {} m"),
@@ -170,7 +158,6 @@ class EvaluationView:
         return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
 
     def _not_beaten(self) -> str:
-        """Return a sentence on the drifts in which the tuned filter is not better than the fixes alone, or nothing."""
         mean_of = self.scores.mean_of
         pairs = {m: (mean_of("tuned", m), mean_of(FIXES, m)) for m in DRIFTS}
         lost = [
@@ -181,7 +168,6 @@ class EvaluationView:
         return f" It does NOT beat the fixes alone in the {', '.join(lost)}." if lost else ""
 
     def coverage(self) -> tuple[str, ...]:
-        """Return sentences about the data behind the scores: their start, truth, and stale fixes."""
         data = self.setup.data
         late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
         blind = [drive.name for drive in data if drive.has_truth is False]
@@ -197,7 +183,6 @@ class EvaluationView:
         return tuple(said)
 
     def explanations(self) -> tuple[str, ...]:
-        """Return sentences that define the rows of the tables."""
         methods = self.scores.mean
         fitted = "the training drives" if self.setup.fixes_alone else "each drive"
         return (
@@ -207,7 +192,6 @@ class EvaluationView:
         )
 
     def radii(self) -> tuple[str, ...]:
-        """Return sentences on the stated radius of the position on each drive."""
         said: list[str] = []
         for drive, records in self.scores.radius.items():
             if (found := records.get(TRACKING)) is None:
@@ -224,7 +208,6 @@ class EvaluationView:
         return tuple(said)
 
     def verdicts(self) -> dict[str, str]:
-        """Return sentences about the consistency of the tuned filter, by kind of verdict."""
         found = verdicts([*self.scores.consistency.values()])
         return {kind: _sentence(said) for kind, said in found.items()}
 
@@ -254,17 +237,15 @@ class EvaluationView:
         return tuple(map(_sentence, said))
 
     def findings(self) -> tuple[str, ...]:
-        """Return the findings of the doctor on the drives, as sentences."""
         return tuple(_sentence(said) for found in self.setup.findings.values() for said in found)
 
     def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return all sentences for the terminal, the most important first; ``more`` is placed after the warnings."""
+        """Return all sentences, the most important first; ``more`` is placed after the warnings."""
         positions = map(_sentence, how_far(self.scores, self.setup.data))
         said = (self.result(), *positions, *self.warnings(), *more, *self.verdicts().values(), *self.radii())
         return tuple(dict.fromkeys((*said, *self.coverage(), *self.drifts(), *self.explanations())))
 
     def drifts(self) -> tuple[str, ...]:
-        """Return sentences about the number of outages behind each drift."""
         return tuple(
             f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}."
             for m, measure in self.measures.items()
@@ -275,7 +256,7 @@ class EvaluationView:
     # ---- notebooks and print ----
 
     def to_text(self) -> str:
-        """Return at most 15 lines for `print`: the result, the means, and the first remarks."""
+        """Return at most 15 lines for `print`."""
         table = self.mean_table()
         cells = [[str(row[1]), *map(notebook.number, row[2:])] for row in table.rows]  # pyright: ignore[reportArgumentType]
         columns = [*zip([c.heading for c in table.columns[1:]], *cells, strict=True)]
@@ -287,7 +268,6 @@ class EvaluationView:
         return "\n".join([self.result(), *lines, *self.warnings()[:3]])
 
     def to_html(self) -> str:
-        """Return HTML for a notebook: means over the drives, the warnings, and the scores on each drive."""
         each, remarks = self.drive_table().to_html(), notebook.listed("To know:", self.warnings())
         if len(self.scores.drives) == 1:
             return each + remarks
@@ -295,7 +275,6 @@ class EvaluationView:
 
 
 def explained_consistency(nees: bool) -> str:
-    """Return a text that explains the table of consistency."""
     what = "NIS (of predictions of the fixes) and NEES (of errors) average" if nees else "NIS averages"
     return (
         f"This table shows whether the tuned filter's {'predictions and errors' if nees else 'predictions'} agree "
@@ -308,7 +287,6 @@ def explained_consistency(nees: bool) -> str:
 
 
 def explained_radius() -> str:
-    """Explain the table of the stated radius."""
     factors = [factor_of(level) for level in LEVELS]
     return (
         "Radius within which the position error should lie with a probability of 95% or 99.9% (median over the drive). "
@@ -321,7 +299,6 @@ def explained_radius() -> str:
 
 
 def explained_scores(view: EvaluationView) -> str:
-    """Return a text that explains the tables of scores."""
     with_truth = view.scores.known(view.names, view.measures)[1][0] == "position_rmse_m"
     drifts = rmse = ""
     if view.scores.drifts:
@@ -344,7 +321,7 @@ def explained_scores(view: EvaluationView) -> str:
 
 
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
-    """Mark a drive as a training drive if it has the hash of a training drive and is not marked yet.
+    """Mark a drive as a training drive if it has the hash of a training drive.
 
     Other drives stay unmarked, since they may contain a part of a training drive.
     """

@@ -1,4 +1,4 @@
-"""Run many parameter sets on many drives in one call: `run_batch`."""
+"""Run many parameter sets on many drives: `run_batch`."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -28,8 +28,8 @@ from sigmaswarm.wording import shown
 class BatchResult:
     """Costs and scores of a batch.
 
-    Only the passes that the objective needs are run, so drifts and forecasts may be NaN in the scores. Medians and the
-    drifts over longer outages are always NaN; `evaluate` computes them.
+    Drifts and forecasts are NaN unless the objective needs them. Medians and drifts over longer outages are always NaN;
+    `evaluate` computes them.
 
     Attributes
     ----------
@@ -58,8 +58,6 @@ def run_batch(
 ) -> BatchResult:
     """Run every parameter set over every drive and score it.
 
-    The cost of a failed set is ``inf``; the other sets are not affected.
-
     Parameters
     ----------
     drives : Drive or sequence of Drive
@@ -67,7 +65,7 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        Share of the drives that the cost averages: the worst ones of each set; 1 means all drives.
+        Share of the drives over which the cost is averaged: the worst ones of each set; 1 means all drives.
     outage_seed : int
         Seed of the outages, for objectives that hide fixes.
     as_recorded : bool
@@ -78,7 +76,7 @@ def run_batch(
     Raises
     ------
     InputError
-        If the objective is unknown or needs truth that a drive does not have, or an argument has the wrong type.
+        If the objective is unknown, a drive lacks the truth that it needs, or an argument has the wrong type.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
@@ -103,7 +101,6 @@ def run_batch(
 
 
 def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> None:
-    """Raise `InputError` if the objective can't be computed on the drives."""
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
     missing = [drive.name for drive in map(sensors_of, drives) if not drive.truth]
@@ -115,13 +112,12 @@ def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> Non
 
 
 def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> Replays:
-    """Prepare the drives, local or remote, for the passes that an objective needs."""
+    """Prepare the drives for the passes that an objective needs."""
     passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
     return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 
 def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
-    """Raise `InputError` if an objective can't be computed on a prepared drive."""
     needs_truth = objective_named(objective).needs_truth
     for drive, initial, moments in zip(
         replayer.drives, replayer.initial, replayer.truth_moments, strict=True

@@ -18,15 +18,12 @@ NOISES = (
     *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale", "fix_error"),
     *NOISE_OF.values(),
 )
-"""Fields of `FilterParameters` that are noise variances; one factor on all of them scales the covariance."""
+"""Fields of `FilterParameters` that are noise variances; a common factor on all scales the covariance."""
 
 
 @dataclass(frozen=True)
 class TouchedBound:
-    """A parameter that ended at a bound: the optimum may lie beyond it.
-
-    The text of this record is stored in files, as ``q_x at its lower bound (1e-05)``.
-    """
+    """A parameter at a bound; files contain its text, such as ``q_x at its lower bound (1e-05)``."""
 
     parameter: str
     end: BoxEnd
@@ -34,7 +31,6 @@ class TouchedBound:
 
     @property
     def place(self) -> str:
-        """Text of the bound and its value."""
         return f"at its {self.end} bound ({self.value:g})"
 
     def __str__(self) -> str:
@@ -56,9 +52,10 @@ class TouchedBound:
 class Dimension:
     """One tuned parameter: its field of `FilterParameters`, and its range.
 
-    ``entries``: number of consecutive entries that it sets in a tuple; 0 if the field is a number. ``spread``: True if
-    the range spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises the parameter per decade of
-    its factor. ``least``: lower limit that `tuning.inflation` applies.
+    - ``entries``: number of entries of a tuple that it sets; 0 if the field is a number.
+    - ``spread``: True if the range spans powers of ten.
+    - ``inflation``: decades that `tuning.inflation` adds per decade of its factor.
+    - ``least``: lower limit after inflation.
     """
 
     name: str
@@ -73,29 +70,26 @@ class Dimension:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Bounds of d parameters, and the coordinates in which they are searched; its arrays have shape (d,)."""
+    """Bounds of d parameters in their units and in search coordinates; arrays have shape (d,)."""
 
     dimensions: tuple[Dimension, ...]
     scale: Scale
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
         return tuple(d.name for d in self.dimensions)
 
     @cached_property
     def lowest(self) -> Array:
-        """Lower bounds in the units of the parameters."""
+        """Lower bounds in units of the parameters."""
         return np.array([d.lowest for d in self.dimensions], dtype=np.float64)
 
     @cached_property
     def highest(self) -> Array:
-        """Upper bounds in the units of the parameters."""
         return np.array([d.highest for d in self.dimensions], dtype=np.float64)
 
     @cached_property
     def logarithmic(self) -> NDArray[np.bool_]:
-        """True for parameters that are searched in log10."""
         return np.array([d.spread and self.scale == "log10" for d in self.dimensions])
 
     @cached_property
@@ -105,22 +99,19 @@ class Box:
 
     @cached_property
     def high(self) -> Array:
-        """Upper bounds in search coordinates."""
         return self._encode(self.highest)
 
     @property
     def noises(self) -> NDArray[np.bool_]:
-        """True for noise variances."""
         return np.array([d.field in NOISES for d in self.dimensions])
 
     @property
     def inflation(self) -> Array:
-        """Decades by which `tuning.inflation` raises each parameter per decade of its factor."""
         return np.array([d.inflation for d in self.dimensions])
 
     @property
     def least(self) -> Array:
-        """Lower limits that `tuning.inflation` applies, in search coordinates."""
+        """Lower limits after inflation, in search coordinates."""
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def values(self, points: Array) -> Array:
@@ -131,7 +122,6 @@ class Box:
         return np.where(inside, np.minimum(np.maximum(values, self.lowest), self.highest), values)
 
     def touched(self, point: Array) -> list[TouchedBound]:
-        """List the parameters at a bound."""
         margin = 1e-9 * (self.high - self.low)
         ends: tuple[tuple[BoxEnd, Array, Array], ...] = (
             ("lower", self.low, self.lowest),

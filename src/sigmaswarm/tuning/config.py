@@ -1,7 +1,4 @@
-"""The options of a tuning: name, type, default, range and help text.
-
-The command line, `tune`, tuning.toml and the reference manual all read these models.
-"""
+"""Options of a tuning, for the command line, `tune`, tuning.toml and the reference manual."""
 
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
@@ -15,7 +12,7 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA, OptimizerName, Opti
 from sigmaswarm.wording import first_mistake
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
-"""Options that only the optimizer pso has."""
+"""Options of the optimizer pso only."""
 DECIDED_LATER = ("model", "kind", "use")
 """Options whose default depends on the drives or on the model."""
 RENAMED = {"margin": "inflation"}
@@ -42,7 +39,6 @@ def _qualified_name(optimizer: Any) -> str:
 
 
 OwnOptimizer = Annotated[Callable[..., Any], PlainSerializer(_qualified_name, return_type=str)]
-"""A custom optimizer class; files contain its module and name."""
 OwnOptimizerName = Annotated[str, Field(pattern=r"^[\w.]+:[\w.<>]+$")]
 
 
@@ -100,12 +96,11 @@ class SearchConfig(BaseModel):
         return self
 
     def optimizer_options(self) -> dict[str, Any]:
-        """Return the options that go to the optimizer itself."""
         return {name: getattr(self, name) for name in SWARM} if self.optimizer == "pso" else {}
 
 
 class TuneConfig(SearchConfig):
-    """Options for tuning a built-in model, after `defaults.with_filter` has chosen model and use."""
+    """Options for tuning a built-in model; `defaults.with_filter` chooses missing ``model`` and ``use``."""
 
     model: ModelName = "planar5"
     """Process model: planar5 (paper), planar8 (IMU biases), tilted12 (roll, pitch). Default: by the sensors."""
@@ -133,7 +128,6 @@ class TuneConfig(SearchConfig):
     @model_validator(mode="before")
     @classmethod
     def _default_kind(cls, options: Any) -> Any:
-        """Fill in the first filter type that the model supports."""
         from sigmaswarm.filters.models import MODELS  # slow, and not needed for the command line's help
 
         if not isinstance(options, Mapping):
@@ -151,8 +145,6 @@ class TuneConfig(SearchConfig):
 
 
 class ModelTuneConfig(SearchConfig):
-    """Options for tuning a custom model."""
-
     model: dict[str, Any]
     """Result of `Model.identity`."""
 
@@ -177,7 +169,7 @@ PAPER: dict[str, Any] = {
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Combine the paper's settings with options that the paper does not state; reject options that contradict it."""
+    """Add the paper's settings, and reject options that contradict them."""
     for name, value in options.items():
         if name in PAPER and (tuple(value) if name == "use" else value) != PAPER[name]:
             papers = "nothing" if PAPER[name] in ((), None) else PAPER[name]
@@ -193,7 +185,7 @@ def current_options(
 ) -> dict[str, Any]:
     """Return options under their current names; reject unknown ones and suggest a similar name.
 
-    ``config`` defines the options. ``arguments`` are further names that may be suggested.
+    ``config`` defines the options. ``arguments`` are further names to suggest.
     """
     known, current = config.model_fields, dict[str, Any]()
     for name, value in options.items():
@@ -208,7 +200,7 @@ def current_options(
 
 
 def suggested(name: str, known: Iterable[str]) -> str | None:
-    """Return the option that a user probably meant, or None."""
+    """Return the known option that is most similar to a name, or None."""
     names = [*known]
     synonym = SYNONYMS.get(name.lower().replace("-", "_"))
     for candidate in (synonym, SYNONYMS.get(synonym or "")):
@@ -218,13 +210,7 @@ def suggested(name: str, known: Iterable[str]) -> str | None:
 
 
 def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
-    """Check the options of a tuning.
-
-    Raises
-    ------
-    InputError
-        Names the invalid option and its value.
-    """
+    """Check the options of a tuning; raise `InputError` for the first invalid one."""
     try:
         config = kind(**options)
     except ValidationError as error:

@@ -24,13 +24,10 @@ MODEL_OBJECTIVES = {
     "truth-rmse": "root mean square of the scored states' errors against truth",
     "innovation-nll": "mean negative log-likelihood of each measurement before its update",
 }
-"""Objectives of custom models."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelProblem(Problem[dict[str, float]]):
-    """Tuning of a custom model on logs, made by `model_problem`."""
-
     model: Model
     logs: Sequence[Log]
     runner: Runner
@@ -38,11 +35,9 @@ class ModelProblem(Problem[dict[str, float]]):
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Number of filter steps of one run over each log, shape (m,)."""
         return np.array([len(steps.dt) for steps in self.runner.steps], dtype=np.int64)
 
     def parameters(self, point: Array) -> dict[str, float]:
-        """Return the parameters by name at a point, shape (d,)."""
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def why_none(self, point: Array) -> str | None:
@@ -52,7 +47,6 @@ class ModelProblem(Problem[dict[str, float]]):
         return next((f"model {failure}" for failure in failures if failure), None)
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """Return the costs, shape (n, len(drives)), of points, shape (n, d), on some of the logs."""
         if isinstance(executor, ProcessPoolExecutor):
             raise InputError("your own functions can't be sent to other processes; use a ThreadPoolExecutor")
         sets = [self.parameters(point) for point in points]
@@ -61,12 +55,10 @@ class ModelProblem(Problem[dict[str, float]]):
         return each.reshape(len(points), len(drives))
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """Return the relative increase of costs; 0.01 means 1%."""
         elements = self.logs[0].measurements.shape[1]
         return objective_named(self.config.objective).rise(costs, best, elements)
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":
-        """Return the problem with the same model and objective on other logs."""
         return model_problem(data, self.model, self.config)
 
     def _cost(self, parameters: dict[str, float], i: int) -> float:
@@ -77,7 +69,6 @@ class ModelProblem(Problem[dict[str, float]]):
 
 
 def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> ModelProblem:
-    """Create the problem of tuning a custom model on logs."""
     if not logs:
         raise InputError("no logs were given; give at least one")
     if config.objective not in MODEL_OBJECTIVES:
@@ -92,11 +83,9 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
 
 
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
-    """Return a function that computes the RMSE of the model's ``scored`` states.
+    """Return a function that computes the RMSE of the model's ``scored`` states, by default of every state with truth.
 
-    The function takes the state means at the log's times, shape (k, n). It returns sqrt(mean(e^T e)) over the truth
-    times, where e = estimate - truth and the estimate is linearly interpolated. By default every state with truth in
-    the log is scored.
+    Its argument is the state means at the log's times, shape (k, n). Estimates are interpolated at the truth times.
     """
     names = model.scored or tuple(log.truth)
     missing = [name for name in names if name not in log.truth]
@@ -129,7 +118,7 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
 
 
 def _described(log: Log) -> dict[str, Any]:
-    """Return the name, size and hash of a log, as `described` does for a drive."""
+    """Describe a log by its name, size and hash, as `described` describes a drive."""
     columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
     return {
         "name": log.name,

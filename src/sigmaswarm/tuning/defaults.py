@@ -1,4 +1,4 @@
-"""Defaults of a tuning that depend on the drives: the filter and the objective."""
+"""Defaults of a tuning that depend on the drives."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,33 +16,28 @@ from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.wording import counted
 
-PLAIN = "planar5"
-"""The paper's model; by default it uses position fixes only."""
+PLAIN = "planar5"  # the paper's model
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 """Objectives with and without truth; see docs/objectives.md, "Outliers"."""
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 """Objective without truth, for a model with roll and pitch and receivers with white errors.
 
-Forecasts over seconds then separate good filters from bad ones. Where errors are correlated, the forecasts follow these
-errors: with a u-blox M8 the tuned filter's error was 11 m instead of 4 m. A planar filter also improves on its training
-roads, but overfits them: on another car's roads its error was 3.6 times that of the fixes.
+If errors are correlated, the forecasts follow them: with a u-blox M8 the error of the tuned filter was 11 m instead of
+4 m. A planar filter overfits to its training roads: on another car's roads its error was 3.6 times that of the fixes.
 """
 WITH_FIX_ERROR = "truth-pose + 0.2 nees + 0.1 innovation-t"
-"""Objective with truth and fix-error: the likelihood separates correlated fix errors from white noise."""
-MIN_DRIVEN = 30.0
-"""Shortest driving time, s, of a drive in which fixes can be hidden."""
+"""Objective with truth and fix-error: the likelihood distinguishes correlated fix errors from white noise."""
+MIN_DRIVEN = 30.0  # s, shortest driving time of a drive in which fixes can be hidden
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
-"""Objectives with and without truth for custom models, which support only these two."""
+"""Objectives with and without truth for custom models, which support only these."""
 
 
 def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
     """Add the missing ``model`` and ``use``, and return one line that explains them; empty if the user gave both.
 
-    `suggest_filter` supplies what is missing. With only ``model`` given as planar5, the paper's model, no measurements
-    are added. Measurements that conflict with the given ``kind`` or objective are left out. Without truth,
-    ``fix-error`` is added if the suggested model is used, the logs have `enough_for_fix_error`, and all
-    `has_lasting_errors`. The model does not change for it: on roads that need tilted12, planar8 with ``fix-error``
-    drifts twice as far over 30 s.
+    For the paper's model, planar5, no measurements are added. Measurements that conflict with ``kind`` or the objective
+    are omitted. ``fix-error`` does not change the model: on roads that need tilted12, planar8 with ``fix-error`` drifts
+    twice as far over 30 s.
     """
     if "model" in options and "use" in options:
         return options, ""
@@ -67,10 +62,10 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> bool:
-    """Check that the logs show correlated fix errors, that the filter can model them, and that no truth determines R.
+    """Check that all logs show correlated fix errors, that the filter can model them, and that there is no truth for R.
 
-    The states for these errors reduce the position RMSE by 25% on kingston-1 (tuned on some parts, tested on others)
-    and by 13% on comma2k19. With simulated receivers whose errors last minutes, only the covariance improves.
+    The states for these errors reduce the position RMSE by 25% on kingston-1 and by 13% on comma2k19. With simulated
+    receivers and errors that last minutes, only the covariance improves.
     """
     have, objective = [sensors_of(one) for one in drives], options.get("objective") or "auto"
     auto = objective == "auto"
@@ -95,7 +90,7 @@ def _fits(name: str, options: dict[str, Any]) -> bool:
 def objective_for(
     data: Sequence[Drive | Sensors | Log], objective: str, model: str = PLAIN, use: Sequence[str] = ()
 ) -> str:
-    """Return the objective; replace ``auto`` by the default for the data, the model and its measurements."""
+    """Return the objective, with ``auto`` replaced by the default."""
     if objective != "auto":
         return objective
     logs = any(isinstance(one, Log) for one in data)
@@ -117,12 +112,11 @@ def objective_for(
 
 
 def _allows_forecasts(cars: Sequence[Sensors]) -> bool:
-    """Check that most drives have white fix errors, and that each is long enough to hide fixes."""
     return 2 * sum(one.white for one in cars) > len(cars) and all(one.driven > MIN_DRIVEN for one in cars)
 
 
 def settled(config: C, data: Sequence[Sensors | Log]) -> C:
-    """Fill in the objective, the prior on R and the process-noise inflation, if the user did not set them."""
+    """Set the objective, the prior on R and the process-noise inflation, if the user did not."""
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PLAIN, ())
     objective = objective_for(data, config.objective, model, use)
@@ -130,7 +124,7 @@ def settled(config: C, data: Sequence[Sensors | Log]) -> C:
 
 
 def explain_tuning(drives: Sequence[Drive | Sensors], **options: Any) -> list[str]:
-    """State in three sentences what `tune` would do with these drives and options: filter, objective and search."""
+    """Explain the filter, objective and search that `tune` would use, in three sentences."""
     sensors = [sensors_of(one) for one in drives]
     options, because = with_filter(options, sensors)
     config = settled(validated_config(TuneConfig, options), sensors)

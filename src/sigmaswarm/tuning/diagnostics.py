@@ -1,15 +1,8 @@
-"""Find faults of a tuned filter that its objective hardly shows.
+"""Find faults of a tuned filter that its objective hardly shows: divergence, drift and a wrong covariance scale.
 
-Divergence and drift: during a tuning a diverged filter is not reset, so its track is wrong. A likelihood that tolerates
-outliers can still give such a filter a low cost. Errors of one-step forecasts hardly show long drifts: if the search
-ends too early, the filter may forecast nearly as well as the best one, but drift by a kilometer.
-
-Scale of the covariance: if all noise variances and the initial covariance are multiplied by one factor, the gains and
-estimates of a Kalman filter do not change. Its covariances are multiplied and its NIS is divided by the factor.
-Therefore the factor mean NIS / 2 makes the filter consistent, if its gains do not depend on the scale. This holds for
-planar8 and tilted12, except with a gate or Student's t and at the start and the gaps of a drive. With planar5 the
-heading uncertainty may reach degrees; then the scale changes the spread of the sigma points, and so the mean. The
-effect of the factor on the position is therefore measured.
+A common factor on all noise variances divides NIS by the factor, so the factor mean NIS / 2 makes the filter
+consistent. If the gains depend on the scale, the factor also changes the estimates. Its effect on the position is
+therefore measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,23 +27,21 @@ from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
 from sigmaswarm.wording import to_do
 
 NAMED = 3
-"""Drives named in one message, and checked for drift."""
-WATCHED = 3600.0
-"""Seconds of a drive that are checked for divergence; a longer check would increase the peak memory."""
+"""Number of drives named in one message, and checked for drift."""
+WATCHED = 3600.0  # s of a drive that are checked for divergence; a longer check needs more memory
 FAR = 1.5
-"""Drift relative to the baseline above which a warning is given."""
+"""Ratio to the baseline's drift above which a warning is given."""
 FEW = 2
 """Number of outage placements checked first."""
 NEAR = 1.2
-"""Drift ratio over these placements below which the others are skipped; it is accurate to 10%."""
-LOOK = 600.0
-"""Seconds in the middle of a drive that are checked for drift."""
+"""Drift ratio over these placements, accurate to 10%, above which all are measured."""
+LOOK = 600.0  # s in the middle of a drive that are checked for drift
 REMEDY = "DO NOT USE IT; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 CORRELATED = 0.3
 """Lag-1 autocorrelation of innovations above which a warning is given.
 
-Filters tuned without truth have these medians of three seeds: -0.05 and 0.12 on drives with white errors, 0.15 with a
-simulated u-blox M8, and 0.33 to 0.91 with real receivers.
+Medians of three filters tuned without truth: -0.05 and 0.12 with white errors, 0.15 with a simulated u-blox M8, and
+0.33 to 0.91 with real receivers.
 """
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not depend on the scale of the covariance."""
@@ -58,18 +49,12 @@ SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
 SCALE_MOVED = 0.02
 """Largest relative change of the position RMSE for which the factor is suggested."""
 SCALE_NEAR = 0.2
-"""Largest relative error of the mean NIS, after scaling by the factor, for which the factor is suggested."""
+"""The same for the error of mean NIS after scaling."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """RMS drift over outages of one length on training drives: tuned filter, baseline and fixes alone.
-
-    Attributes
-    ----------
-    length_s : float
-    tuned_m, untuned_m, fixes_alone_m : float
-    """
+    """RMS drifts, m, over outages of one length, s, on training drives; ``untuned_m``: baseline."""
 
     length_s: float
     tuned_m: float
@@ -83,12 +68,11 @@ class Forecast:
 
 
 def said_of_forecasts(forecasts: Sequence[Forecast]) -> list[str]:
-    """Return a list with one sentence on the drifts; empty without drifts."""
     return [f"drift without fixes: {', '.join(map(str, forecasts))}"] if forecasts else []
 
 
 def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Replays) -> Iterator[Forecast]:
-    """Measure the drift over outages of several lengths in the middle of the first drives."""
+    """Measure the drift over outages of several lengths, in the middle of the first drives."""
     some = replays.subset(range(min(len(replays.dataset), NAMED)))
     for length in FORECAST_LENGTHS:
         measure = partial(drifts_of, parameters=parameters, length=length, most=FEW, noise=noise)
@@ -98,7 +82,6 @@ def forecasts_of(parameters: FilterParameters, noise: MotionNoise, replays: Repl
 
 
 def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bool) -> list[str]:
-    """Warn if a filter diverges on its training drives or, with ``outages``, drifts too far."""
     found = divergence_warnings(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
     if found or not outages:
         return found
@@ -109,7 +92,6 @@ def loss_warnings(parameters: FilterParameters, replays: Replays, *, outages: bo
 
 
 def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
-    """Warn if a filter diverged on its training drives; ``found`` has the result of `restarts_of` for each drive."""
     diverged = [said_of_restarts(name, times) for name, times in found if times]
     if not diverged:
         return []
@@ -119,13 +101,11 @@ def divergence_warnings(found: Iterable[tuple[str, list[float]]]) -> list[str]:
 
 
 def may_drift_far(found: Iterable[tuple[float, ...]]) -> bool:
-    """Decide from a few outages if the drift must be measured with all; ``found``: `drifts_of` for each drive."""
     tuned, other = _together(found)[:2]
     return tuned > NEAR * other
 
 
 def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
-    """Warn if a filter drifts much further than the baseline; ``found``: `drifts_of` for each drive."""
     tuned, other = _together(found)[:2]
     if tuned <= FAR * other:
         return []
@@ -137,14 +117,14 @@ def drift_warnings(found: Iterable[tuple[float, ...]]) -> list[str]:
 
 
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
-    """Return a drive's name and the times at which a monitored filter was reset in its first hour, s."""
+    """Return a drive's name and the times, s, at which a monitored filter was reset in its first hour."""
     start = float(ready.drive.imu.time[0])
     replay = replay_of(_part(ready, start, start + WATCHED))
     return ready.drive.name, Recording(replay, parameters, recover=True).finished().restarts
 
 
 def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
-    """Return the lag-1 autocorrelation of a filter's innovations in a drive's first hour, the mean of both axes."""
+    """Return the lag-1 autocorrelation of innovations in the first hour, averaged over both axes."""
     start = float(ready.drive.imu.time[0])
     replay = replay_of(_part(ready, start, start + WATCHED))
     found = Recording(replay, parameters).finished().innovations
@@ -156,10 +136,9 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
 def correlation_warnings(
     parameters: FilterParameters, found: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if the innovations of most drives are correlated and the filter could model correlated fix errors.
+    """Warn if innovations are correlated and the filter could model correlated fix errors.
 
-    ``found``: `correlation_of` for each drive. ``use``: the current values of ``--use``, for the
-    proposed command.
+    ``use``: values of ``--use`` for the proposed command.
     """
     known = [value for value in found if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
@@ -174,7 +153,6 @@ def correlation_warnings(
 
 
 def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
-    """Return the part of a drive from ``start`` to ``end``, s on its clock, or the whole drive if it is shorter."""
     time = ready.drive.imu.time
     if start <= time[0] and time[-1] <= end:
         return ready
@@ -189,10 +167,7 @@ def drifts_of(
     length: float = LONG_OUTAGE_LENGTH,
     noise: MotionNoise | None = None,
 ) -> tuple[float, ...]:
-    """Return the RMS drifts of a filter and of the baseline over outages, m; NaN if no outage fits.
-
-    With ``noise`` a third value is the drift of the fixes alone. ``most`` limits the number of outage placements.
-    """
+    """Return the RMS drifts, m, of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits."""
     middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
     part = _part(ready, middle - LOOK / 2, middle + LOOK / 2)
     try:
@@ -206,17 +181,13 @@ def drifts_of(
 
 
 def _together(found: Iterable[tuple[float, ...]]) -> list[float]:
-    """Return the RMS over the drives of each drift; zeros if no drive has any."""
+    """Return the RMS of each drift over the drives."""
     known = np.array([drifts for drifts in found if np.isfinite(drifts).all()])
     return np.sqrt(np.mean(known**2, axis=0)).tolist() if len(known) else [0.0, 0.0]
 
 
 def scale_warnings(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:
-    """Warn if the objective does not determine the scale of the covariance.
-
-    For planar8 and tilted12 the warning states the factor for `FilterParameters.scaled` that makes mean NIS 2, if it
-    hardly changes the positions.
-    """
+    """Warn if the objective does not determine the scale of the covariance; if possible, propose a factor."""
     if objective not in SCALE_FREE:
         return []
     before = replays.scores([parameters])

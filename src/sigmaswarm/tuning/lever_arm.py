@@ -1,9 +1,8 @@
 """Estimate the antenna's lever arm by maximum likelihood from the innovations of a filter.
 
-An innovation nu with covariance S = L L^T depends almost linearly on the lever arm and on other unknowns, such as scale
-factors of the IMU. Weighted least squares on L^-1 nu is therefore a Gauss-Newton step on the likelihood of the fixes
-(N. K. Gupta, R. K. Mehra, IEEE Trans. Automatic Control 19, 1974). The derivatives are finite differences between runs
-of the compiled filter.
+An innovation nu with covariance S = L L^T is almost linear in the lever arm and the other unknowns. Weighted least
+squares on L^-1 nu is therefore a Gauss-Newton step on the likelihood of the fixes (N. K. Gupta, R. K. Mehra, IEEE
+Trans. Automatic Control 19, 1974). The derivatives are finite differences between runs of the filter.
 """
 
 import math
@@ -35,28 +34,28 @@ UNKNOWN_STD, STATED_STD = 2.0, 1.0
 """Prior standard deviations, m: without a lever arm in drive.toml, and with one that has no ``gps_lever_arm_std_m``."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
-"""Prior standard deviation of the accelerometer scales in a planar filter; they absorb the body's roll and pitch."""
+"""Prior standard deviation of accelerometer scales in a planar filter; they include effects of roll and pitch."""
 PRIOR_STD = dict.fromkeys(SCALES, 0.03) | {"latency": 0.02, "rear_axle": 1.0, "tire_slip": 0.01}
-"""Prior standard deviations of the other unknowns: scales (no unit), then s, m and s2/m."""
+"""Prior standard deviations of scales (no unit), latency (s), rear axle (m) and tire slip (s2/m)."""
 STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_slip": 1e-3} | dict.fromkeys(
     SCALES, 0.005
 )
-"""Steps of finite differences, in the units of the unknowns."""
-DOF = 8.0
-"""Degrees of freedom of Student's t, which downweights outliers."""
+"""Steps of finite differences."""
+DOF = 8.0  # of Student's t, which reduces the weight of outliers
 BLOCK = 20.0
-"""Length of a block, s: fix errors may be correlated within a block, but blocks are treated as independent."""
+"""Length of a block, s: fix errors may be correlated within a block."""
 FITTED = 1.2
-"""Factor on the standard deviations, since noise parameters are fitted to the same fixes and tire slip is not exactly
-linear. Without this factor, 93% of the errors on 65 simulated five-minute drives were within 1.96 standard deviations.
+"""Factor on the standard deviations, since the noise is fitted to the same fixes and tire slip is not exactly linear.
+
+Without it, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
 ROUNDS, CONVERGED = 8, 0.005
-"""Largest number of Gauss-Newton steps, and the step size, m, below which they end."""
+"""Largest number of Gauss-Newton steps, and the step, m, below which they end."""
 SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
-"""Options for tuning the noise parameters; without tuning the standard deviation is two to six times as large."""
+"""Options for tuning the noise; without tuning the standard deviation is two to six times as large."""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
-"""Arrays of a drive: times (f,) in s, L^-1 nu (f, 2), its negative derivatives (f, 2, k), and robust weights (f,)."""
+"""Arrays of a drive: times (f,), s; L^-1 nu (f, 2); its negative derivatives (f, 2, k); robust weights (f,)."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,6 @@ class LeverArmEstimate:
         return forward, left
 
     def __str__(self) -> str:
-        """Describe the estimate in one line."""
         found, stated = _placed(self.forward, self.left), _placed(*self.stated)
         axes = [f"{axis} (+-{std:.2f} m)" for axis, std in zip(found, self.std, strict=True)]
         known = [axis for axis, observable in zip(axes, self.observable, strict=True) if observable]
@@ -131,15 +129,15 @@ def estimate_lever_arm(
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
     The prior mean is ``gps_lever_arm_m`` of drive.toml, and its standard deviation is ``gps_lever_arm_std_m`` (1 m if
-    not stated; 2 m without a lever arm). The delay of the fixes shifts them along the road, as ``forward`` does. Its
-    prior standard deviation is 0.02 s.
+    not stated; 2 m without a lever arm). The delay of the fixes has a similar effect as ``forward``. Its prior standard
+    deviation is 0.02 s.
 
     Parameters
     ----------
     drives : Drive or sequence of Drive
         Drives of one vehicle; their truth is not used.
     parameters : FilterParameters, optional
-        The filter whose innovations are used. By default the filter that suits the logs, tuned by likelihood.
+        The filter that computes the innovations. By default the filter that suits the logs, tuned by likelihood.
     within : float
         Required accuracy, m: an axis counts as observable if its 95% error is at most this.
 
@@ -185,20 +183,18 @@ def _placed(forward: float, left: float) -> tuple[str, str]:
 
 
 def _stated_std(drive: Drive) -> tuple[float, float]:
-    """Return the prior standard deviations of the lever arm, forward and left, m."""
+    """Return the prior standard deviations, forward and left, m."""
     known = STATED_STD if "gps_lever_arm_m" in drive.metadata and drive.lever_arm.any() else UNKNOWN_STD
     stated = drive.metadata.get("gps_lever_arm_std_m", (known, known))
     return float(stated[0]), float(stated[1])
 
 
 def _with_arm(drive: Drive, arm: Sequence[float], **more: Any) -> Drive:
-    """Return a copy of a drive with another lever arm, m, and the same antenna height."""
     changed = {"gps_lever_arm_m": [*map(float, arm), drive.antenna_height], **more}
     return replace(drive, metadata={**drive.metadata, **changed})
 
 
 def _tuned(drives: Sequence[Drive], options: Mapping[str, Any]) -> FilterParameters:
-    """Tune a filter by likelihood on drives whose lever arm is approximately right."""
     use = (*options["use"], "slip") if "lateral" in options["use"] else options["use"]
     chosen = {**options, **SEARCH, "use": use, "kind": "ekf", "objective": "innovation-t"}
     config = settled(validated_config(TuneConfig, chosen), [sensors_of(drive) for drive in drives])
@@ -213,10 +209,7 @@ def _maximum(
     arm: Mapping[str, tuple[float, float]],
     start: Mapping[str, float] | None = None,
 ) -> tuple[Values, tuple[float, float]]:
-    """Return the unknowns with the highest posterior density, and the standard deviations of the lever arm, m.
-
-    ``arm`` has the prior mean and standard deviation of each axis, m. The search begins at ``start``.
-    """
+    """Return the unknowns with the highest posterior density, and the standard deviations of the lever arm, m."""
     prior = {**arm, **_others(parameters)}
     values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
     values = {name: getattr(parameters, name, values[name]) for name in prior}
@@ -255,8 +248,7 @@ def _deviations(
 ) -> tuple[float, float]:
     """Return the standard deviations of the lever arm, forward and left, m.
 
-    Each standard deviation is the larger one of the model's estimate and of the sandwich estimate from blocks of the
-    drives (White, 1980).
+    Each is the larger one of the model's estimate and the sandwich estimate from blocks of the drives (White, 1980).
     """
     spread, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:
@@ -285,7 +277,7 @@ def _at(drive: Drive, values: Mapping[str, float]) -> Drive:
 
 
 def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values) -> Whitened:
-    """Run the filter at the given unknowns and with each of them changed by its step; return the whitened arrays."""
+    """Return the whitened arrays at the given unknowns."""
     run = partial(_run, ready, parameters, values)
     found = run(values)
     if not np.isfinite(found.nis).all():

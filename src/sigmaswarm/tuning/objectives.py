@@ -1,8 +1,4 @@
-"""The objectives of a tuning: the entries of `OBJECTIVES`, and weighted sums of them.
-
-An objective turns the scores of all parameter sets on all drives into a cost per set and drive. The cost of a set is
-the mean over its drives, or over the worst of them, and ``inf`` if the filter failed on any.
-"""
+"""Objectives, which turn the scores of parameter sets on drives into costs, and their weighted sums."""
 
 import re
 from collections.abc import Callable
@@ -15,10 +11,8 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.batch import Scores
 
-HEADING_WEIGHT = 0.1
-"""Weight of the heading error in truth-pose, m/deg."""
-OUTAGE_WEIGHT = 0.1
-"""Weight of the outage drift in truth-pose, m/m."""
+HEADING_WEIGHT = 0.1  # m/deg, for truth-pose
+OUTAGE_WEIGHT = 0.1  # m/m, for truth-pose
 
 
 @dataclass(frozen=True)
@@ -31,13 +25,13 @@ class Objective:
     summary : str
         Description for users.
     per_drive : callable
-        Function from scores to costs, shape (n_sets, n_drives); lower is better.
+        Function from scores to costs, shape (n_sets, n_drives).
     needs_truth, needs_outages, needs_forecasts : bool
     likelihood : bool
-        True for a negative log-likelihood. In a sum with such a term, all terms are treated as nats.
+        True for a negative log-likelihood. In a sum with such a term, all terms count as nats.
     nats : float
-        Total weight of the logarithmic terms: errors that are 1% larger add 0.01 nats per element of a measurement.
-        If 0, the cost is a positive error, and its own relative increase is used.
+        Total weight of the logarithmic terms: errors that are 1% larger add 0.01 nats per element of a measurement. 0
+        if the cost is a positive error.
     warning : str or None
         Shown to the user before the search.
     """
@@ -53,19 +47,16 @@ class Objective:
     warning: str | None = None
 
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
-        """Return the cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
-
-        The cost is the mean over the worst drives of each set; ``worst`` is their share, and 1 means all drives.
-        """
+        """Return the mean cost over the ``worst`` share of a set's drives, shape (n_sets,); ``inf`` if any failed."""
         return mean_cost(self.each(scores), worst)
 
     def each(self, scores: Scores) -> Array:
-        """Return the costs, shape (n_sets, n_drives); ``inf`` if a set failed or can't be scored."""
+        """Return the costs, shape (n_sets, n_drives); ``inf`` where a set failed or has no score."""
         costs = self.per_drive(scores)
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
-        """Return the relative increase of costs over ``best``; 0.01 means errors that are 1% larger.
+        """Return the relative increase of costs; 0.01 means errors that are 1% larger.
 
         ``elements`` is the number of elements of a measurement.
         """
@@ -76,7 +67,7 @@ class Objective:
 
 
 def mean_cost(each: Array, worst: float = 1.0) -> Array:
-    """Return the cost of each set, shape (n,), from its costs on the drives, shape (n, m); ``inf`` if any failed."""
+    """Return `worst_mean`, shape (n,); ``inf`` if any drive failed."""
     cost = worst_mean(each, worst)
     return np.where(np.isfinite(cost), cost, np.inf)
 
@@ -84,9 +75,8 @@ def mean_cost(each: Array, worst: float = 1.0) -> Array:
 def worst_mean(costs: Array, share: float) -> Array:
     """Return the mean over the worst ``share`` of each row of costs, shape (n, m), as an array of shape (n,).
 
-    If the share is not a whole number of values, the last one has a smaller weight. This is the conditional value at
-    risk of equally likely values: R. T. Rockafellar and S. Uryasev, Optimization of conditional value-at-risk, J. Risk
-    2, 2000.
+    If the share is not a whole number of values, the last one has a smaller weight (conditional value at risk: R. T.
+    Rockafellar and S. Uryasev, J. Risk 2, 2000).
     """
     if not 0 < share <= 1:
         raise InputError(f"worst = {share:g}: give a share of the drives above 0 and at most 1")
@@ -107,7 +97,7 @@ def _pose(scores: Scores) -> Array:
 
 
 def _off(mean: Array) -> Array:
-    """Return the logarithmic deviation of a mean NIS or NEES from its expected value, 2; 0.1 is about 10%."""
+    """Return the absolute logarithm of a mean NIS or NEES relative to its expected value, 2."""
     return np.abs(np.log(mean / 2))
 
 
@@ -179,20 +169,13 @@ OBJECTIVES = {
         ),
     )
 }
-"""All objectives by name."""
 
 _TERM = re.compile(r"\s*(?:(?P<weight>[0-9.]+(?:e[+-]?[0-9]+)?)\s*\*?\s*)?(?P<name>[a-z][a-z-]*)\s*")
 
 
 @cache
 def objective_named(name: str) -> Objective:
-    """Return the objective of a name, or a weighted sum of objectives such as ``truth-pose + 0.2 nees``.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a weight is not positive.
-    """
+    """Return an objective, or a weighted sum of objectives such as ``truth-pose + 0.2 nees``."""
     terms = [_term(part, name) for part in name.split("+")]
     if len(terms) == 1 and terms[0][0] == 1.0:
         return terms[0][1]

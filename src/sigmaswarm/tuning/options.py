@@ -1,7 +1,6 @@
-"""Types of the options of a tuning, for type checkers.
+"""Types of the options of a tuning, for type checkers; a test compares them with `tuning.config`.
 
-`tuning.config` states the default, range and help of every option. PEP 692 requires a TypedDict for the types of
-``**options``, so this module repeats names and types; a test compares the two.
+PEP 692 requires a TypedDict for the types of ``**options``.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,9 +37,7 @@ SEEDS = 20
 """Number of runs of each optimizer in a comparison."""
 
 
-class SharedOptions(TypedDict, total=False):
-    """Options of a search, without those that a comparison varies."""
-
+class SharedOptions(TypedDict, total=False):  # a comparison does not vary them
     objective: str
     worst: float
     particles: int
@@ -56,8 +53,6 @@ class SharedOptions(TypedDict, total=False):
 
 
 class FilterOptions(TypedDict, total=False):
-    """Options of the filter."""
-
     model: ModelName
     kind: FilterKind
     use: Sequence[Option]
@@ -66,26 +61,21 @@ class FilterOptions(TypedDict, total=False):
 
 
 class SearchOptions(SharedOptions, total=False):
-    """Options of a search."""
-
     scale: Scale
     optimizer: OptimizerName | Callable[..., Any]
     seed: int
 
 
 class TuneOptions(SearchOptions, FilterOptions, total=False):
-    """Options of `tune` for the built-in models; `TuneConfig` describes them."""
-
     prior: float | None
     inflation: float | None
 
 
 class CompareOptions(SharedOptions, FilterOptions, total=False):
-    """Options of `compare`; `TuneConfig` describes them."""
+    """Options of `compare`."""
 
 
 def require_packages(optimizer: object) -> None:
-    """Check that the package of an optimizer is installed."""
     if optimizer == "bo" and find_spec("sklearn") is None:
         raise InputError(
             "optimizer = 'bo': needs scikit-learn, which is not installed; run: pip install scikit-learn"

@@ -1,4 +1,4 @@
-"""The optimization problem of a tuning: the cost of a filter on data, within bounds."""
+"""The optimization problem of a tuning."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -50,10 +50,9 @@ P = TypeVar("P", covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Problem(ABC, Generic[P]):
-    """Filter, data and objective of a tuning. Points are in search coordinates.
+    """Filter, data and objective of a tuning; points are in search coordinates.
 
-    The bounds ``space`` may come from other drives; Q then refers to the IMU interval of those drives. ``data`` has the
-    name, length and fingerprint of each drive or log.
+    Q refers to the IMU interval of the drives for which ``space`` was made. ``data`` identifies the drives or logs.
     """
 
     config: SearchConfig
@@ -62,7 +61,7 @@ class Problem(ABC, Generic[P]):
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """Landmarks by which each drive is recognized; empty for logs of a custom model."""
+        """Landmarks that identify each drive; empty for logs of a custom model."""
         return ()
 
     @property
@@ -95,29 +94,29 @@ class Problem(ABC, Generic[P]):
         return self.mean(self.each(points, range(len(self.steps)), executor))
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """Return the objective at a point, shape (d,), without the prior."""
+        """Return the cost of a point, shape (d,), without a prior."""
         return float(self.costs(point[np.newaxis], executor)[0])
 
     def warnings(self, point: Array) -> list[str]:
-        """List the faults of the filter at a point that the objective does not show, as sentences."""
+        """List faults of the filter that the objective does not show."""
         return []
 
     def fixes_alone(self) -> MotionNoise | None:
-        """Fit the noises of a constant-velocity filter of the fixes alone to the data; None for a custom model."""
+        """Fit the noises of a constant-velocity filter that uses only fixes."""
         return None
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
-        """Compare the drift of the filter at a point with a filter of the fixes alone, by outage length."""
+        """Compare drifts with those of a filter that uses only fixes, by outage length."""
         return []
 
     def why_none(self, point: Array) -> str | None:
-        """Return why the filter at a point failed, or None if that is unknown."""
+        """Return why the filter at a point failed, if known."""
         return None
 
 
 @dataclass(frozen=True, eq=False)
 class CarProblem(Problem[FilterParameters]):
-    """Tuning of a built-in model on drives that are prepared for the objective, made by `car_problem`."""
+    """Tuning of a built-in model on drives, made by `car_problem`."""
 
     config: TuneConfig
     space: SearchSpace
@@ -125,17 +124,15 @@ class CarProblem(Problem[FilterParameters]):
 
     @cached_property
     def objective(self) -> Objective:
-        """The objective on each drive."""
         return objective_named(self.config.objective)
 
     @cached_property
-    def _receiver_std(self) -> Array:
-        """Standard deviations of each drive's receiver, m, shape (m, 2)."""
+    def _receiver_std(self) -> Array:  # m, shape (m, 2)
         return np.array([one.receiver_std for one in self.sensors])
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """Landmarks of each drive; for a remote dataset they are fetched on access, to save memory."""
+        """Landmarks of each drive; those of a remote dataset are fetched on access, to save memory."""
         dataset = self.replays.dataset
         return self._landmarks if isinstance(dataset, LocalDataset) else LandmarksOf(dataset)
 
@@ -145,20 +142,16 @@ class CarProblem(Problem[FilterParameters]):
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Number of filter steps of one evaluation on each drive, shape (m,)."""
         return self.replays.steps
 
     def parameters(self, point: Array) -> FilterParameters:
-        """Return the filter at a point, shape (d,)."""
         return self.space.decode(point[np.newaxis])[0]
 
     @cached_property
     def sensors(self) -> list[Sensors]:
-        """Sensors of each drive."""
         return self.replays.dataset.map(sensors_of)
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """Return the costs, shape (n, len(drives)), of points, shape (n, d), on some of the drives."""
         replays = self.replays.subset(drives)
         parameter_sets = self.space.decode(points)
         costs = replays.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
@@ -167,28 +160,22 @@ class CarProblem(Problem[FilterParameters]):
         return costs
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """Return the objective at a point, shape (d,), without the prior on R."""
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
         return float(plain.costs(point[np.newaxis], executor)[0])
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """Return the relative increase of costs over ``best``; 0.01 means 1%."""
         return self.objective.rise(costs, best)
 
     def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
-        """Return the problem with the same filter and objective on other drives."""
         return car_problem(data, self.config, self.space)
 
     def fixes_alone(self) -> MotionNoise:
-        """Fit the noises of a constant-velocity filter of the fixes alone to the drives."""
         return MotionNoise.typical(self.replays.of_each_prepared(noise_of))
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[Forecast]:
-        """Compare the drift of the filter at a point with a filter of the fixes alone, by outage length."""
         return [*forecasts_of(self.parameters(point), noise, self.replays)]
 
     def warnings(self, point: Array) -> list[str]:
-        """Warn of divergence, ineffective accuracies, a free covariance scale and, without truth, an implausible R."""
         parameters, replays, objective = self.parameters(point), self.replays, self.objective
         found = loss_warnings(parameters, replays, outages=not objective.needs_outages)
         if parameters.accuracy_scale is not None:
@@ -217,7 +204,6 @@ class LandmarksOf(Sequence[Landmarks]):
         return len(self.dataset)
 
     def __getitem__(self, k: Any) -> Any:
-        """Return the landmarks of one drive or of several."""
         places = range(len(self))[k]
         found = self.dataset.subset([places] if isinstance(places, int) else places).map(landmarks)
         return found[0] if isinstance(places, int) else found
@@ -227,17 +213,13 @@ class LandmarksOf(Sequence[Landmarks]):
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
-    """Return the costs of a named objective on each drive, shape (n_sets, n_drives)."""
+    """Return the costs of a named objective, shape (n_sets, n_drives)."""
     return objective_named(objective).each(scores)
 
 
 def car_problem(
     drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
-    """Create the problem of tuning a built-in model on drives, local or remote.
-
-    ``space`` may come from other drives; its Q refers to the IMU interval of those drives.
-    """
     objective = objective_named(config.objective)
     if config.prior and not objective.nats:
         raise InputError(

@@ -1,23 +1,11 @@
 """Race candidates: drop those with high costs on the first drives before all drives are evaluated.
 
-Successive halving (K. Jamieson and A. Talwalkar, Non-stochastic best arm identification and hyperparameter
-optimization, AISTATS 2016) with drives as the resource: all candidates of a batch are evaluated on one drive, the
-better half on two drives, the better half of these on four, and so on up to all drives. Racing over problem instances
-was proposed by M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp (A racing algorithm for configuring
-metaheuristics, GECCO 2002). Their F-race drops candidates by a statistical test. This module drops a fixed share, so
-the number of steps is known in advance.
+Successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource. Unlike F-race (M. Birattari
+et al., GECCO 2002) it drops a fixed share, so the number of steps is known in advance.
 
-With many drives (`MANY`), halving alone saves little time: filters run in parallel, and one filter on all drives takes
-as long as eight. Therefore a batch also races against the best candidate so far, the leader, whose cost on each drive
-is known. The race begins with 1/12 of the drives. From the better half, only candidates continue that beat the leader
-on the same drives by more than a standard error of the mean difference. If there are none, the race ends. The cost of a
-dropped candidate is extrapolated to all drives: the leader's cost on all drives minus its cost on these is added (a
-control variate). Starting with 1/32 of the drives is faster, but then the extrapolated costs mislead the search.
-
-Each batch uses the drives in a different random order, so that no drive is always first. Candidates that are evaluated
-on all drives have their exact cost. Dropped candidates have the cost on their drives. The costs of each group that was
-dropped together are raised above the worst candidate that continued. The order within the group is unchanged, and no
-dropped candidate can become the best.
+With many drives, one filter on all drives takes as long as eight. A batch then also races against the best candidate so
+far, the leader. The leader's costs are a control variate for the costs of dropped candidates. A race that starts with
+1/32 of the drives is faster, but these costs then mislead the search.
 """
 
 from collections.abc import Sequence
@@ -32,7 +20,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Problem
 
 FIRST = 12
-"""A race against the leader begins with the total number of drives divided by this."""
+"""The race starts with this fraction of the drives: 1 / FIRST."""
 MANY = 96
 """Smallest number of drives for a race against the leader; with fewer, 1/12 of them is too few for a test."""
 Order = Sequence[int] | NDArray[np.int64]
@@ -48,11 +36,9 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Raced:
-    """Costs of a batch of candidates, shape (n,), and the work for them.
+    """Costs of a batch, shape (n,), with numbers of filter steps and failures.
 
-    Only candidates that were evaluated on all drives have exact costs. ``steps`` is the number of filter steps,
-    ``failures`` the number of failed candidates. ``leader`` is the best candidate after this batch; None if all have
-    failed so far.
+    Costs are exact for candidates that were evaluated on all drives.
     """
 
     costs: Array
@@ -61,13 +47,12 @@ class Raced:
     leader: Leader | None = None
 
     def __add__(self, other: "Raced") -> "Raced":
-        """Combine two consecutive batches."""
         costs = np.concatenate([self.costs, other.costs])
         return Raced(costs, self.steps + other.steps, self.failures + other.failures, other.leader)
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return the rungs: numbers of candidates and of drives. Each has half the candidates and twice the drives."""
+    """Return numbers of candidates and drives; each rung has half the candidates and twice the drives."""
     found = [(n_candidates, n_drives // FIRST if n_drives >= MANY else min(1, n_drives))]
     while (drives := found[-1][1]) < n_drives:
         found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))
@@ -89,8 +74,7 @@ def race(
 ) -> Raced:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With many drives the points race against ``leader``. Without a leader or with a single point, all points are then
-    evaluated on all drives.
+    With many drives the points race against ``leader``; without it, or for one point, all drives are used.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MANY, len(points), len(order)
@@ -133,18 +117,14 @@ def _ahead(each: Array, costs: Array, rival: Leader, seen: NDArray[np.int64]) ->
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Return the columns in the order of the drives and as C-order, since the rounding of sums depends on both."""
+    """Return the columns in the order of the drives, C-contiguous, since the rounding of sums depends on both."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Raise the costs of dropped candidates, the last group first, above the worst candidate that continued.
-
-    If no candidate finished, they are raised above ``otherwise``, the leader's cost (or infinity if there is none),
-    since no candidate may win on fewer drives.
-    """
+    """Raise the costs of dropped candidates above those that continued, or ``otherwise`` if no candidate finished."""
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))
@@ -155,6 +135,5 @@ def _behind(
 
 
 def _highest(costs: Array, otherwise: float) -> float:
-    """Return the highest finite cost, or ``otherwise`` if there is none."""
     finite = costs[np.isfinite(costs)]
     return float(finite.max()) if len(finite) else otherwise

@@ -1,11 +1,8 @@
 """Compare R with the receiver's accuracy: a prior for logs without truth, and warnings of an implausible R.
 
-A filter that forecasts fixes well may only copy them. Many receivers smooth their fixes: consecutive errors differ by
-centimeters, but over minutes the error changes by meters. The likelihood of the next fix depends only on the
-differences of centimeters, so it is largest for an R of centimeters, with which the filter copies the fixes. The prior
-therefore represents the receiver's stated accuracy: a log-normal distribution of R about the stated variance. It
-penalizes only a smaller R, since receivers in cities state deviations that are too small. Consecutive fixes share their
-correlated errors, so more fixes must not outweigh the prior; its penalty is added for each fix.
+Many receivers smooth their fixes, so the likelihood of the next fix is largest for an R of centimeters, with which the
+filter copies the fixes. The prior penalizes only a smaller R, since receivers in cities state deviations that are too
+small. It counts once per fix: otherwise more fixes would outweigh it, although they share their errors.
 """
 
 from collections.abc import Sequence
@@ -26,17 +23,16 @@ from sigmaswarm.wording import to_do
 DECADES = 0.5
 """Prior standard deviation of log10 R below the receiver's variance."""
 DECADES_ABOVE = 0.25
-"""Prior standard deviation of log10 R above the receiver's variance; only for fix-error, which needs a small R."""
+"""The same above the receiver's variance; only for fix-error, which needs a small R."""
 FAR_BELOW = 3.0
 """Ratio of the receiver's standard deviation to that of R above which a warning is given."""
 NO_PART = 0.05
 """Share of R below which the stated accuracy of a fix has no effect."""
-LOOK = 600.0
-"""Seconds of a drive whose fixes are checked for scatter; a longer part would not change the result."""
+LOOK = 600.0  # s of a drive in which the scatter of the fixes is measured; a longer part does not change the result
 PRIOR_DECIDED = 0.02
-"""Cost of the prior, nats per fix, above which a warning reports that it determined R."""
+"""Cost of the prior, nats per fix, above which a remark is made."""
 SMOOTH = 0.5
-"""Scatter of the fixes, m, below which the receiver either smooths them or uses RTK."""
+"""Scatter of the fixes, m, below which the receiver smooths them or uses RTK."""
 UNKNOWN = "without truth a log does not show the error that they share"
 STATE = "write the standard deviation of the receiver's fixes, m per axis, as gps_std_m into drive.toml"
 
@@ -44,10 +40,9 @@ STATE = "write the standard deviation of the receiver's fixes, m per axis, as gp
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
     """Return the prior's penalty per fix of n parameter sets on m drives, nats, shape (n, m).
 
-    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes.
-    ``std``, shape (m, 2), is `receiver_std` of each drive, m. If the filter uses the stated accuracies, R is that of
-    the median fix. With `FilterParameters.fix_error` R includes the variance of the correlated errors; if this R is
-    larger than std^2, the penalty is 0.5 (log10(R / std^2) / 0.25)^2.
+    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
+    m, shape (m, 2), is each drive's `receiver_std`. With stated accuracies R is that of the median fix. With fix errors
+    R includes their variance, and an R larger than std^2 costs 0.5 (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     lasts = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
@@ -67,7 +62,7 @@ class FixNoise:
     """Estimates of the errors of a drive's fixes, m per axis; NaN if unknown.
 
     ``stated``: median standard deviation that the receiver states. ``scatter``: standard deviation about paths of ten
-    seconds that the IMU can follow.
+    seconds that are consistent with the IMU.
     """
 
     stated: float
@@ -75,7 +70,6 @@ class FixNoise:
 
 
 def fix_noise(drive: Drive) -> FixNoise:
-    """Estimate the errors of a drive's fixes from its middle part, without truth."""
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
         scatter = scatter_of(clip(drive, middle - LOOK / 2, middle + LOOK / 2)) or np.nan
@@ -85,17 +79,14 @@ def fix_noise(drive: Drive) -> FixNoise:
 
 
 def stated(drive: Drive) -> float:
-    """Return the median standard deviation that a drive's receiver states, m per axis; NaN if it states none."""
+    """Return the median standard deviation that the receiver states, m per axis; NaN if none."""
     return float(np.mean(stated_std(drive) or np.nan))
 
 
 def noise_warnings(
     parameters: FilterParameters, drives: Sequence[FixNoise], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if R contradicts the fixes of the training drives, for tunings without truth.
-
-    ``use``: the current values of ``--use``, for the proposed command.
-    """
+    """Warn if R contradicts the fixes of the training drives; ``use``: values for the proposed command."""
     if parameters.accuracy_scale is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
@@ -129,10 +120,7 @@ def prior_warnings(
     receiver: Array,
     noise: Sequence[FixNoise],
 ) -> list[str]:
-    """Report the first drive on which the prior kept R near the receiver's variance, and the reason.
-
-    ``receiver``: `receiver_std` of each drive, m, shape (m, 2).
-    """
+    """Report the first drive on which the prior kept R near the receiver's variance, and why."""
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
     for name, std, one, near, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
@@ -155,10 +143,7 @@ def prior_warnings(
 def accuracy_warnings(
     parameters: FilterParameters, each: Sequence[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if the stated accuracy of the fixes has no effect on the filter.
-
-    ``each``: `stated` of each drive, m. ``use``: the current values of ``--use``; the proposed command omits accuracy.
-    """
+    """Warn if the stated accuracies, m, have no effect; ``use``: values for the proposed command."""
     std = _median(each)
     if parameters.accuracy_scale is None or not np.isfinite(std):
         return []

@@ -1,4 +1,4 @@
-"""The files tuning.toml and convergence.csv of a tuning."""
+"""The files tuning.toml and convergence.csv."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ from sigmaswarm.tuning.diagnostics import Forecast
 from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
-"""Lower or upper end of the range in which the cost rises by less than 1%; ``-`` if the range reaches the bound."""
+"""End of the range in which the cost rises by less than 1%; ``-`` if the range reaches the bound."""
 NOT_VALIDATED = (
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
 )
-"""Remark that is omitted after an evaluation; it is recognized by its text in files, which must not change."""
+"""Remark that is omitted after an evaluation. It is recognized by its text in files, so do not change it."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 
@@ -58,7 +58,7 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Parameters that lower the cost if only they change, and the relative change of the cost."""
+    """Relative change of the cost if only this parameter changes."""
 
 
 class TuningConfigRecord(BaseModel):
@@ -82,15 +82,13 @@ class TuningRecord(TuningConfigRecord):
 
 
 def tuning_file(path: Path) -> Path:
-    """Return the path of tuning.toml: the path itself, or the file in this folder."""
     return path / FILE if path.is_dir() else path
 
 
 def seen_by(file: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives listed in a tuning.toml.
+    """Return the landmarks of the training drives of a tuning.toml, from seen.npz next to it.
 
-    The landmarks are in seen.npz next to tuning.toml. If seen.npz is missing or from an earlier version, only whole
-    drives are recognized (`drives.overlap.known_overlap`).
+    If seen.npz is missing or from an earlier version, only whole drives are recognized.
     """
     data = load_record(TuningRecord, file).data
     kept = load_landmarks(file.parent / SEEN_FILE)
@@ -101,7 +99,7 @@ def seen_by(file: Path) -> list[Landmarks]:
 
 @dataclass(frozen=True, eq=False)
 class TrialHistory:
-    """Costs of one trial after each generation: lowest so far and median of the generation, shape (g,)."""
+    """Lowest cost so far and median of each generation, shape (g,)."""
 
     trial: int
     generation: Array
@@ -111,18 +109,14 @@ class TrialHistory:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Costs of all trials after each generation."""
-
     trials: tuple[TrialHistory, ...]
 
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> "History":
-        """Collect the history of the trials of a tuning."""
         each = enumerate(trials)
         return cls(tuple(TrialHistory(i, np.arange(1.0, len(t.best) + 1), t.best, t.median) for i, t in each))
 
     def save(self, path: Path) -> Path:
-        """Write convergence.csv, with all digits of the costs."""
         lines = ["trial,generation,best_cost,median_cost"]
         for one in self.trials:
             rows = zip(one.best.tolist(), one.median.tolist(), strict=True)
@@ -132,7 +126,6 @@ class History:
 
     @classmethod
     def load(cls, path: Path) -> "History":
-        """Read a file written by `save`."""
         whole, real = pl.Int64(), pl.Float64()
         numbers = {"trial": whole, "generation": whole, "best_cost": real, "median_cost": real}
         try:

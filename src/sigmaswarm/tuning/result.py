@@ -1,4 +1,4 @@
-"""`Tuning`: the result of a tuning, and its file."""
+"""The result of a tuning, and its file."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -30,8 +30,7 @@ from sigmaswarm.versions import versions
 from sigmaswarm.wording import counted, in_order, to_do
 
 P = TypeVar("P", default=FilterParameters)
-SHOWN_REMARKS = 5
-"""Number of remarks in the printed text of a tuning."""
+SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATED = (
     "{} times as large as at the lowest cost (process-noise inflation): the costs of the two filters hardly differ, "
     "and on roads and IMUs that the tuning did not use, the one with more process noise is more accurate. On the same "
@@ -43,16 +42,12 @@ OF_THESE_SENSORS = (
     "less accurate than the fixes. For other sensors tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
-LARGE_GAP = 0.2
-"""Relative increase of the errors on the validation drives above which a remark is made."""
+LARGE_GAP = 0.2  # relative increase of the errors on validation drives
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost on drives that the search did not use.
-
-    ``gap``: relative increase of the errors compared with the training drives; 0.1 means 10%.
-    """
+    """Cost on drives that the search did not use; ``gap``: relative increase of the errors."""
 
     cost: float
     gap: float
@@ -76,13 +71,11 @@ class Tuning(Generic[P]):
     best_trial : int
     config : TuneConfig, or ModelTuneConfig for a custom model
     trials : tuple of Trial
-        Empty if loaded from a tuning.toml without the folders of its trials.
+        Empty if the folders of the trials are missing.
     evaluations, failures : int
-        Numbers of parameter sets tried and failed.
-    steps : int
-        Number of filter steps of the search.
-    full_steps : int
-        Number of filter steps that the same evaluations would take without racing.
+        Numbers of parameter sets that were evaluated and that failed.
+    steps, full_steps : int
+        Numbers of filter steps of the search, and of the same evaluations without racing.
     data : list of dict
         Name, length and fingerprint of each drive.
     seen : sequence of Landmarks
@@ -142,7 +135,7 @@ class Tuning(Generic[P]):
 
     @property
     def remarks(self) -> list[str]:
-        """Remarks on the result; those with a remedy (`TO_DO`) come first."""
+        """Remarks on the result; those with a remedy come first."""
         return in_order(_remarks(self))
 
     def to_dict(self) -> dict[str, Any]:
@@ -306,7 +299,6 @@ class Tuning(Generic[P]):
 
 
 def _remarks(t: Tuning[Any]) -> Iterator[str]:
-    """Yield the remarks as sentences, not yet sorted."""
     p, objective, factor = t.parameters, t.config.objective, t.inflation_factor
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings

@@ -1,4 +1,4 @@
-"""Run the trials of a tuning: the loop over generations, and checkpoints."""
+"""The trials of a tuning: generations and checkpoints."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -36,7 +36,7 @@ class Progress:
     """Progress of a tuning, passed to the callback after every generation.
 
     ``done`` and ``total`` count the generations of all trials. ``parameters`` are the best of this trial so far; None
-    while no parameter set has had a finite cost.
+    if no cost was finite.
     """
 
     trial: int
@@ -54,17 +54,16 @@ class Trial:
     Attributes
     ----------
     cost : float
-        Cost of the best point.
     point : ndarray, shape (d,)
         The best point, in search coordinates.
     best : ndarray, shape (generations,)
-        Lowest cost so far after each generation.
+        Lowest cost so far.
     median : ndarray, shape (generations,)
         Median cost of each generation.
     steps : ndarray of int, shape (generations,)
-        Total number of filter steps after each generation.
+        Number of filter steps so far.
     evaluations, failures : int
-        Number of parameter sets tried, and of those that failed or could not be scored.
+        Numbers of parameter sets that were evaluated and that failed.
     """
 
     cost: float
@@ -77,7 +76,7 @@ class Trial:
 
 
 def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
-    """Read the trials in the folder of a finished tuning; empty if one is missing."""
+    """Read the trials of a finished tuning; empty if one is missing."""
     found = [finished_trial(folder, number) for number in range(count)]
     trials = tuple(_trial(*done) for done in found if done)
     return trials if len(trials) == count else ()
@@ -89,12 +88,7 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Settings that the trials of one tuning share.
-
-    Without ``executor`` all work is done in this thread. Every generation is saved in ``folder``. ``progress`` is
-    called after every generation; if it returns False, the search stops. The first generation of each trial includes
-    ``start``, shape (d,).
-    """
+    """Settings that the trials of one tuning share; the first generation includes ``start``, shape (d,)."""
 
     config: SearchConfig
     problem: Problem[Any]
@@ -147,7 +141,6 @@ class Search:
         return _trial(result, history)
 
     def _checked(self, trial: Trial, folder: Path) -> Trial:
-        """Raise `InputError` if a saved trial has a point of another search space."""
         low, high = self.problem.space.low, self.problem.space.high
         if trial.point.shape == low.shape and np.all((low <= trial.point) & (trial.point <= high)):
             return trial
@@ -156,7 +149,7 @@ class Search:
         )
 
     def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> Raced:
-        """Run one generation in one or more batches; return no costs when the trial is over."""
+        """Run one generation; return no costs after the end of the trial."""
         found = Raced(np.empty(0), 0, 0, leader)
         patience = self.config.patience
         stalled = patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]
@@ -169,7 +162,6 @@ class Search:
         return found
 
     def _batch(self, number: int, spent: int, points: Array, leader: Leader | None) -> Raced:
-        """Evaluate a batch of points on all drives, or with racing on a part of them."""
         steps = self.problem.steps
         if not self.config.racing:
             costs = self.problem.costs(points, self.executor)
@@ -179,7 +171,7 @@ class Search:
         return race(self.problem, points, order, self.executor, leader)
 
     def _resumed(self, number: int, optimizer: Budgeted) -> tuple[dict[str, Array], int, Leader | None]:
-        """Restore the optimizer from its checkpoint; return the history, the number of failures and the leader."""
+        """Restore the optimizer; return the history, the number of failures and the leader."""
         history: dict[str, Array] = {name: np.empty(0, kind) for name, kind in HISTORY.items()}
         checkpoint = self.folder.checkpoint(number) if self.folder else None
         saved = load_checkpoint(checkpoint) if checkpoint else None

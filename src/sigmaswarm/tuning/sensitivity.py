@@ -1,7 +1,6 @@
-"""Compute the sensitivity of the cost: the range of each parameter in which the cost rises by less than 1%.
+"""The range of each parameter in which the cost rises by less than 1%.
 
-Only one parameter changes at a time, so trade-offs between parameters remain hidden. One known trade-off is tried in
-addition: a common factor on all noise variances, which changes the covariance but hardly the estimates.
+Only one parameter changes at a time, so trade-offs are not visible, except that of a common factor on all noise.
 """
 
 from concurrent.futures import Executor
@@ -14,7 +13,6 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Problem
 
 RISE = 0.01
-"""Relative increase of the cost that ends the range of a parameter."""
 NOISE_SCALE = "all noise variances times"
 
 
@@ -30,7 +28,7 @@ class Sensitivity:
     lowest, highest : float or None
         Values at which the cost has risen by 1%; None if the range reaches the bound.
     lowest_rise : float
-        Lowest relative change of the cost in the range. If it is below 0, the search had not converged.
+        Lowest relative change of the cost in the range; below 0 if the search had not converged.
     """
 
     name: str
@@ -41,7 +39,6 @@ class Sensitivity:
 
     @property
     def identified(self) -> bool:
-        """False if the range reaches both bounds."""
         return self.lowest is not None or self.highest is not None
 
 
@@ -79,7 +76,7 @@ def sensitivities(
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """Interpolate the share of the distance at which the cost has risen by 1%; None if it never does."""
+    """Interpolate the share of the distance at which the cost has risen by 1%."""
     above = np.flatnonzero(~(rise < RISE))
     if not len(above):
         return None

@@ -1,4 +1,4 @@
-"""The search space, and the conversion of its points to filter parameters."""
+"""The search space of a filter."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,6 @@ from sigmaswarm.tuning.box import Box, Dimension
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
-"""Optional measurements and features of a filter; the search also tunes their parameters."""
 
 
 SCALING = (
@@ -29,7 +28,7 @@ SCALING = (
     Dimension("beta", "beta", 0, 0.0, 3.0, spread=False),
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
-"""The paper's bounds for the scaling of the sigma points."""
+"""The paper's bounds."""
 OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "velocity": (Dimension("velocity_noise", "velocity_noise", 0, 1e-4, 10.0),),
     "lateral": (
@@ -58,33 +57,29 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     ),
 }
 TIME = "fix_error_time"
-"""Parameter that is searched only with truth: the likelihood hardly depends on it, or is largest at the bound."""
+"""Searched only with truth: the likelihood hardly depends on it."""
 LEAST_WHITE = 0.04
-"""Lower bound of R relative to the receiver's variance, for fix-error without truth.
+"""Lower bound of R, relative to the receiver's variance, for fix-error without truth.
 
 With a smaller R, Student's t treats correlated errors as outliers.
 """
 ACCURACY_FLOOR = (1e-4, 1e3)
-"""Bounds, m2, of the variance that is added to the stated variance of each fix."""
+"""Bounds, m2, of the variance added to the stated variance of each fix."""
 LEAST = {
     "tilt": 2e-7,
     "gyro_bias_xy": 1e-10,
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
-"""Lower limits of parameters of a filter with roll and pitch, which `tuning.inflation` applies.
-
-Units: variances per second in rad2 and (rad/s)2, initial bias standard deviations in m/s2 and rad/s.
-"""
-USUAL_INTERVAL = 0.01
-"""IMU interval, s, if no drive is known yet."""
+"""Lower limits that `tuning.inflation` applies, in rad2/s, (rad/s)2/s, m/s2 and rad/s."""
+USUAL_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
     Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
 )
 """Variances that the IMU's messages state, for robot-localization."""
 ONE_NOISE = ("lateral", "odometer")
-"""Options for which robot-localization has only a noise parameter: twists are in m/s, at the IMU, without delay."""
+"""Options with only a noise parameter in robot-localization: its twists are in m/s, at the IMU, without delay."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -98,23 +93,22 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
         Dimension("fuzzy_gain_q", "fuzzy_gains", 1, 1.0, 100.0),
     ),
 }
-"""Parameters of a filter type in addition to its noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace(Box):
-    """Bounds of the parameters of built-in models; ``fixed``: fields of `FilterParameters` that are not searched."""
+    """Bounds of the parameters of built-in models; ``fixed``: fields that are not searched."""
 
     fixed: dict[str, Any]
 
     def decode(self, points: Array) -> ParameterTable:
-        """Return the filter parameters of points in search coordinates, shape (n, d)."""
+        """Return the filters at points, shape (n, d)."""
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
 
     def point_of(self, parameters: FilterParameters) -> Array:
-        """Return the point of a filter in search coordinates, shape (d,), clipped to the bounds.
+        """Return the point of a filter, shape (d,), clipped to the bounds.
 
         Parameters that the filter does not have are set to the middle of their bounds.
         """
@@ -127,7 +121,6 @@ class SearchSpace(Box):
         return np.where(np.isfinite(values), np.clip(point, self.low, self.high), (self.low + self.high) / 2)
 
     def values_of(self, parameters: FilterParameters) -> dict[str, float]:
-        """Return the value of every searched parameter in a filter."""
         found = dict[str, float]()
         for i, dimension in enumerate(self.dimensions):
             value, places = getattr(parameters, dimension.field), self._places[dimension.field]
@@ -136,7 +129,7 @@ class SearchSpace(Box):
 
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:
-        """Index of each field's dimension, or the indices for the entries of a tuple."""
+        """Index of each field's dimension, or indices for the entries of a tuple."""
         found: dict[str, int | list[int]] = {}
         for i, dimension in enumerate(self.dimensions):
             before = found.get(dimension.field, [])
@@ -146,7 +139,6 @@ class SearchSpace(Box):
 
     @cached_property
     def _any(self) -> FilterParameters:
-        """Filter at the lower bounds, for its fixed fields."""
         values = {name: self.lowest[places].tolist() for name, places in self._places.items()}
         return FilterParameters(**self.fixed, **values)
 
@@ -161,12 +153,10 @@ def search_space(
     fix_std: float = UNSTATED_GPS_STD,
     has_truth: bool = False,
 ) -> SearchSpace:
-    """Create the search space of a filter; planar5 has the paper's bounds.
+    """Create the search space of a filter; ``scale`` applies to the variances.
 
-    ``scale`` applies to the variances. East and north have the same noise (q_xy, q_vxy, r_xy), except in planar5
-    without the lateral constraint. Bounds per second are converted to ``nominal_interval``, s, by default 10 ms.
-    ``fix_std``, the receiver's standard deviation per axis, m, and ``has_truth``, True if the objective uses truth, are
-    needed for fix-error.
+    Bounds per second are converted to ``nominal_interval``, s, by default 10 ms. fix-error needs ``fix_std``, the
+    receiver's standard deviation per axis, m, and ``has_truth``, True if the objective uses truth.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")
@@ -213,9 +203,9 @@ def _dimensions(
 ) -> Iterator[Dimension]:
     """Yield the dimensions in order; east and north share their noise, except in the paper's own filter.
 
-    With separate noise parameters, a filter tuned on roads to the east had 1000 times more velocity noise to the north.
-    On a road to the north, the lateral constraint then corrects a lateral error by a change along the road that is up
-    to sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
+    With separate noise, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
+    to the north, the lateral constraint then corrects lateral errors mostly by changes along the road:
+    docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING

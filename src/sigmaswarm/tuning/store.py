@@ -24,32 +24,29 @@ from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
 from sigmaswarm.wording import names_shown, shown
 
-LONGEST = 120
-"""Characters of a value in a message."""
+LONGEST = 120  # characters of a value in a message
 
 
 class ConfigRecord(BaseModel, extra="allow"):
-    """config.json of a tuning: its configuration and the versions of its software."""
+    """config.json of a tuning."""
 
     versions: dict[str, str] = Field(default_factory=dict)
 
 
 class CountsRecord(BaseModel, extra="forbid"):
-    """Entry ``counts`` of result.json: numbers of parameter sets tried and failed."""
+    """Numbers of parameter sets that were evaluated and that failed."""
 
     evaluations: int
     failures: int
 
 
 class TrialRecord(BaseModel, extra="forbid"):
-    """result.json of a trial."""
-
     cost: float
     counts: CountsRecord
 
 
 class TrialHistoryRecord(BaseModel):
-    """history.npz of a trial: best point, shape (d,), and costs and steps after each generation, shape (g,)."""
+    """history.npz of a trial: best point, shape (d,), and values after each generation, shape (g,)."""
 
     model_config = ARRAYS
     point: Vector
@@ -67,13 +64,11 @@ class TrialHistoryRecord(BaseModel):
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
-    """Save arrays and JSON-compatible notes in one file."""
     with whole_file(path) as file:
         np.savez(file, **arrays, notes=json.dumps(notes))
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Return the arrays and notes of a checkpoint, or None if there is no file."""
     if not path.exists():
         return None
     try:
@@ -106,7 +101,6 @@ def saved_history(path: Path) -> dict[int, list[float]]:
 
 
 def unreadable(checkpoint: Path) -> InputError:
-    """Create the error for a checkpoint that can't be read."""
     return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")
 
 
@@ -116,7 +110,7 @@ def finished_trial(
     result_type: type[BaseModel] = TrialRecord,
     history_type: type[BaseModel] = TrialHistoryRecord,
 ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Read the result and the history of a trial from a tuning's folder; None if the trial is not finished."""
+    """Read the result and the history of a finished trial."""
     folder = path / f"trial-{trial:03d}"
     if not folder.exists():
         return None
@@ -127,7 +121,7 @@ def finished_trial(
 
 
 def _with_current_names(config: Any) -> Any:
-    """Replace the option names of version 0.3.0 in a saved configuration."""
+    """Replace the option names of version 0.3.0."""
     if not isinstance(config, dict):
         return config
     items = cast(dict[str, Any], config).items()
@@ -135,7 +129,6 @@ def _with_current_names(config: Any) -> Any:
 
 
 def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
-    """Describe the first difference of two configurations: the saved value and the wanted one."""
     if isinstance(saved, dict) and isinstance(wanted, dict) and key not in ("data", "model"):
         old, new = cast(dict[str, Any], saved), cast(dict[str, Any], wanted)
         inner = next(k for k in sorted(old.keys() | new.keys()) if old.get(k) != new.get(k))
@@ -153,14 +146,10 @@ def _short(key: str, value: Any) -> str:
 
 
 class ResultFolder:
-    """The folder of a tuning, created if missing, with its effective configuration as JSON types.
+    """The folder of a tuning, created if missing.
 
-    With ``resume`` the folder may contain an unfinished run with the same configuration.
-
-    Raises
-    ------
-    InputError
-        If the folder contains another tuning, or any tuning without ``resume``.
+    With ``resume`` it may contain an unfinished run with the same configuration. Raises `InputError` if it contains
+    another tuning, or any tuning without ``resume``.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
@@ -189,18 +178,16 @@ class ResultFolder:
             )
 
     def checkpoint(self, trial: int) -> Path:
-        """Return the path of a trial's checkpoint."""
         return self.path / f"checkpoint-{trial:03d}.npz"
 
     def finished(self, trial: int, *records: type[BaseModel]) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Return the result and the history of a trial, or None if unfinished; ``records``: see `finished_trial`."""
+        """Return the result and the history of a finished trial; ``records``: see `finished_trial`."""
         done = finished_trial(self.path, trial, *records)
         if done:  # both exist if the run was killed between the two steps of `finish`
             self.checkpoint(trial).unlink(missing_ok=True)
         return done
 
     def finish(self, trial: int, result: dict[str, Any], history: dict[str, Any]) -> None:
-        """Save a trial's result, then delete its checkpoint."""
         folder = self.path / f"trial-{trial:03d}"
         if not folder.exists():
             with whole_folder(folder) as new:

@@ -1,4 +1,4 @@
-"""`tune`: search for the filter parameters with the lowest cost on a set of drives."""
+"""Search for the filter parameters with the lowest cost on a set of drives."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -64,16 +64,12 @@ class RunOptions(TypedDict, total=False):
 
 
 class CarOptions(RunOptions, TuneOptions):
-    """Options of `tune` on drives."""
-
     cluster: "NotRequired[Client | None]"
     start: NotRequired[FilterParameters | str | Path | None]
     validation: "NotRequired[Sequence[Drive | Location] | Drive | Location | Dataset]"
 
 
 class ModelOptions(RunOptions, SearchOptions):
-    """Options of `tune` with a custom model on logs."""
-
     model: Required[Model]
     validation: NotRequired[Sequence[Log] | Log]
 
@@ -101,9 +97,9 @@ def tune(
     drives : Drive or sequence of Drive; Log or sequence of Log
         Training drives, or logs for a custom model. With ``cluster`` also paths and URLs of drives.
     validation : Drive or sequence of Drive
-        Drives that the search does not use. The result reports the cost on them; it does not affect the choice.
+        Drives that the search does not use. The result reports the cost on them.
     out : path, optional
-        Folder for results. Every generation is saved in it, so that a killed run can be resumed.
+        Folder for results. Every generation is saved in it, so that a stopped run can be resumed.
     executor : concurrent.futures.Executor, optional
         Runs the filters; by default threads on all cores. The result does not depend on it.
     cluster : distributed.Client, optional
@@ -111,18 +107,18 @@ def tune(
     progress : callable, optional
         Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options
-        ``resume=True`` continues the run in ``out``; the result is the same as without interruption.
-        ``paper=True`` uses the paper's settings, `PAPER`, and rejects options that contradict them. ``start`` is a
-        filter from which the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other
-        options are fields of `TuneConfig`: objective, particles, generations, trials, seed, ... Without ``model`` and
-        ``use`` the filter depends on the drives' sensors; the result's ``config`` states it. ``model`` may be a custom
-        `Model`, and ``optimizer`` a custom class: see `tuning.optimizers`.
+        ``resume=True`` continues the run in ``out``; the result is the same as without interruption. ``paper=True``
+        uses the paper's settings, `PAPER`, and rejects options that contradict them. ``start`` is a filter from which
+        the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other options are
+        fields of `TuneConfig`: objective, particles, generations, trials, seed, ... Without ``model`` and ``use`` the
+        filter depends on the drives' sensors; the result's ``config`` states it. ``model`` may be a custom `Model`, and
+        ``optimizer`` a custom class: see `tuning.optimizers`.
 
     Raises
     ------
     InputError
-        If an option or the folder is invalid, the objective needs truth that a drive does not have, or no parameter
-        set has a finite cost.
+        If an option or the folder is invalid, a drive lacks the truth that the objective needs, or every parameter set
+        has an infinite cost.
     AlignmentError
         If a drive never moves far enough to start a filter.
     TuningStopped
@@ -147,7 +143,7 @@ def tune(
 
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
-    """Save the landmarks of the drives and return them; a cluster may no longer exist when they are needed."""
+    """Save and return the landmarks of the drives, since a cluster may stop before they are needed."""
     if folder is None or not problem.seen:
         return tuple(problem.seen)
     file, names = folder.path / SEEN_FILE, tuple((entry["name"], entry["sha256"]) for entry in problem.data)
@@ -162,7 +158,7 @@ def _problem_of(
     start: FilterParameters | str | Path | None,
     where: "tuple[Executor | None, Client | None]",
 ) -> tuple[Problem[Any], Problem[Any] | None, Array | None]:
-    """Create the problems on the training and the validation data, and convert the start filter to a point."""
+    """Return the problems on the training and the validation data, and the point of the start filter."""
     model: Any = options.get("model")
     executor, cluster = where
     first: Array | None = None
@@ -198,13 +194,7 @@ def _problem_of(
 
 
 def start_point(space: SearchSpace, given: FilterParameters) -> Array:
-    """Return the point of a filter in search coordinates, clipped to the bounds.
-
-    Raises
-    ------
-    InputError
-        If the filter has another model or type than the search space.
-    """
+    """Return the point of a filter, clipped to the bounds."""
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
         raise InputError(
@@ -216,7 +206,7 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 def tuning_folder(
     path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool, start: Array | None = None
 ) -> ResultFolder:
-    """Open or create the folder of a tuning, and check that it has the same configuration, data and start."""
+    """Open or create the folder of a tuning."""
     wanted = {**config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
     if start is not None:
         wanted["start"] = dict(zip(problem.space.names, start.tolist(), strict=True))
@@ -234,10 +224,10 @@ def tune_problem(
     diagnose: bool = True,
     start: Array | None = None,
 ) -> Tuning[P]:
-    """Run, resume or read the trials of a tuning, and write its tuning.toml.
+    """Run, resume or read the trials, and write tuning.toml.
 
-    Without ``executor`` all work is done in this thread. ``diagnose`` checks the filter for faults that the objective
-    does not show. Before process-noise inflation, the cost is at most that of ``start``.
+    The result is ``start`` if its cost is lower than that of every trial. ``diagnose`` checks for faults that the
+    objective does not show.
     """
     search = Search(config, problem, executor, folder, progress, start)
     trials = tuple(search.trial(i) for i in range(config.trials))
@@ -288,7 +278,7 @@ def tune_problem(
 
 
 def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
-    """Raise `InputError` if a validation drive is a training drive or overlaps with one."""
+    """Raise `InputError` if a validation drive overlaps with a training drive."""
     seen = {entry["sha256"] for entry in problem.data}
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:

@@ -1,4 +1,4 @@
-"""Configuration of a study, which is saved as study.toml with its results."""
+"""Configuration of a study, saved as study.toml."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,15 +26,12 @@ from sigmaswarm.tuning.space import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"
-"""Name of the group of all conditions, and of an unknown maneuver or environment."""
-UNTUNED = "untuned"
-"""The protocol of methods without tuning."""
+"""Group of all conditions, and an unknown maneuver or environment."""
+UNTUNED = "untuned"  # protocol
 ProtocolName = Literal["paper", "honest"]
 
 
 class Protocol(BaseModel):
-    """The objective of a protocol, and the scale on which variances are searched."""
-
     model_config = ConfigDict(frozen=True)
 
     objective: str
@@ -45,24 +42,17 @@ PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(objective="gps-rmse", scale="linear"),
     "honest": Protocol(objective="truth-rmse", scale="log10"),
 }
-"""Protocols of tuning; the objective of ``paper`` is the paper's equation 4."""
+"""The objective of ``paper`` is the paper's equation 4."""
 
 
 @dataclass(frozen=True)
 class Method:
     """A method of a study, one row of the tables.
 
-    Attributes
-    ----------
-    label : str
-    protocols : tuple of str
-        Protocols under which it is tuned or trained.
-    filter : (filter type, model) or None
-        Filter of the method, if it is fixed.
-    paper : str or None
-        Key of the paper's result that is shown next to it.
-    rival : bool
-        True if the method is used only in studies with rivals.
+    - ``protocols``: those under which it is tuned or trained.
+    - ``filter``: filter type and model, if fixed.
+    - ``paper``: key of the paper's result next to it.
+    - ``rival``: True if it is used only in studies with rivals.
     """
 
     label: str
@@ -75,10 +65,10 @@ class Method:
 MAIN = "pso-ukf"
 """The paper's method, with which all others are compared."""
 BY_DEFAULT = "default"
-"""Method with the filter, objective and optimizer that `tune` chooses for a study's drives."""
+"""Method with the filter, objective and optimizer that `tune` chooses."""
 BY_BO = "bo-ukf"
 HELPED = "pso-planar8"
-"""Method whose filter is used with networks: `noise-gru` does not support tilted12, and planar5 has no biases."""
+"""Method with the filter that networks support: `noise-gru` does not support tilted12, and planar5 has no biases."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 METHODS: dict[str, Method] = {
     "imu-only": Method("IMU only", paper="imu-only"),
@@ -101,12 +91,11 @@ METHODS: dict[str, Method] = {
     "outage-lstm": Method("planar8 with outage-lstm", HONEST, rival=True),
     "noise-gru": Method("planar8 with noise-gru", HONEST, rival=True),
 }
-"""All methods, in the order of the tables; the paper tunes only the UKF."""
+"""Methods in the order of the tables; the paper tunes only the UKF."""
 NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
 BO_EVALUATIONS = 100
 """Evaluations of Bayesian optimization; with more, its own time exceeds that of the filters (docs/optimizers.md)."""
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
-"""Outage lengths, s, of the additional measures of a study with rivals."""
 MEASURES = {
     "position_rmse_m": "position RMSE against truth, m",
     "gps_rmse_m": "RMSE against the GPS fix after the update (equation 4), m",
@@ -114,7 +103,6 @@ MEASURES = {
     "outage_drift_m": "drift over a 5 s outage, m",
     "nis": "mean NIS, 2 if the filter is consistent",
 }
-"""Measures of each drive."""
 QUICK = {"runs": 2, "trials": 3}
 """Options of the study in `sigmaswarm demo`: 50 drives, half a minute on two cores."""
 RIVALS_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
@@ -185,12 +173,10 @@ class StudyConfig(BaseModel):
 
     @property
     def simulated(self) -> dict[str, Any]:
-        """Options of all simulated drives."""
         return self.model_dump(include={"imu", "gps", "vibration", "terrain", "seed"})
 
     @property
     def methods(self) -> dict[str, Method]:
-        """The methods of this study."""
         return {name: method for name, method in METHODS.items() if self.rivals or not method.rival}
 
     @property
@@ -201,7 +187,6 @@ class StudyConfig(BaseModel):
 
     @property
     def measures(self) -> dict[str, str]:
-        """Meanings and units of the measures of this study, by name."""
         longer = {name: f"drift over a {s:g} s outage, m" for name, s in self.long_outages.items()}
         return MEASURES | longer
 
@@ -226,18 +211,17 @@ class StudyConfig(BaseModel):
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out None, which TOML does not have, and in a study without rivals their options."""
+        """Omit None, which TOML does not have, and unused options of rivals."""
         values: dict[str, Any] = dump(self)
         left_out = () if self.rivals else RIVALS_OPTIONS
         return {name: value for name, value in values.items() if value is not None and name not in left_out}
 
     def to_toml(self) -> str:
-        """Return the text of study.toml."""
         return tomli_w.dumps(self.model_dump(mode="json"))
 
 
 def read_config(path: Path | None, **changes: Any) -> StudyConfig:
-    """Read study.toml or, without a path, use the defaults; then apply changes to the options."""
+    """Read study.toml or use the defaults, and apply changes to the options."""
     options: dict[str, Any] = {}
     if path is not None:
         missing = "leave --config out for the paper's study"

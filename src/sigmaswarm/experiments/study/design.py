@@ -60,17 +60,14 @@ class Task:
 
     @property
     def variant(self) -> tuple[ProtocolName, str]:
-        """Protocol and method."""
         return self.protocol, self.method
 
     @property
     def folder(self) -> str:
-        """Name of the folder that contains this tuning for all trials."""
         return tuning_name(self.protocol, self.method, self.group)
 
 
 def tuning_name(protocol: str, method: str, group: str) -> str:
-    """Return the name of the tunings of a method under a protocol for a group."""
     return f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
 
 
@@ -78,19 +75,9 @@ def tuning_name(protocol: str, method: str, group: str) -> str:
 class Design:
     """The drives of a study and how they are used.
 
-    Attributes
-    ----------
-    drives : tuple of Drive or Sensors
-        Drives with truth and unique names; only their sensors if the drives are on the workers of a cluster.
-    conditions : tuple of (maneuver, environment)
-        Condition of each drive.
-    strata : tuple of str
-        Stratum of each drive; each stratum is split into training and test drives.
-    config : StudyConfig
-    remote : RemoteDataset or None
-        Dataset of drives on a cluster.
-    apart : bool
-        True if all drives are test drives.
+    ``drives`` have truth and unique names; they are `Sensors` if the drives are on a cluster (``remote``). ``strata``:
+    stratum of each drive; each stratum is split into training and test drives. ``apart``: True if all drives are test
+    drives.
     """
 
     drives: tuple[Drive | Sensors, ...]
@@ -107,19 +94,18 @@ class Design:
 
     @cached_property
     def prepared(self) -> tuple[PreparedDrive, ...]:
-        """Local drives, aligned once and without preprocessing, as in the paper."""
+        """Local drives, without preprocessing, as in the paper."""
         drives = (drive for drive in self.drives if isinstance(drive, Drive))
         return tuple(PreparedDrive(drive, as_recorded=True) for drive in drives)
 
     def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
-        """Apply a module-level function to prepared drives, local or remote: all of them, or some by index."""
+        """Apply a module-level function to prepared drives, local or remote: to all, or some by index."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
         return map_prepared(self.remote.subset(chosen), function, as_recorded=True)
 
     def replays(self, *, outages: bool) -> Replays:
-        """Prepare all drives, local or remote, for runs with parameter sets."""
         seed = self.config.seed
         if self.remote is None:
             return Replayer(self.prepared, outages=outages, outage_seed=seed)
@@ -127,7 +113,6 @@ class Design:
         return RemoteReplayer(self.remote, passes, _accept)
 
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
-        """Return the configuration of the tunings of a method under a protocol."""
         c, particles, generations = self.config, self.config.particles, self.config.generations
         options: dict[str, Any] = self._default_options
         if chosen := METHODS[method].filter:
@@ -150,7 +135,7 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """Value of ``racing``: as configured; by default True with many training drives, for equal accuracy."""
+        """True if configured or, by default, if every tuning has many training drives."""
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
@@ -158,16 +143,13 @@ class Design:
 
     @cached_property
     def _default_options(self) -> dict[str, Any]:
-        """Options of the default filter of `tune` for these drives."""
         found, _ = with_filter({}, self.drives)
         return {**found, "objective": objective_for(self.drives, "auto", found["model"], found["use"])}
 
     def members(self, group: str) -> list[int]:
-        """Return the indices of a group's drives."""
         return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
 
     def group_of(self, drive: int) -> str:
-        """Return the group whose filter runs on a drive with this index."""
         return self.strata[drive] if self.config.per_condition else ALL
 
     def split(self, trial: int) -> tuple[list[int], list[int]]:
@@ -181,27 +163,24 @@ class Design:
         return sorted(train), sorted(set(range(len(self.drives))) - set(train))
 
     def rng(self, trial: int, purpose: str) -> np.random.Generator:
-        """Return the random generator for one purpose in a trial."""
         key = (trial, zlib.crc32(purpose.encode()))
         return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=key))
 
     @property
     def tasks(self) -> Iterator[Task]:
-        """All tunings of the study, in the order of their trials."""
         for trial in range(self.config.trials):
             for protocol, method in self.config.tuned:
                 for group in self.groups:
                     yield Task(protocol, method, group, trial)
 
     def fingerprint(self) -> str:
-        """Return a hash of the names and data of all drives."""
         return hashlib.sha256("".join(self.of_each(_identity)).encode()).hexdigest()
 
 
 def make_design(
     config: StudyConfig, executor: Executor | None = None, cluster: "Client | None" = None
 ) -> Design:
-    """Create the design of a study: simulate or read its drives, locally or on the workers of a cluster."""
+    """Simulate or read the drives of a study, locally or on the workers of a cluster."""
     remote: RemoteDataset | None = None
     drives: Sequence[Drive | Sensors]
     if cluster is not None:
@@ -256,7 +235,6 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
 
 
 def _sources(config: StudyConfig) -> Sequence[Location | Source]:
-    """Return the sources from which a cluster's workers read or simulate the drives."""
     if config.drives:
         return all_drive_locations(config.drives)
     names = product(config.maneuvers, config.environments, range(config.runs))
@@ -277,7 +255,6 @@ def _identity(ready: PreparedDrive) -> str:
 
 
 def _condition_of(drive: Drive) -> tuple[str, str]:
-    """Return a drive's maneuver and environment from its metadata."""
     scenario = drive.metadata.get("scenario", {})
     named = scenario if isinstance(scenario, dict) else {}
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
@@ -294,7 +271,6 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
 
 
 def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
-    """Raise `InputError` if a drive has no truth or two drives have the same name."""
     names: set[str] = set()
     for drive in drives:
         if not drive.truth:

@@ -1,7 +1,7 @@
-"""Networks of a study. Each supports the filter of one trial and is trained only on the training drives of that trial.
+"""Networks of a study, each trained for the filter of one trial, on the training drives of that trial.
 
-Each network has a folder in learned/, as written by `sigmaswarm learn`. The networks are trained one after the other,
-so that the processor time of each can be measured.
+Each network has a folder in learned/, as written by `sigmaswarm learn`. Networks are trained one after the other, so
+that the processor time of each can be measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,18 +30,14 @@ from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_wind
 LEAST = 21.0
 """Shortest usable drive, s after the filter's start: for segments of 20 s, and outages of 10 s that begin at 10 s."""
 ALONE = 80.0
-"""Shortest drive, s after the filter's start, that suffices as the only one: its last quarter is held back."""
+"""Shortest drive, s after the filter's start, that suffices as the only one."""
 FEWEST = 3
 """Number of drives from which on the last third is held back, for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lessons:
-    """Drives for the training of a network; ``driven`` is their total time after the filters' start, s.
-
-    `learn` trains on ``shown`` and uses ``held_back`` for early stopping. With only one or two drives it holds back
-    their ends.
-    """
+    """Training and validation drives of a network, and their time after the filters' start, s."""
 
     shown: tuple[Drive, ...]
     held_back: tuple[Drive, ...]
@@ -50,7 +46,7 @@ class Lessons:
 
 @dataclass(frozen=True)
 class Training:
-    """Training of a network in a trial, on ``minutes`` of driving; None means the study's ``learn_minutes``."""
+    """Training of a network in a trial, on ``minutes`` of driving; by default the study's ``learn_minutes``."""
 
     network: NetworkName
     trial: int
@@ -58,35 +54,29 @@ class Training:
 
     @property
     def task(self) -> Task:
-        """Task of the study for this network."""
         return Task("honest", self.network, ALL, self.trial)
 
     @property
     def folder(self) -> str:
-        """Folder of the training, relative to the study's folder."""
         what = f"trial-{self.trial:03d}" if self.minutes is None else f"curve-{self.minutes:g}-minutes"
         return f"learned/{self.network}/{what}"
 
     @property
     def epochs(self) -> int:
-        """Largest number of epochs."""
         return LEARNERS[self.network].epochs
 
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A trained network, the parameters of its filter, and the driving time of its training, s."""
-
     parameters: FilterParameters
     learned: Learned
-    driven: float
+    driven: float  # s
 
 
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:
     """Draw minutes of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    With more minutes, the drives for fewer minutes are included. If the drawn drives are too few for training, drives
-    are added.
+    More minutes include the drives for fewer minutes. Drives are added if those drawn are too few for training.
     """
     left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -116,7 +106,7 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
 
 
 def trainings(design: Design) -> list[Training]:
-    """List all trainings of a study: those of every trial, and those for the learning curves of the first trial."""
+    """List the trainings of every trial, and those for the learning curves of the first trial."""
     if not design.config.rivals:
         return []
     trials = range(design.config.trials)
@@ -135,7 +125,7 @@ def train_all(
 ) -> dict[Training, Trained]:
     """Run, continue or read all trainings, one after the other.
 
-    ``progress`` is called with the finished generations and epochs, including those of all tunings, and the task.
+    ``progress`` is called with the finished generations and epochs, and the task.
     """
     done = len(list(design.tasks)) * design.config.generations
     trained: dict[Training, Trained] = {}
@@ -163,13 +153,7 @@ def score_networks(
     drives: Sequence[Sequence[int]],
     executor: Executor | None = None,
 ) -> dict[str, Array]:
-    """Score networks on drives; ``drives`` has the indices of the drives for each network.
-
-    Returns
-    -------
-    dict of measure to ndarray, shape (networks, all drives)
-        Scores; NaN on the other drives.
-    """
+    """Score networks on drives, given by index for each network: arrays of shape (networks, all drives) by measure."""
     jobs = [(k, i) for k, chosen in enumerate(drives) for i in chosen]
     one = partial(_score, long=design.config.long_outages, seed=design.config.seed)
     results = (executor.map if executor else map)(

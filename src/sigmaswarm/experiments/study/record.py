@@ -31,15 +31,13 @@ from sigmaswarm.records import load_record
 from sigmaswarm.scoring.tracks import Tracks, load_tracks
 from sigmaswarm.tuning.box import TouchedBound
 
-Variant = tuple[str, str]
-"""Protocol and method."""
+Variant = tuple[str, str]  # protocol, method
 
 
 Figure = Annotated[float | None, BeforeValidator(finite)]
 """A number; None in place of NaN and infinity, which JSON does not have."""
 Interval = tuple[Figure, Figure]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
-"""A touched bound, which is stored as text."""
 
 
 class _Part(BaseModel):
@@ -60,7 +58,7 @@ class ScoreStatistics(_Part):
     Attributes
     ----------
     mean, sd : over trials, of the mean over each trial's test drives
-    trial_interval : mean +- 1.96 SD / sqrt(n); accounts for the variation by optimizer and split, not for new drives
+    trial_interval : mean +- 1.96 SD / sqrt(n); accounts for optimizer and split, not for new drives
     corrected_t_interval : corrected resampled t interval, for new drives
     bootstrap_interval : for new drives, by resampling trials, and drives within conditions
     n_trials, n_drives : numbers of trials and drives with values
@@ -84,11 +82,11 @@ class _Scored(_Part):
 
 
 class VariantSummary(ScoreStatistics, _Scored):
-    """The statistics of a variant's measure, in one condition or over all of them."""
+    """Statistics of a measure in one condition or over all."""
 
 
 class PairedStatistics(_Part):
-    """Comparison of two methods on the same drives, with one value per drive: the mean over its trials.
+    """Comparison of two methods on the same drives; the value of a drive is the mean over its trials.
 
     Attributes
     ----------
@@ -96,7 +94,6 @@ class PairedStatistics(_Part):
     p : p-value of Wilcoxon's two-sided signed-rank test
     rank_biserial : effect size from -1 to 1: share of the rank sum for the method minus the share against it
     improvement, improvement_interval : %, the paper's equation 5
-    n_drives : int
     """
 
     mean_difference: Figure
@@ -116,13 +113,13 @@ class _Compared(_Part):
 
 
 class PairedComparison(PairedStatistics, _Compared):
-    """Statistics of a pair of methods; ``holm_p`` is corrected over all pairs of a protocol and measure."""
+    """Comparison of a pair of methods; ``holm_p`` is corrected over all pairs of a protocol and measure."""
 
     holm_p: float
 
 
 class TrialTuning(_Part):
-    """Tuning in one trial; ``folder``, relative to the study's folder, contains result.json and history.npz."""
+    """Tuning in one trial; ``folder`` is relative to the study's folder."""
 
     protocol: str
     method: str
@@ -152,13 +149,11 @@ class Convergence(_Part):
 
 
 class Effort(_Part):
-    """Amount of data and number of free parameters of a tuned or trained method; means over trials.
+    """Data and free parameters of a tuned or trained method; means over trials.
 
-    Attributes
-    ----------
-    labelled_s : driving time with truth, s, of all training drives of its filter
-    learned_s : driving time, s, used without truth to train its network
-    numbers : number of parameters that tuning and training determine
+    - ``labelled_s``: driving time with truth, s, of all training drives of its filter.
+    - ``learned_s``: driving time, s, used without truth to train its network.
+    - ``numbers``: number of parameters that tuning and training determine.
     """
 
     protocol: str
@@ -169,13 +164,13 @@ class Effort(_Part):
 
 
 class ElsewhereSummary(VariantSummary):
-    """Statistics of a variant's measure on drives with other sensors or another car."""
+    """Statistics of a measure on drives with other sensors or another car."""
 
     place: str
 
 
 class CurvePoint(_Part):
-    """Point of a learning curve: a network after ``minutes`` of training data, on the first trial's test drives.
+    """A network after ``minutes`` of training data, on the first trial's test drives.
 
     0 minutes is the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """
@@ -217,17 +212,15 @@ class Results(_Part):
     rivals: RivalResults | None = None
 
     def label(self, method: str, protocol: str = UNTUNED) -> str:
-        """Return the label of a method, with its protocol if it is tuned."""
         name = self.methods.get(method, method)
         return name if protocol == UNTUNED else f"{name} ({protocol})"
 
     def means(self, measure: str) -> list[VariantSummary]:
-        """Return the summaries of every variant over all conditions."""
+        """Return the summaries over all conditions."""
         wanted = (measure, ALL, ALL)
         return [row for row in self.summaries if (row.measure, row.maneuver, row.environment) == wanted]
 
     def summary(self, protocol: str, method: str, measure: str) -> VariantSummary | None:
-        """Return one of `means`, if it exists."""
         found = (row for row in self.means(measure) if (row.protocol, row.method) == (protocol, method))
         return next(found, None)
 
@@ -237,7 +230,6 @@ class Results(_Part):
         return self.model_dump(mode="json", by_alias=True, exclude=left_out)
 
     def write(self, folder: Path) -> None:
-        """Write results.json."""
         write_json(folder / "results.json", self.content(), indent=1)
 
 
@@ -245,10 +237,7 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class Spread(_Part):
-    """Quantiles over drives of one value per drive, the mean over its trials.
-
-    ``failed`` is the number of drives with failures, which are left out.
-    """
+    """Quantiles over drives of a drive's mean over its trials; ``failed``: number of drives with failures."""
 
     protocol: str
     method: str
@@ -262,7 +251,6 @@ class Spread(_Part):
 
 
 def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[Spread]:
-    """Compute the spread of every variant's measures from the table of scores."""
     keys = ["protocol", "method", "measure"]
     value = pl.col("value").filter(pl.col("value").is_finite())
     drives = scores.lazy().group_by([*keys, "drive"], maintain_order=True).agg(pl.col("value").mean())
@@ -274,7 +262,6 @@ def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[Spread]:
 
 
 def read_spreads(folder: Path) -> list[Spread]:
-    """Compute the spread from scores.csv."""
     path = folder / "scores.csv"
     try:
         return spreads_of(pl.scan_csv(path, glob=False, schema_overrides={"value": pl.Float64()}))
@@ -298,20 +285,8 @@ class _TuningConfig(BaseModel):
 class StudyRecord:
     """Content of the folder of a study.
 
-    Attributes
-    ----------
-    results : Results
-        Content of results.json.
-    spreads : list of Spread
-        Quantiles of the scores in scores.csv.
-    live : mapping of filter to mapping
-        Times from timings.json: predict_ms and predict_and_update_ms of live filters, and their ranges.
-    rival_times : mapping of variant to mapping
-        Processor times from timings.json: training_s for a trial and sample_us for an IMU sample.
-    tracks : list of Tracks
-        Content of tracks.npz.
-    versions : mapping of str to str
-        Software versions from the configurations of the tunings.
+    ``spreads`` come from scores.csv, ``versions`` from the tunings. ``live``: predict_ms and predict_and_update_ms of
+    live filters, and their ranges. ``rival_times``: training_s for a trial and sample_us for an IMU sample.
     """
 
     results: Results
@@ -323,7 +298,6 @@ class StudyRecord:
 
     @classmethod
     def read(cls, folder: Path) -> "StudyRecord":
-        """Read the folder of a study."""
         timings, tracks = folder / "timings.json", folder / "tracks.npz"
         times = load_record(_Timings, timings) if timings.exists() else _Timings()
         configs = sorted(folder.glob("trials/*/config.json"))

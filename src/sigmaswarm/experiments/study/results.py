@@ -1,4 +1,4 @@
-"""The results of a study: statistics of its scores, tunings and networks."""
+"""Statistics of the scores, tunings and networks of a study."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -50,7 +50,6 @@ def results_of(
     scores: ScoreTable,
     rivals: RivalResults | None = None,
 ) -> Results:
-    """Return the content of results.json."""
     design, draws = scores.design, Draws(scores.design.config.seed)
     return Results(
         config=design.config,
@@ -81,7 +80,6 @@ def results_of(
 
 
 def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
-    """Yield the summary of every variant and measure, over all conditions and in each."""
     design, everywhere = scores.design, (ALL, ALL)
     train, test = design.split(0)
     each = dict.fromkeys(condition for condition in design.conditions if condition != everywhere)
@@ -111,7 +109,7 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
 
 
 def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
-    """Compare the PSO-UKF of each protocol with every method without tuning or tuned under the same protocol."""
+    """Compare PSO-UKF with the methods without tuning or tuned under the same protocol."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
         for measure in _compared(scores):
@@ -142,7 +140,7 @@ def _against(
 
 
 def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Draws) -> PairedStatistics:
-    """Compare the scores of two methods, shape (trials, drives), on the drives where both have values."""
+    """Compare scores, shape (trials, drives), on the drives where both methods have values."""
     a, b = drive_means(method), drive_means(other)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
@@ -158,7 +156,6 @@ def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Dr
 
 
 def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
-    """Compute the convergence of every tuned variant and group."""
     best: dict[tuple[str, str, str], list[Array]] = {}
     for task, trial in trials.items():
         best.setdefault((task.protocol, task.method, task.group), []).append(trial.best)
@@ -186,8 +183,7 @@ def rival_results(
 ) -> RivalResults:
     """Return the results of a study with rivals.
 
-    ``less``: the networks trained on less data, for the learning curves. ``curve``: their scores by measure, shape
-    (networks, drives).
+    ``less``: networks trained on less data; ``curve``: their scores by measure, shape (networks, drives).
     """
     draws = Draws(scores.design.config.seed)
     return RivalResults(
@@ -223,7 +219,6 @@ def _efforts(
 
 
 def _gains(scores: ScoreTable, networks: Iterable[Task], draws: Draws) -> Iterator[PairedComparison]:
-    """Compare each network with its filter alone, drive by drive, in the measures that the network changes."""
     for protocol, method in dict.fromkeys(task.variant for task in networks):
         for measure in _compared(scores):
             own, alone = (scores.values[protocol, m].get(measure) for m in (method, HELPED))
@@ -233,7 +228,6 @@ def _gains(scores: ScoreTable, networks: Iterable[Task], draws: Draws) -> Iterat
 
 
 def _elsewhere(tables: Mapping[str, ScoreTable], home: Design, draws: Draws) -> Iterator[ElsewhereSummary]:
-    """Summarize every variant and measure over all drives of each place."""
     for place, scores in tables.items():
         ratio = len(scores.design.drives) / len(home.split(0)[0])
         for protocol, method, measure, values in scores.columns():

@@ -35,12 +35,11 @@ TAKEN: dict[str, Callable[[Scores], Array]] = {
     "outage_drift_m": lambda s: s.outage_drift,
     "nis": lambda s: s.mean_nis,
 }
-"""Functions that take each measure from the compiled scores."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
-    """All scores of a study: arrays of shape (trials, drives) by variant and measure.
+    """Scores of a study: arrays of shape (trials, drives) by variant and measure.
 
     A score is NaN if the trial did not test on the drive or the measure is unknown, and ``inf`` if the filter failed.
     """
@@ -49,7 +48,6 @@ class ScoreTable:
     values: Mapping[Variant, Mapping[str, Array]]
 
     def columns(self) -> Iterator[tuple[str, str, str, Array]]:
-        """Yield protocol, method, measure and values of each array."""
         for (protocol, method), measures in self.values.items():
             for measure, values in measures.items():
                 yield protocol, method, measure, values
@@ -81,7 +79,6 @@ class ScoreTable:
         return pl.concat(parts)
 
     def write(self, folder: Path) -> None:
-        """Write scores.csv."""
         write_whole(folder / "scores.csv", self.to_frame().write_csv())
 
 
@@ -100,7 +97,6 @@ def score_all(
     executor: Executor | None = None,
     networks: Mapping[Task, Trained] | None = None,
 ) -> ScoreTable:
-    """Score every method, including networks, on each trial's test drives."""
     test = [design.split(trial)[1] for trial in range(design.config.trials)]
     tested = np.array([np.isin(np.arange(len(design.drives)), drives) for drives in test])
     score = partial(_score_sets, design, _passes(design), executor)
@@ -124,7 +120,7 @@ def score_all(
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """Prepared drives, a mask of the drives with room for an outage and counted failures, and functions of measures."""
+    """Prepared drives, a mask of those with room for an outage, and functions of measures."""
 
     replays: Replays
     fits: NDArray[np.bool_]
@@ -132,7 +128,7 @@ class _Pass:
 
 
 def _passes(design: Design) -> list[_Pass]:
-    """Prepare the drives for all measures; longer outages are measured only on local drives."""
+    """Prepare the drives; longer outages are measured only on local drives."""
     passes = [_Pass(design.replays(outages=True), np.ones(len(design.drives), dtype=np.bool_), TAKEN)]
     seed = design.config.seed
     for measure, length in design.config.long_outages.items():
@@ -150,12 +146,9 @@ def _score_sets(
     executor: Executor | None,
     jobs: Iterable[tuple[Sequence[int], Sequence[FilterParameters]]],
 ) -> dict[str, Array]:
-    """Score the parameter sets of each job on its drives.
+    """Score the parameter sets of each job on its drives: arrays of shape (sets, all drives) by measure.
 
-    Returns
-    -------
-    dict of measure to ndarray, shape (sets, all drives)
-        Scores; ``inf`` if the filter failed, NaN on drives without a job.
+    A score is ``inf`` if the filter failed, and NaN on drives without a job.
     """
     found: dict[str, Array] = {}
     for drives, sets in jobs:
@@ -180,9 +173,9 @@ def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
 
 
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
-    """Score raw fixes, fixes alone or IMU only on all drives; return arrays of shape (1, drives) by measure.
+    """Score raw fixes, fixes alone or IMU only on all drives: arrays of shape (1, drives) by measure.
 
-    The filter of the fixes alone uses the medians of the noise parameters fitted to the drives.
+    Fixes alone have the medians of the noise parameters fitted to the drives.
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     noise = MotionNoise.typical(design.of_each(noise_of)) if method == "fixes-alone" else None
@@ -193,7 +186,6 @@ def _unfiltered(method: str, design: Design) -> dict[str, Array]:
 def _score_unfiltered(
     ready: PreparedDrive, method: str, noise: MotionNoise | None, lengths: Mapping[str, float], seed: int
 ) -> dict[str, float]:
-    """Score the raw fixes, the IMU alone or, with ``noise``, the fixes alone on a drive."""
     drive, start = ready.drive, ready.initial
     residual, drifts = np.nan, dict.fromkeys(lengths, np.nan)
     if method == "raw-gps":

@@ -56,15 +56,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """Progress of a study.
-
-    Attributes
-    ----------
-    done, total : int
-        Finished and total number of generations of all tunings and epochs of all trainings.
-    task : Task
-        Task that advanced.
-    """
+    """Progress of a study: ``done`` and ``total`` generations and epochs, and the task that advanced."""
 
     done: int
     total: int
@@ -82,11 +74,11 @@ class Study:
     trials : mapping of Task to Trial
     parameters : mapping of Task to FilterParameters
     best : mapping of str to FilterParameters
-        Parameters of the best trial of each folder in trials/, also saved as best/<name>.toml.
+        Parameters of the best trial of each tuning, by folder in trials/.
     record : StudyRecord
         Content of the folder.
     picture : Picture
-        Data of a static plot of the tracks on a test drive, for the trial in `shown_trial`.
+        Data of a static plot of the tracks on a test drive.
     """
 
     folder: Path
@@ -99,12 +91,11 @@ class Study:
 
     @property
     def results(self) -> Results:
-        """The content of results.json."""
         return self.record.results
 
 
 def shown_trial(trials: Mapping[Task, Trial]) -> int:
-    """Return the trial whose filters are plotted: the one with the lowest training cost of the honest PSO-UKF."""
+    """Return the trial that is plotted: the one with the lowest training cost of the honest PSO-UKF."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN):
@@ -234,7 +225,6 @@ def _run(
 def _write_best(
     out: Path, trials: Mapping[Task, Trial], points: Mapping[Task, FilterParameters]
 ) -> dict[str, FilterParameters]:
-    """Write a parameter file of the trial with the lowest training cost of each tuning."""
     best: dict[str, Task] = {}
     for task, trial in trials.items():
         if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
@@ -253,7 +243,6 @@ def _tune_all(
     progress: Callable[[int, Task], None],
     processes: int,
 ) -> dict[Task, Trial]:
-    """Run every tuning of the study, on the training drives of its group and trial."""
     configs = {(p, m): design.tune_config(m, p) for p, m in design.config.tuned}
     outages = {v: objective_named(config.objective).needs_outages for v, config in configs.items()}
     replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}
@@ -298,7 +287,6 @@ def _tune_all(
 
 
 def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
-    """Open or create the folder of each tuning, with its configuration and data."""
     data = {"fingerprint": design.fingerprint(), "drives": len(design.drives)}
     folders: dict[str, ResultFolder] = {}
     for task in design.tasks:

@@ -28,7 +28,6 @@ LIVE: dict[str, tuple[FilterKind, ModelName]] = {
     "UKF": ("ukf", "planar5"),
     "UKF, planar8": ("ukf", "planar8"),
 }
-"""Filters whose updates are timed: type and model by name."""
 
 
 class Stopwatch:
@@ -43,14 +42,13 @@ class Stopwatch:
         return {"wall_s": time.perf_counter(), "processor_s": sum(os.times()[:4])}
 
     def lap(self, name: str) -> None:
-        """End a lap and store its times."""
         began, self._began = self._began, self._now()
         self.laps[name] = {clock: self._began[clock] - t for clock, t in began.items()}
 
 
 @contextmanager
 def kept_time(file: Path) -> Generator[None]:
-    """Measure this thread's processor time in a ``with`` block, and write it to timings.json, as for a training."""
+    """Measure this thread's processor time in a ``with`` block, and write it to timings.json."""
     began = time.thread_time()
     yield
     write_json(file, {"processor_s": time.thread_time() - began})
@@ -61,9 +59,8 @@ def rival_times(
 ) -> dict[str, dict[str, float]]:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s`` is the time of a trial, s; for a network it does not include the tuning of the filter. ``sample_us``
-    is the mean time of an IMU sample over a whole drive, us. If a training or tuning was resumed, only its last part is
-    counted.
+    ``training_s`` is the time of a trial, s; for a network without the tuning of the filter. ``sample_us`` is the mean
+    time of an IMU sample, us. Of a resumed trial only the last part is counted.
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}
@@ -82,7 +79,6 @@ def rival_times(
 
 
 def _content(file: Path) -> dict[str, Any]:
-    """Return the content of a timings.json; empty if it is missing or unreadable."""
     try:
         return read_content(file)
     except InputError:
@@ -104,13 +100,7 @@ def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
 def write_timings(
     out: Path, design: Design, watch: Stopwatch, rivals: Mapping[str, Mapping[str, float]]
 ) -> dict[str, dict[str, float]]:
-    """Append this run's laps to timings.json; killed runs have no entry.
-
-    Returns
-    -------
-    dict
-        Times of the live filters, ms.
-    """
+    """Append this run's laps to timings.json; return the times of the live filters, ms."""
     runs = _content(out / "timings.json").get("runs")
     (live,) = design.of_each(_live_times, [0])
     more = {"rivals": rivals} if rivals else {}

@@ -1,4 +1,4 @@
-"""Tracks of a study: filters of the best trial on a few of its test drives."""
+"""Tracks of the filters of the best trial on a few of its test drives."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -19,10 +19,9 @@ FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-"""Protocol and method of the tuned filters whose tracks are saved, in series such as ``honest-pso-ukf``."""
+"""Tuned filters with saved tracks, in series such as ``honest-pso-ukf``."""
 MOST_DRIVES = 10
-MOST_POINTS = 700
-"""Largest number of points of a series, to limit the size of the page."""
+MOST_POINTS = 700  # of a series, to limit the size of the page
 
 
 def follow(
@@ -42,7 +41,6 @@ def follow(
 def _followed(
     ready: PreparedDrive, tuned: Mapping[str, FilterParameters], *, drawn: bool
 ) -> tuple[Tracks, Picture | None]:
-    """Record the tracks of one drive, and the data of the figures if it is ``drawn``."""
     name = ready.drive.name
     replay, tracker = tracking_replay(ready), Tracker(ready, MOST_POINTS, picture=drawn)
     by_hand = {method: manual(method, ready.drive) for method in MANUAL}
@@ -55,8 +53,8 @@ def _followed(
 def shown_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    The drives come from different parts of the lists of drives, so that environments differ. A drive with turns is
-    first. If no drive states its condition, the first test drives are chosen.
+    They come from different parts of the lists of drives, so that environments differ. A drive with turns is first.
+    Without conditions the first test drives are chosen.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}

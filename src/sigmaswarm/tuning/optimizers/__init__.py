@@ -68,26 +68,9 @@ def create_optimizer(
 ) -> Budgeted:
     """Create an optimizer with a budget of evaluations.
 
-    Parameters
-    ----------
-    name : str or class
-        A name in `OPTIMIZERS`, or a custom class that implements `Optimizer`.
-    low, high : ndarray, shape (d,)
-        Bounds, in search coordinates.
-    population : int
-        Number of points per batch, at least 2.
-    budget : int
-        Number of evaluations, at least 1. The last batch is cut to the remaining budget.
-    rng : numpy.random.Generator
-        The only source of random numbers.
-    **options
-        ``polish`` is the number of evaluations reserved for a Nelder-Mead search from the best point. All others are
-        options of the optimizer itself.
-
-    Raises
-    ------
-    InputError
-        If the name or an option is unknown, a method is missing, or a number is out of range.
+    ``name`` is a name in `OPTIMIZERS`, or a class that implements `Optimizer`. ``low`` and ``high``, shape (d,), are
+    bounds in search coordinates. ``population`` is the number of points per batch. ``polish`` is the number of
+    evaluations reserved for a Nelder-Mead search from the best point. The other options go to the optimizer.
     """
     polish = options.pop("polish", 0)
     if isinstance(name, str) and name not in OPTIMIZERS:

@@ -1,4 +1,4 @@
-"""Protocol of an optimizer, and base class of the built-in optimizers."""
+"""Protocol and base class of optimizers."""
 
 from inspect import get_annotations
 from typing import Any, ClassVar, Protocol
@@ -28,7 +28,7 @@ class Optimizer(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Return the state as arrays, numbers and strings by name, so that `restore` continues with identical results.
+        """Return arrays, numbers and strings by name, so that `restore` continues with identical results.
 
         The state of ``rng`` is saved separately and is not needed here.
         """
@@ -42,31 +42,12 @@ class Optimizer(Protocol):
 class AskTell:
     """Base of the built-in optimizers; a child implements `_next` and may implement `_begin` and `_learn`.
 
-    Parameters
-    ----------
-    low, high, population, rng
-        Arguments of every `Optimizer`.
-    **options
-        Values for annotated class attributes of the child.
-
-    Attributes
-    ----------
-    positions : ndarray, shape (n, d)
-        The last points.
-    global_best : ndarray, shape (d,)
-        The best point so far.
-    global_cost : float
-        Cost of the best point; ``inf`` while no point has a finite cost.
-
-    Raises
-    ------
-    InputError
-        If an option is unknown.
+    ``options`` are values for annotated class attributes of the child. ``positions`` are the last points, shape (n, d).
     """
 
     name: ClassVar[str] = ""
     saved: ClassVar[tuple[str, ...]] = ()
-    """Names of the child's attributes that belong to the state: arrays, numbers or strings."""
+    """Names of the child's attributes that belong to the state."""
 
     def __init__(
         self, low: Array, high: Array, population: int, rng: np.random.Generator, **options: Any
@@ -84,18 +65,16 @@ class AskTell:
         self.told = False
 
     def begin_at(self, point: Array) -> None:
-        """Put a point, shape (d,), into the first batch. Call this before the first `ask`."""
+        """Put a point, shape (d,), into the first batch, before the first `ask`."""
         self.positions[0] = point
 
     def ask(self) -> Array:
-        """Return the points to try next, shape (n, d); the same ones until `tell` is called."""
         if self.told:
             self.positions = np.clip(self._next(), self.low, self.high)
             self.told = False
         return self.positions.copy()
 
     def tell(self, costs: Array) -> None:
-        """Receive the costs of the last points, shape (n,); values that are not finite count as ``inf``."""
         if np.shape(costs) != (len(self.positions),):
             raise ValueError(
                 f"`ask` returned {len(self.positions)} points, but the costs have shape {np.shape(costs)}; "
@@ -109,18 +88,17 @@ class AskTell:
         self.told = True
 
     def _begin(self) -> Array:
-        """Initialize the child's state and return the first points; by default these are random."""
+        """Initialize the child's state and return the first points; random ones by default."""
         return self.rng.uniform(self.low, self.high, (self.population, len(self.low)))
 
     def _next(self) -> Array:
-        """Return the next points; `ask` clips them to the bounds."""
         raise NotImplementedError
 
     def _learn(self, costs: Array) -> None:
         """Update the state from the costs of `positions`."""
 
     def _redrawn(self, points: Array) -> Array:
-        """Draw coordinates outside the bounds again, uniformly within them."""
+        """Draw coordinates outside the bounds again, uniformly."""
         outside = (points < self.low) | (points > self.high)
         return np.where(outside, self.rng.uniform(self.low, self.high, points.shape), points)
 
@@ -128,11 +106,9 @@ class AskTell:
         return ("positions", "global_best", "global_cost", "told", *self.saved)
 
     def state(self) -> dict[str, Any]:
-        """Return the state for `restore`, so that the search continues with identical results."""
         return {name: getattr(self, name) for name in self._names()} | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore a saved `state` in an optimizer that was created with the same arguments."""
         for name in self._names():
             now, value = getattr(self, name), state[name]
             if isinstance(now, np.ndarray):
@@ -146,7 +122,7 @@ class AskTell:
 
 
 class Swarm(AskTell):
-    """Base class of swarms, whose particles remember their best positions."""
+    """Particles that remember their best positions."""
 
     saved = ("personal_best", "personal_cost")
 

@@ -1,14 +1,9 @@
 """Bayesian optimization: a Gaussian process of the costs selects the next points.
 
-J. Mockus, V. Tiesis and A. Zilinskas, The application of Bayesian methods for seeking the extremum, 1978; D. R. Jones,
-M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-box functions, J. Global Optimization 13,
-455-492, 1998: expected improvement. Batches of points are selected by the kriging believer of D. Ginsbourger, R. Le
-Riche and L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is assumed to have its
-predicted cost until its cost is known.
-
-scikit-learn fits the length scales to all points and costs each time, so the state consists of points, costs and the
-generator. The search for the next point is part of this module and uses the analytic gradient of the expected
-improvement. Without the gradient, the search would take several times as long as all other steps.
+Expected improvement: J. Mockus, V. Tiesis and A. Zilinskas, 1978; D. R. Jones, M. Schonlau and W. J. Welch, J. Global
+Optimization 13, 455-492, 1998. Batches: the kriging believer of D. Ginsbourger, R. Le Riche and L. Carraro, Kriging is
+well-suited to parallelize optimization, 2010. The state is points, costs and generator, since scikit-learn fits the
+length scales each time.
 """
 
 import threading
@@ -23,36 +18,28 @@ from sigmaswarm.tuning.optimizers.sampling import SobolSearch
 from sigmaswarm.tuning.options import require_packages
 
 MOST = 200
-"""Largest number of costs in a fit, since its time grows with the third power of this number."""
-NOISE = 1e-6
-"""Variance of the noise of a cost, relative to the variance of all costs."""
+"""Largest number of costs in a fit, which needs time proportional to its third power."""
+NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
 LEAST = 1e-12
-"""Lower limit of the variance of a predicted cost, relative to the variance of all costs."""
+"""Smallest variance of a predicted cost, relative to the variance of all costs."""
 FEW_BEST, NEAR = 5, 0.02
 """Number of best points around which half of the candidates lie, and their distance in widths of the bounds."""
 SHORTEST, LONGEST = 0.2, 10.0
 """Range of the length scales, in widths of the bounds."""
 _ALONE = threading.Lock()
-"""Lock for a fit, since it changes warnings and thread limits, which are settings of the whole process."""
+"""Lock, since warnings and thread limits are settings of the whole process."""
 
 
 class BayesianOptimization(AskTell):
-    """Bayesian optimizer that selects the points of the highest expected improvement, after initial Sobol' points.
-
-    Raises
-    ------
-    InputError
-        If scikit-learn is not installed.
-    """
+    """Points with the highest expected improvement, after initial Sobol' points."""
 
     name = "bo"
     saved = ("points", "costs")
     batch: int = 1
     """Number of points between two fits: fewer points use evaluations better, more points save time."""
     candidates: int = 2000
-    """Number of candidates for each point."""
     searches: int = 3
-    """Number of local searches that start at the best candidates."""
+    """Number of local searches from the best candidates."""
 
     def _begin(self) -> Array:
         require_packages("bo")
@@ -74,7 +61,7 @@ class BayesianOptimization(AskTell):
         return self.low + found * (self.high - self.low)
 
     def _remembered(self) -> NDArray[np.intp]:
-        """Return the indices of the points for the fit: all, or the best `MOST` / 2 and the latest `MOST` / 2."""
+        """Return the indices of the points for the fit: the best and the latest."""
         last = len(self.costs) - MOST // 2
         if last <= MOST // 2:
             return np.arange(len(self.costs))
@@ -85,9 +72,8 @@ class BayesianOptimization(AskTell):
 def leveled(costs: Array) -> Array:
     """Transform costs, shape (n,), to log(1 + (cost - best) / (median - best)); at least one must be finite.
 
-    The cost of a diverged filter may be a thousand times that of a good one, and a process fitted to such costs is flat
-    near the best point. The transformation is nearly linear below the median and logarithmic above. Infinite costs are
-    replaced by the highest finite one.
+    A diverged filter may cost a thousand times as much as a good one; without the transformation the process would be
+    flat near the best point.
     """
     finite = np.isfinite(costs)
     filled = np.where(finite, costs, costs[finite].max())
@@ -101,8 +87,7 @@ def suggested(
 ) -> Array:
     """Select ``count`` points with the highest expected improvement in the unit cube, shape (count, d).
 
-    ``points``, shape (n, d), have known ``costs``, shape (n,). The new points are selected one by one; each has its
-    predicted cost when the next is selected. ``effort``: numbers of candidates and of local searches.
+    ``effort``: numbers of candidates and of local searches.
     """
     # one thread, since bits depend on the number of threads, and more are not faster with small matrices
     from threadpoolctl import threadpool_limits
@@ -119,7 +104,7 @@ def suggested(
 
 
 def _fitted(points: Array, costs: Array) -> Array:
-    """Return the length scales, shape (d,), of the process with the largest likelihood of these costs."""
+    """Return the length scales, shape (d,), with the largest likelihood."""
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import Matern
 
@@ -133,10 +118,7 @@ def _fitted(points: Array, costs: Array) -> Array:
 
 
 class Improvement:
-    """Model of the expected improvement over the lowest cost, in standard deviations of costs, in the unit cube.
-
-    The Gaussian process has length scales, shape (d,), and is fitted to points, shape (n, d), with costs, shape (n,).
-    """
+    """Expected improvement over the lowest cost, in standard deviations of costs, in the unit cube."""
 
     def __init__(self, lengths: Array, points: Array, costs: Array) -> None:
         from scipy.linalg import cho_factor, cho_solve  # 0.1 s to import
@@ -151,17 +133,13 @@ class Improvement:
         self.weights = self._solved(self.factor, y)
 
     def _alike(self, at: Array) -> tuple[Array, Array, Array]:
-        """Return the Matern 5/2 kernel between candidates, shape (m, d), and the points, shape (m, n).
-
-        In addition, return exp(-r) (1 + r), shape (m, n), and the scaled offsets, shape (m, n, d), for its gradient.
-        """
+        """Return the Matern 5/2 kernel of m candidates and n points, and exp(-r) (1 + r) and offsets for its slope."""
         offsets = (at[:, np.newaxis] - self.points) / self.lengths
         r = np.sqrt(5 * np.sum(offsets**2, axis=2))
         fading = np.exp(-r)
         return (1 + r + r**2 / 3) * fading, (1 + r) * fading, offsets
 
     def forecast(self, point: Array) -> float:
-        """Return the predicted cost at a point, shape (d,)."""
         return self.middle + self.scale * float(self._alike(point[np.newaxis])[0][0] @ self.weights)
 
     def __call__(self, at: Array) -> Array:
@@ -173,7 +151,7 @@ class Improvement:
         return deviation * (z * self._below(z) + _density(z))
 
     def downhill(self, point: Array) -> tuple[float, Array]:
-        """Return the negative logarithm of the expected improvement at a point, shape (d,), and its gradient, (d,)."""
+        """Return the negative logarithm of the expected improvement at a point, and its gradient, shape (d,)."""
         near, fading, offsets = (part[0] for part in self._alike(point[np.newaxis]))
         slope = -5 / 3 * fading[:, np.newaxis] * offsets / self.lengths
         back = self._solved(self.factor, near)
@@ -191,7 +169,7 @@ def _density(z: Array) -> Array:
 def _highest(
     improvement: Improvement, best: Array, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Return the best result of local searches from the best candidates: half are random, half near the best points."""
+    """Return the best result of local searches; half of the candidates are random, half near the best points."""
     from scipy.optimize import minimize
 
     d, (places, searches) = best.shape[1], effort

@@ -1,4 +1,4 @@
-"""Budget of evaluations for an optimizer, and an optional local search at the end."""
+"""Budget of evaluations, and an optional local search at the end."""
 
 from typing import Any
 
@@ -10,12 +10,9 @@ from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 
 class Budgeted:
-    """An optimizer with a budget of evaluations, optionally with a final Nelder-Mead search (polish).
+    """An optimizer with a budget of evaluations, of which ``polish`` are reserved for a final Nelder-Mead search.
 
-    ``first`` searches the whole space; the state of its generator ``rng`` is saved and restored here. ``polish``
-    evaluations of the budget are reserved for the final search, which starts at the best point. ``global_best``, shape
-    (d,), is the best point so far, and ``global_cost`` its cost (``inf`` while no point has a finite cost). ``spent``
-    is the number of evaluations so far.
+    ``rng`` is the generator of ``first``; its state is saved and restored here.
     """
 
     def __init__(
@@ -35,12 +32,11 @@ class Budgeted:
         self.global_best, self.global_cost = low.copy(), np.inf
 
     def begin_at(self, point: Array) -> None:
-        """Start the search at a point, if the optimizer supports it. Call this before the first `ask`."""
+        """Start at a point, if the optimizer supports it, before the first `ask`."""
         if isinstance(self.first, AskTell):
             self.first.begin_at(point)
 
     def ask(self) -> Array:
-        """Return the points to try next, shape (n, d); n = 0 if there is nothing left to try."""
         left = self.budget - self.spent
         batch = self._batch(self.local or self.first)
         polishes = self.local is None and self.polish and np.isfinite(self.global_cost)
@@ -61,7 +57,6 @@ class Budgeted:
         return np.clip(batch, self.low, self.high)
 
     def tell(self, costs: Array) -> None:
-        """Receive the costs of the last points, shape (n,); values that are not finite count as ``inf``."""
         costs = np.where(np.isfinite(costs), costs, np.inf)
         if len(costs) and costs.min() < self.global_cost:
             best = int(np.argmin(costs))
@@ -83,7 +78,6 @@ class Budgeted:
         return NelderMead(self.low, self.high, 1, self.rng, start=start, start_cost=cost)
 
     def state(self) -> dict[str, Any]:
-        """Return the state for `restore`, so that the search continues with identical results."""
         parts = {"first": self.first, "local": self.local}
         states = {
             f"{part}.{name}": value
@@ -96,8 +90,6 @@ class Budgeted:
         return states | own | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore a saved `state` in an optimizer that was created with the same arguments."""
-
         def part(name: str) -> dict[str, Any]:
             own = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
             return own and own | {"rng": state["rng"]}

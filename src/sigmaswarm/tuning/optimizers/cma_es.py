@@ -1,28 +1,23 @@
 """CMA-ES: a normal distribution that adapts to the costs of its samples.
 
-N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023. Numbers in comments are its equations.
-No library is used, since CMA-ES libraries save their state only as pickles.
+N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; comments have its equation numbers. CMA-ES
+libraries are not used, since they save their state only as pickles.
 
 A sample outside the bounds is drawn once more. If it is outside again, its cost is that of its projection on the bounds
-plus a penalty proportional to the squared distance. This follows N. Hansen, A. Niederberger, L. Guzzella and P.
-Koumoutsakos, A method for handling uncertainty in evolutionary optimization, IEEE Trans. Evolutionary Computation 13,
-180-197, 2009, but the weight is not adapted. Drawing until all samples are inside would keep the search away from an
-optimum on a bound.
+plus a penalty (N. Hansen et al., IEEE Trans. Evolutionary Computation 13, 180-197, 2009, but with a constant weight).
+Drawing until all samples are inside would keep the search away from an optimum on a bound.
 """
 
 import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
-INITIAL_STEP = 0.3
-"""Initial standard deviation, in widths of the bounds, as the tutorial recommends."""
+INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
 NARROWEST, WIDEST, LARGEST_CONDITION = 1e-12, 10.0, 1e14
-"""Limits of a distribution's width (in widths of the bounds) and condition number; beyond them it is replaced."""
+"""Limits of width (in widths of the bounds) and condition number; beyond them the distribution is replaced."""
 
 
 class CmaEs(AskTell):
-    """A normal distribution that adapts to the costs of its samples."""
-
     name = "cma-es"
     saved = ("mean", "step", "covariance", "step_path", "path", "generation", "samples")
     step: float = INITIAL_STEP
@@ -35,12 +30,10 @@ class CmaEs(AskTell):
         return self._next()
 
     def begin_at(self, point: Array) -> None:
-        """Center the first distribution on a point."""
         self._restart((point - self.low) / self.width)
         self.positions = np.clip(self._next(), self.low, self.high)
 
     def _constants(self, n: int, d: int) -> None:
-        """Compute weights and rates, which depend only on population and dimension."""
         raw = np.log((n + 1) / 2) - np.log(np.arange(1, n + 1))  # (49)
         better, worse = raw[: n // 2], raw[n // 2 :]
         mu = np.sum(better) ** 2 / np.sum(better**2)
@@ -81,7 +74,7 @@ class CmaEs(AskTell):
         return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
 
     def _penalized(self, costs: Array) -> Array:
-        """Return costs plus penalties: the mean squared distance from the bounds, in steps, times the cost spread."""
+        """Add the mean squared distance from the bounds, in steps, times the spread of the costs."""
         outside = np.mean((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
         lower, upper = np.percentile(costs[np.isfinite(costs)], [25, 75])
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))

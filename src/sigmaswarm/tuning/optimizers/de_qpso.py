@@ -1,14 +1,8 @@
 """Quantum-behaved particle swarm optimization with moves of differential evolution.
 
-J. Sun, W. Xu and B. Feng, A global search strategy of quantum-behaved particle swarm optimization, Proc. IEEE Conf.
-Cybernetics and Intelligent Systems 2004, 111-116: a particle has no velocity. It is drawn from a Laplace distribution
-about a point between its own best position and that of the swarm. The mean of all best positions sets the length of the
-move, and the contraction-expansion coefficient falls linearly.
-
-The hybrid is after Y. Fu, M. Ding, C. Zhou and H. Hu, Route planning for unmanned aerial vehicle (UAV) on the sea using
-hybrid differential evolution and quantum-behaved particle swarm optimization, IEEE Trans. Systems, Man, and
-Cybernetics: Systems 43, 1451-1465, 2013. In this version each particle randomly makes one of the two moves, so that a
-generation is one batch.
+J. Sun, W. Xu and B. Feng, Proc. IEEE Conf. Cybernetics and Intelligent Systems 2004, 111-116. The hybrid is after Y.
+Fu, M. Ding, C. Zhou and H. Hu, IEEE Trans. Systems, Man, and Cybernetics: Systems 43, 1451-1465, 2013; here each
+particle makes one of the two moves at random, so that a generation is one batch.
 """
 
 import numpy as np
@@ -18,16 +12,16 @@ from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
 EXPANSION = (1.0, 0.5)
 """Contraction-expansion coefficient at the start and in the last generation."""
 DIFFERENTIAL, SCALE, CROSSOVER = 0.5, (0.5, 1.0), 0.7
-"""Probability of a differential move, range of its factor F, and probability CR that a coordinate takes part."""
+"""Probability of a differential move, range of its factor F, and its probability CR."""
 
 
 class QuantumSwarm(Swarm):
-    """A swarm whose particles are drawn about their attractors, or move by differences of best positions."""
+    """Particles that are drawn about attractors, or move by differences of best positions."""
 
     name = "de-qpso"
     saved = (*Swarm.saved, "generation")
     generations: int = 50
-    """Number of generations over which the coefficient falls; `create_optimizer` computes it from the budget."""
+    """Number of generations over which the coefficient falls."""
 
     def _begin(self) -> Array:
         self.generation = 0

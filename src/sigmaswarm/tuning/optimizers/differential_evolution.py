@@ -1,8 +1,6 @@
-"""Differential evolution: trial points from differences between members of the population.
+"""Differential evolution: R. Storn and K. Price, J. Global Optimization 11, 341-359, 1997.
 
-R. Storn and K. Price, Differential evolution, J. Global Optimization 11, 341-359, 1997: the schemes rand/1/bin
-and best/1/bin, with a scale factor redrawn in every generation (dither). Each trial replaces its own parent
-if it is not worse. Coordinates of a trial outside the bounds are drawn again at random within them.
+The schemes are rand/1/bin and best/1/bin, with a scale factor that is drawn in every generation (dither).
 """
 
 from typing import Literal
@@ -14,14 +12,14 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 
 class DifferentialEvolution(AskTell):
-    """A population whose trial points replace their parents if their cost is not higher."""
+    """A population; trial points replace their parents if their cost is not higher."""
 
     name = "de"
     saved = ("members", "member_costs")
     base: Literal["best", "rand"] = "best"
     """Base vector: the best member, or a random one."""
     scale: tuple[float, float] = (0.5, 1.0)
-    """Range of F, which is drawn once per generation."""
+    """Range of F."""
     crossover: float = 0.7
     """CR, the probability that a coordinate comes from the mutant."""
 
@@ -46,7 +44,7 @@ class DifferentialEvolution(AskTell):
         return self._redrawn(np.where(crossed, mutants, x))
 
     def _others(self) -> list[NDArray[np.intp]]:
-        """Return three different other members for each member; with fewer than four members some repeat."""
+        """Return three different other members for each member; with fewer than four some repeat."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last

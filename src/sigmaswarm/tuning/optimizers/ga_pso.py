@@ -1,8 +1,7 @@
-"""A hybrid of genetic algorithm and particle swarm: the better half moves as particles, the worse half is bred again.
+"""A hybrid of genetic algorithm and particle swarm: the better half moves as particles, the worse half is replaced.
 
-C.-F. Juang, A hybrid of genetic algorithm and particle swarm optimization for recurrent network design, IEEE Trans.
-Systems, Man, and Cybernetics B 34, 997-1006, 2004 (HGAPSO). There are two differences: crossover and mutation are those
-of `genetic.py`, and children are bred from the elites before the elites move, so that a generation is one batch.
+HGAPSO: C.-F. Juang, IEEE Trans. Systems, Man, and Cybernetics B 34, 997-1006, 2004. Here crossover and mutation are
+those of `genetic.py`, and the elites have children before they move, so that a generation is one batch.
 """
 
 import numpy as np
@@ -13,16 +12,13 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class GeneticSwarm(Swarm):
-    """A population of which one half moves as a swarm and the other is bred."""
+    """A population of particles and of children of the elites."""
 
     name = "ga-pso"
     saved = ("velocities", "costs", *Swarm.saved)
     inertia: float = INERTIA
-    """Inertia weight w of the half that moves as a swarm."""
     cognitive: float = ACCELERATION
-    """Coefficient c1."""
     social: float = ACCELERATION
-    """Coefficient c2."""
 
     def _begin(self) -> Array:
         positions = super()._begin()

@@ -1,9 +1,7 @@
 """A genetic algorithm on real numbers: tournaments, simulated binary crossover, polynomial mutation, elitism.
 
-K. Deb and R. B. Agrawal, Simulated binary crossover for continuous search space, Complex Systems 9, 115-148, 1995, in
-the version for bounded variables of K. Deb, An efficient constraint handling method for genetic algorithms, Comput.
-Methods Appl. Mech. Engrg. 186, 311-338, 2000, which also defines the polynomial mutation. The best of all parents and
-children survive.
+K. Deb and R. B. Agrawal, Complex Systems 9, 115-148, 1995; bounded crossover and mutation: K. Deb, Comput. Methods
+Appl. Mech. Engrg. 186, 311-338, 2000.
 """
 
 import numpy as np
@@ -12,20 +10,17 @@ from numpy.typing import NDArray
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
-"""Probability of crossover, and distribution indices eta: with higher values points stay closer to their parents."""
+"""Probability of crossover, and indices eta: with higher values children are closer to their parents."""
 
 
 class GeneticAlgorithm(AskTell):
-    """A population whose children replace its worse members."""
-
     name = "ga"
     saved = ("members", "member_costs")
     crossover: float = CROSSOVER
-    """Probability of crossover; without it, children are copies of their parents before mutation."""
     crossover_index: float = CROSSOVER_INDEX
-    """Distribution index eta_c of crossover: with a higher value children stay closer to their parents."""
+    """Index eta_c of the crossover."""
     mutation_index: float = MUTATION_INDEX
-    """Distribution index eta_m of mutation."""
+    """Index eta_m of the mutation."""
 
     def _begin(self) -> Array:
         self.members = super()._begin()
@@ -86,7 +81,7 @@ def offspring(
 
 
 def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Select the winners of ``n`` tournaments of two with equal numbers of entries, shape (n,)."""
+    """Select the winners of ``n`` tournaments of two; all members enter almost equally often."""
     m = len(costs)
     rounds = np.tile(np.arange(m), (-(-2 * n // m), 1))
     one, other = rng.permuted(rounds, axis=1).ravel()[: 2 * n].reshape(n, 2).T
@@ -94,7 +89,7 @@ def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]
 
 
 def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
-    """Return the distance of two children within the bounds: beta times the distance of their parents."""
+    """Return the distance of two children: beta times the distance of their parents."""
     alpha = 2 - (1 + 2 * room / np.maximum(distance, 1e-200)) ** -(eta + 1)
     ua = u * alpha
     beta = np.where(ua <= 1, ua, 1 / (2 - np.minimum(ua, 2 - 1e-15))) ** (1 / (eta + 1))
@@ -104,7 +99,7 @@ def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
 def mutated(
     points: Array, box: tuple[Array, Array], rng: np.random.Generator, eta: float = MUTATION_INDEX
 ) -> Array:
-    """Mutate each coordinate of points, shape (n, d), with probability 1 / d (polynomial mutation)."""
+    """Mutate each coordinate of points, shape (n, d), with probability 1 / d."""
     low, width = box[0], box[1] - box[0]
     u = rng.random(points.shape)
     below = (points - low) / width

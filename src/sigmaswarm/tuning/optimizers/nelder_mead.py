@@ -1,9 +1,7 @@
 """Local search with a simplex (Nelder-Mead), which may move several vertices at a time.
 
-J. A. Nelder and R. Mead, A simplex method for function minimization, Computer Journal 7, 308-313, 1965; several
-vertices at a time by D. Lee and M. Wiswall, A parallel implementation of the simplex function minimization routine,
-Computational Economics 30, 171-187, 2007; coefficients that suit the dimension by F. Gao and L. Han, Implementing the
-Nelder-Mead simplex algorithm with adaptive parameters, Comput. Optim. Appl. 51, 259-277, 2012.
+J. A. Nelder and R. Mead, Computer Journal 7, 308-313, 1965. Several vertices: D. Lee and M. Wiswall, Computational
+Economics 30, 171-187, 2007. Coefficients: F. Gao and L. Han, Comput. Optim. Appl. 51, 259-277, 2012.
 """
 
 from typing import Any
@@ -12,26 +10,22 @@ import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 
-SMALLEST = 1e-12
-"""Size of a simplex, in widths of the bounds, at which the search ends."""
+SMALLEST = 1e-12  # size of the last simplex, in widths of the bounds
 
 
 class NelderMead(AskTell):
-    """A simplex that moves according to the costs of its vertices.
-
-    A batch contains the points that a step needs, at most d + 1; it does not depend on ``population``.
-    """
+    """A simplex that moves according to the costs of its vertices; a batch has at most d + 1 points."""
 
     name = "nelder-mead"
     saved = ("phase", "simplex", "values", "reflected", "reflected_values", "reach")
     start: Array | None = None
-    """First vertex, shape (d,); a random one by default."""
+    """First vertex, shape (d,); random by default."""
     start_cost: float = np.inf
     """Cost of the first vertex, if known."""
     size: float = 0.05
     """Edge length of the first simplex, in widths of the bounds."""
     parallel: int = 1
-    """Number of the worst vertices that are moved at a time: 1 as in the algorithm of 1965, at most half of them."""
+    """Number of the worst vertices that are moved at a time, at most half of them."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -39,7 +33,6 @@ class NelderMead(AskTell):
             self.global_best, self.global_cost = self.simplex[0].copy(), self.start_cost
 
     def begin_at(self, point: Array) -> None:
-        """Create the first simplex at a point, shape (d,)."""
         self.start = point
         self.positions = self._begin()
 
@@ -68,7 +61,7 @@ class NelderMead(AskTell):
         return self._through_the_middle(np.ones(self.moved))
 
     def _through_the_middle(self, reach: Array) -> Array:
-        """Reflect each of the worst vertices through the center of the others, to ``reach`` times its distance."""
+        """Reflect the worst vertices through the center of the others, to ``reach`` times their distance."""
         t, middle = reach[:, np.newaxis], np.mean(self.simplex[: -self.moved], axis=0)
         return (1 + t) * middle - t * self.simplex[-self.moved :]
 
@@ -83,7 +76,7 @@ class NelderMead(AskTell):
             self._settle(len(costs), self.positions, costs)
 
     def _judge_reflections(self, costs: Array) -> None:
-        """Expand points that beat the best vertex, keep those that are not among the worst, and contract the others."""
+        """Expand points that beat the best vertex, contract those that are among the worst, and keep the others."""
         self.reflected, self.reflected_values = self.positions, costs
         best, kept, own = self.values[0], self.values[-self.moved - 1], self.values[-self.moved :]
         self.reach = np.select(
@@ -97,7 +90,7 @@ class NelderMead(AskTell):
             self._settle(self.moved, self.positions, costs)
 
     def _judge_followers(self, costs: Array) -> None:
-        """Keep the expansions and contractions that lower the cost; shrink if no vertex improved."""
+        """Keep the expansions and contractions that lower the cost; otherwise shrink."""
         reach = self.reach[self.reach != 0]
         inside, outside = reach < 0, reach == self.contraction
         asked = np.flatnonzero(self.reach)
@@ -113,7 +106,6 @@ class NelderMead(AskTell):
         self._settle(self.moved, points, values)
 
     def _settle(self, n: int, points: Array, values: Array) -> None:
-        """Replace the last ``n`` vertices, and sort all vertices by cost."""
         self.simplex[-n:], self.values[-n:] = points, values
         order = np.argsort(self.values, kind="stable")
         self.simplex, self.values = self.simplex[order], self.values[order]

@@ -1,7 +1,6 @@
 """Particle swarm optimization, as in the paper's equations 2 and 3.
 
-J. Kennedy and R. Eberhart, Particle swarm optimization, Proc. ICNN 1995; inertia weight by Y. Shi and
-R. Eberhart, A modified particle swarm optimizer, Proc. CEC 1998.
+J. Kennedy and R. Eberhart, Proc. ICNN 1995; inertia weight: Y. Shi and R. Eberhart, Proc. CEC 1998.
 """
 
 from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
@@ -9,18 +8,13 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class ParticleSwarm(Swarm):
-    """A swarm whose particles move toward their own best positions and the best of the swarm."""
-
     name = "pso"
     saved = ("velocities", *Swarm.saved)
     inertia: float = INERTIA
-    """Inertia weight w."""
     cognitive: float = ACCELERATION
-    """Coefficient c1."""
     social: float = ACCELERATION
-    """Coefficient c2."""
     zero_velocity_at_bounds: bool = False
-    """Set the velocity to zero in coordinates in which a particle reached a bound."""
+    """Stop particles along the coordinates in which they reach a bound."""
 
     def _begin(self) -> Array:
         positions = super()._begin()

@@ -1,8 +1,7 @@
 """Search without memory, as a baseline for optimizers.
 
-The points are uniform random points (J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR
-13, 281-305, 2012), or scrambled Sobol' points, which fill the space more evenly (A. B. Owen, Randomly permuted
-(t,m,s)-nets and (t,s)-sequences, 1995).
+J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR 13, 281-305, 2012; A. B. Owen, Randomly
+permuted (t,m,s)-nets and (t,s)-sequences, 1995.
 """
 
 from typing import Any
@@ -22,7 +21,7 @@ class RandomSearch(AskTell):
 
 
 class SobolSearch(AskTell):
-    """Points of a scrambled Sobol' sequence; they are most uniform if their number is a power of two."""
+    """Scrambled Sobol' points, which are most uniform if their number is a power of two."""
 
     name = "sobol"
     saved = ("seed", "drawn")
@@ -47,6 +46,5 @@ class SobolSearch(AskTell):
         return self.low + even * (self.high - self.low)
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore a saved `state` in an optimizer that was created with the same arguments."""
         super().restore(state)
         self._open()
