@@ -51,9 +51,9 @@ def rules_of(features: Mapping[str, bool]) -> str:
 
 @cache
 def _described(module: Any) -> dict[str, str]:
-    """Descriptions of a module's constants."""
-    found = re.findall(r'^(\w+) = .*\n"""([^"]*)"""', inspect.getsource(module), re.MULTILINE)
-    return {name: " ".join(text.split()) for name, text in found}
+    """Descriptions of a module's constants: the string below, or the comment at the end of the line."""
+    found = re.findall(r'^(\w+) = .*?(?:  # (.*)|\n"""([^"]*)""")$', inspect.getsource(module), re.MULTILINE)
+    return {name: " ".join((comment or text).split()) for name, comment, text in found}
 
 
 class _Rule(_Function):
