@@ -39,7 +39,7 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert (ended.code, ended.err) == (1, "")
     assert "1 SERIOUS" in ended.out
     assert "[gyro-sign] imu.csv, gz" in ended.out
-    assert "-> change the sign of gz (--fix does it)" in ended.out
+    assert "-> change the sign of gz (--fix does this)" in ended.out
 
 
 def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
@@ -51,7 +51,7 @@ def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silen
         (line,) = [said for said in ended.err.splitlines() if "SERIOUS" in said]
         assert line.startswith(f"warning: {sick}: the doctor finds SERIOUS faults")
         assert (
-            f"(gyro-sign); sigmaswarm doctor {sick} --fix mended, or suppress this warning with --trust-log"
+            f"(gyro-sign); run sigmaswarm doctor {sick} --fix mended, or suppress this warning with --trust-log"
             in line
         )
     for command in (("evaluate", tuned, sick, "--json"), ("tune", sick, "--out", "u", *quick, "--json")):
