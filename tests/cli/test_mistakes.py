@@ -304,7 +304,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "report-of-a-drive": (nothing, "report good", ["good", "contains no results", "evaluate"]),
     "report-of-a-file": (nothing, "report good/imu.csv --out x.html", ["good/imu.csv", "is a file"]),
     "report-unknown-suffix": (nothing, "report t --out x.pdf", ["x.pdf", ".html"]),
-    "report-no-such-folder": (nothing, "report t --out no/x.html", ["no:", "make it first"]),
+    "report-no-such-folder": (nothing, "report t --out no/x.html", ["no:", "create it first"]),
     "report-out-is-a-folder": (folder("x.html"), "report t --out x.html", ["x.html", "folder"]),
     "plot-no-drive": (nothing, "plot", ["DRIVE"]),
     "plot-nowhere": (nothing, "plot nowhere", ["nowhere", "does not exist"]),

@@ -336,7 +336,7 @@ def test_the_page_shows_them(whole: Study):
     section = next(s for s in read_report(whole.folder).sections if s.title == "Rivals")
     captions = [table.caption.split(":")[0] for table in section.tables]
     alone = "Networks against PSO-UKF, planar8 (honest) without them"
-    assert captions == ["Rivals", alone, "Elsewhere", "Elsewhere", "Learning curves"]
+    assert captions == ["Rivals", alone, "Other drives", "Other drives", "Learning curves"]
     assert "a sample, us" in [column.title for column in section.tables[0].columns]
     assert len(section.charts) == 3  # of 30 s nothing is known
 

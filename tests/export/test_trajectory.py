@@ -126,7 +126,7 @@ def test_an_unknown_ending_is_refused(tmp_path: Path, estimate: Estimate, name: 
 
 
 def test_a_place_that_can_not_be_written_is_refused(tmp_path: Path, estimate: Estimate):
-    with pytest.raises(InputError, match="nowhere: no such folder; make it first"):
+    with pytest.raises(InputError, match="nowhere: no such folder; create it first"):
         check_target(tmp_path / "nowhere" / "e.csv")
     (tmp_path / "e.csv").mkdir()
     with pytest.raises(InputError, match=r"e.csv.* folder"):

@@ -144,7 +144,7 @@ def check_target(path: Path, origin: Origin | None = None, merge: str | Path | N
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
-        raise InputError(f"{path.parent}: no such folder; make it first")
+        raise InputError(f"{path.parent}: no such folder; create it first")
     if path.suffix in MAPS and origin is None:
         raise InputError(
             f"{path}: a map needs degrees, and the drive has no origin on the earth; give "
