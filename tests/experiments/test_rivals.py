@@ -265,7 +265,7 @@ def test_networks_are_told_against_the_filter_that_they_stand_beside(whole: Stud
         assert found.n_drives == len(of_drives)
         assert found.mean_difference == pytest.approx(np.mean([np.mean(d) for d in of_drives.values()]))
     table = study_tables(whole.results)["rivals-gains"].to_markdown()
-    assert "in favor of the network" in table
+    assert "favor the network" in table
 
 
 def test_what_a_network_leaves_as_it_is_is_not_told(whole: Study):

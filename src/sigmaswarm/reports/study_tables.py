@@ -176,7 +176,10 @@ def table_3(results: Results) -> Table:
             row += [theirs, *_mean_cells(results.summary(protocol, method, measure))]
         rows.append(tuple(row))
     caption = "Table III. Heading error, deg, and drift over a 5 s outage, m"
-    note = "In brackets: 95% interval for new drives (bootstrap over drives and trials). Run times: another table."
+    note = (
+        "In brackets: 95% interval for new drives (bootstrap over drives and trials). "
+        "Another table lists the run times."
+    )
     return _table(caption, columns, rows, results, note)
 
 
