@@ -69,15 +69,15 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
         (line,) = [str(one.message) for one in warned if "SERIOUS" in str(one.message)]
         return line
 
-    assert f"; sigmaswarm doctor {sick} --fix mended, or" in told(sick)
+    assert f"; run sigmaswarm doctor {sick} --fix mended, or" in told(sick)
     write_drive(read_drive(sick), here / "mended" / good.name)  # still sick
     (here / "mended-2").mkdir()  # of another drive
-    command = re.search(r"; (sigmaswarm doctor .* --fix mended-2), or", told(here / "mended" / good.name))
+    command = re.search(r"; run (sigmaswarm doctor .* --fix mended-2), or", told(here / "mended" / good.name))
     assert command
     assert sigmaswarm(*shlex.split(command[1])[1:]).code == 0
     assert read_drive(here / "mended-2" / good.name).imu.gz.tobytes() == good.imu.gz.tobytes()
     write_drive(replace(good, imu=replace(good.imu, ax=good.imu.ax + 9.81)), here / "on its nose")
-    assert "(gravity-axis); sigmaswarm doctor 'on its nose', or suppress" in told(Path("on its nose"))
+    assert "(gravity-axis); run sigmaswarm doctor 'on its nose', or suppress" in told(Path("on its nose"))
 
 
 def test_for_machines(sigmaswarm, sick: Path):

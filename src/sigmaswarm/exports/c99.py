@@ -178,7 +178,6 @@ def fits_float(p: FilterParameters) -> bool:
 
 
 def _texts_of_heading(used: bool) -> dict[str, str]:
-    """Return the parts of the templates about headings."""
     texts = {
         "ALSO_HEADING": ", const ins_gps_real *heading",
         "NO_HEADING": ", 0",
@@ -191,7 +190,6 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
 
 
 def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
-    """Return parameters and arguments of the C functions, and their statements for each axis of the IMU."""
     tilted = MODELS[p.model].tilts is not None
     axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
     turning = [axis for axis in axes if axis not in ("ay", "az")]
@@ -212,11 +210,9 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
 
 
 _STATE_NAMES = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
-"""C names of states with another name than in the model."""
 
 
 def _texts_of_states(p: FilterParameters) -> dict[str, str]:
-    """Return enumerators and short names of the states."""
     states = MODELS[p.model].states
     names = [f"INS_GPS_{_STATE_NAMES.get(state.name, state.name.upper())}" for state in states]
     listed = [f"    {name}, /* {state.unit} */" for name, state in zip(names, states, strict=True)]

@@ -22,7 +22,6 @@ STATES = (
 )
 """Names of the states in C, in the order of the largest model."""
 FIX_ERROR = STATES[-2:]
-"""Names of the states of the correlated fix error, which any model can have."""
 PARAMETERS = {
     "w": ("InsGpsBelief *b", "Work *work"),
     "u": ("real dt", "real steps", "const InsGpsSample *sample"),
@@ -87,13 +86,11 @@ class Emitter:
         self.texts.append(_Function(self, function, name or function.__name__.lstrip("_"), known).text())
 
     def call(self, function: str) -> str:
-        """Return a call of a translated function, with arguments named like the parameters."""
         name, signature = self.signatures[function]
         parameters = dict.fromkeys(p.split()[-1].lstrip("*") for each in signature for p in each)
         return f"{name}({', '.join(parameters)})"
 
     def text(self) -> str:
-        """Return constants, struct of values that kernels exchange, and functions."""
         code = re.sub(r"/\*.*?\*/", "", "\n".join(self.texts), flags=re.DOTALL)
         used = [
             name for name in dict.fromkeys(re.findall(r"\b[A-Z][A-Z_0-9]+\b", code)) if name in self.constants
@@ -134,7 +131,6 @@ class _Function(ast.NodeTransformer):
         self.declared, self.lines, self.outs, self.returns = set[str](), list[str](), list[str](), ""
 
     def text(self) -> str:
-        """Return the function in C."""
         self.block(self.body, 1)
         self.drop_unused()
         code, signature = "\n".join(self.lines), list[list[str]]()
@@ -155,7 +151,6 @@ class _Function(ast.NodeTransformer):
         return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
-        """Return the C parameters that replace a parameter."""
         ours = PARAMETERS.get(name) if self.is_kernel else None
         return (f"real {self.local(name)}",) if ours is None else ours
 
@@ -517,7 +512,6 @@ class _Function(ast.NodeTransformer):
 
 @cache
 def _parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
-    """Return the parsed function and its comments by line."""
     source = textwrap.dedent(inspect.getsource(function))
     definition = ast.parse(source).body[0]
     assert isinstance(definition, ast.FunctionDef)
@@ -548,7 +542,6 @@ def _uses(text: str, name: str) -> bool:
 
 
 def _wrapped(lines: list[str]) -> list[str]:
-    """Wrap long lines and merge declarations of one type."""
     joined = [""]
     for line in lines:
         match = re.match(r"( +(?:const )?(?:real|bool) )(\w+.*;)$", line)
@@ -571,7 +564,6 @@ def _wrapped(lines: list[str]) -> list[str]:
 
 
 def _comments(source: str) -> dict[int, list[str]]:
-    """Return comments above and after each statement, by line number of the statement."""
     found: dict[int, list[str]] = {}
     waiting: list[str] = []
     for token in tokenize.generate_tokens(io.StringIO(source).readline):

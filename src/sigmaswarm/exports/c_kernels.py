@@ -77,7 +77,6 @@ def _events(features: Mapping[str, bool]) -> list[str]:
 
 
 def _add_step(emitter: Emitter, p: FilterParameters, features: Mapping[str, bool]) -> None:
-    """Add the update with a fix and the step."""
     model = FILTERS[p.kernel]
     looks = features["USE_NIS"] or features["USE_LANES"]
     if looks:
@@ -150,7 +149,6 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool], n: int) -> None:
 
 
 def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
-    """Return the C text of the rows of parameters and memory."""
     spread, fuzzy = p.kind != "ekf", p.kind == "fuzzy-ukf"
     if p.kind == "adaptive-ukf":
         q, r = "b->process_noise[{}]", "b->measurement_noise[{}]"

@@ -27,7 +27,6 @@ POINTERS = {
 }
 """C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {"fixes": ("time", "x", "y"), "readings": ("time", "speed"), "wheels": ("speed", "age", "more")}
-"""Names of the columns of arrays."""
 TIMES = ("now", "before", "taken")
 ENUMERATORS = {"NEW": "NEW", "HELD": "AT_REST", "FROZEN": "FROZEN", "FROZEN_MOVING": "FROZEN_MOVING"}
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"
@@ -37,7 +36,6 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 
 def rules_of(features: Mapping[str, bool]) -> str:
-    """Return the C text of the constants and rules that a filter needs."""
     stands, wheels = features["USE_STANDSTILL"], features["USE_ODOMETER"]
     functions = [*ALWAYS, *(STANDSTILL if stands else ()), *([odometer.mean_reading] if wheels else [])]
     functions += [odometer.wheels_turn] if stands and wheels else []

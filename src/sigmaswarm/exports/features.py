@@ -20,7 +20,6 @@ from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
-    """Return the features of a filter."""
     measured = schedule.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     has_tilts = MODELS[p.model].tilts is not None
@@ -60,7 +59,6 @@ PARAMETERS = (
     *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof", "fix_error"),
     *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
 )
-"""Parameters with the same name in templates and in `FilterParameters`."""
 NUMBERS = {
     "LATENCY": "s: age of a fix at its time stamp",
     "QUARTER_GAMMA": "gamma / 4, gamma^2 = alpha^2 (n + kappa)",
@@ -124,7 +122,6 @@ CONSTANTS: Mapping[ModuleType, str] = {
     tilted: "GRAVITY",
     timeline: "CORNERING",
 }
-"""Constants of the library in templates, by module."""
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:

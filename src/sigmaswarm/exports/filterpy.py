@@ -84,7 +84,6 @@ def source_of(module: ModuleType, names: list[str] | None = None) -> str:
 
 
 def _name(node: ast.stmt) -> str | None:
-    """Return the name of a defined constant, function or class."""
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         return node.name
     if not isinstance(node, ast.Assign):

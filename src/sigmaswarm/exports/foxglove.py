@@ -16,11 +16,9 @@ PLOTS: Mapping[str, tuple[str, ...]] = {
     "Standard deviations: x, y (m), heading (rad)": ("sigma.vector.x", "sigma.vector.y", "sigma.vector.z"),
     "Forward speed, m/s": ("odometry.twist.twist.linear.x",),
 }
-"""Message paths below /sigmaswarm, by title of the plot."""
 
 
 def layout(topics: Collection[str]) -> dict[str, Any]:
-    """Return a layout with panels for the given topics."""
     panels: dict[str, dict[str, Any]] = {}
     if (fix := "/sigmaswarm/fix") in topics:
         panels["map!track"] = {"followTopic": fix, "layer": "map", "disabledTopics": [], "zoomLevel": 16}

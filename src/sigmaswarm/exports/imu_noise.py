@@ -22,7 +22,6 @@ from sigmaswarm.noise.records import (
 )
 
 NoiseTarget = Literal["sigmaswarm", "kf-gins", "kalibr", "robot_localization", "matlab"]
-"""Packages with a writer."""
 
 
 def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
@@ -173,4 +172,3 @@ _WRITERS: dict[NoiseTarget, tuple[str, Callable[[Noise], list[str]]]] = {
     "robot_localization": ("imu_covariances.yaml", _robot_localization),
     "matlab": ("imu_noise.m", _matlab),
 }
-"""File name and writer of each target."""

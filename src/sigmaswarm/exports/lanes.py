@@ -35,7 +35,6 @@ class Lanes:
         return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
     def values(self, tuning: FilterParameters) -> dict[str, str]:
-        """Return values of the template: numbers of a single filter, or the table of lanes."""
         filters = self.filters(tuning)
         biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # initial
         if self.n == 1:
@@ -58,7 +57,6 @@ class Lanes:
         }
 
     def numbers(self, tuning: FilterParameters) -> dict[str, str]:
-        """Return the C text of the numbers that differ between lanes."""
         return {name.upper(): f"lanes[b->lane].{name}" for name in _numbers(tuning)} if self.n > 1 else {}
 
 
@@ -77,7 +75,6 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
 
 
 def _row(p: FilterParameters, penalty: float) -> str:
-    """Return the C initializer of a lane."""
     fields = [
         f".process_noise = {{{listed(p.process_noise, 'R({})')}}}",
         f".measurement_noise = {{{listed(p.measurement_noise, 'R({})')}}}",

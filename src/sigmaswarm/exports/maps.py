@@ -17,8 +17,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.files import finite, write_whole
 
-_UNIX_TIMES = (1e9, 2.5e11)
-"""Range of Unix times, s (years 2001 to 9892)."""
+_UNIX_TIMES = (1e9, 2.5e11)  # s, years 2001 to 9892
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 (section 2.2) forbids even when escaped; JSON forbids half a surrogate pair."""
 

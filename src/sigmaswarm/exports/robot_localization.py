@@ -27,7 +27,6 @@ DEFAULT_PROCESS_NOISE = (
 SMALL, FIRST_FIX = 1e-6, 1.0
 """Initial variance of states that stay at 0, and minimum initial variance of x and y, m2."""
 SHOWN = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
-"""Measures in the exported README.md."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate if initial_state is set as in README.md."""
 
@@ -63,7 +62,6 @@ def _shared(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Return the files for a filter with the model robot-localization."""
     of = "process_noise / nominal_interval"
     noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
     first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
@@ -96,7 +94,6 @@ def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def accuracy_section(evaluation: Evaluation) -> str:
-    """Return the section of README.md on the accuracy."""
     known = [m for m in SHOWN if any(evaluation.mean(k, m) is not None for k in ("tuned", UNTUNED))]
     heads = " | ".join(evaluation.measures[m].heading for m in known)
     lines = [f"| filter | {heads} |", "|---" * (len(known) + 1) + "|"]
@@ -122,7 +119,6 @@ def accuracy_section(evaluation: Evaluation) -> str:
 
 
 def _compared(evaluation: Evaluation, other: str, name: str, measure: str) -> str:
-    """Write a sentence that compares the errors of ekf.yaml and another filter."""
     tuned, theirs = evaluation.mean("tuned", measure), evaluation.mean(other, measure)
     if not tuned or not theirs:
         return f"The errors of ekf.yaml and of {name} can't be compared: one of these filters failed."

@@ -32,14 +32,11 @@ SIGMA, FIX = "/sigmaswarm/sigma", "/sigmaswarm/fix"
 INNOVATION, INNOVATION_SIGMA, NIS = (
     f"/sigmaswarm/{name}" for name in ("innovation", "innovation_sigma", "nis")
 )
-INTERVAL = 0.1
-"""Interval between messages of the topics SIGMA and FIX, s."""
+INTERVAL = 0.1  # s, of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
 """Variance of quantities that a filter does not estimate: height, rates; for planar models roll and pitch."""
-RawMessage = tuple[int, Any, Any]
-"""Time in ns, connection in the new bag, bytes of the message."""
-Message = tuple[int, str, Any]
-"""Time in ns, topic, message."""
+RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes
+Message = tuple[int, str, Any]  # ns, topic, message
 
 
 def ros2(
@@ -186,13 +183,10 @@ def _serialized(
 
 @dataclass(frozen=True)
 class Made:
-    """Factory of messages with times on the clock of the bag."""
-
     types: Any
     time_origin: float
 
     def message(self, name: str, *fields: Any) -> Any:
-        """Make a message of a type, for example std_msgs/Header, from its fields in order."""
         return self.types[name.replace("/", "/msg/")](*fields)
 
     def nanoseconds(self, time: float) -> int:
@@ -200,12 +194,10 @@ class Made:
         return round(float(time) * 1e9) + round(self.time_origin * 1e9)
 
     def header(self, nanoseconds: int) -> Any:
-        """Make a header in the frame map."""
         stamp = self.message("builtin_interfaces/Time", nanoseconds // 10**9, nanoseconds % 10**9)
         return self.message("std_msgs/Header", stamp, "map")
 
     def vector(self, nanoseconds: int, x: float, y: float, z: float = 0.0) -> Any:
-        """Make a Vector3Stamped."""
         vector = self.message("geometry_msgs/Vector3", float(x), float(y), float(z))
         return self.message("geometry_msgs/Vector3Stamped", self.header(nanoseconds), vector)
 

@@ -129,7 +129,6 @@ def time_origin_of(drive: Drive) -> float:
 
 
 def check_target(path: Path, origin: Origin | None = None, merge: str | Path | None = None) -> None:
-    """Raise `InputError` if `write_estimate` can't write to a file."""
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
@@ -189,10 +188,8 @@ def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
         np.savetxt(file, pose.reshape(-1, 12), fmt="%.9f")
 
 
-_LATEST_ORIGIN = 1e12
-"""Largest valid time origin of a log, s."""
+_LATEST_ORIGIN = 1e12  # s
 BAG = ".ros2"
-"""Extension of a folder that `ros2` writes."""
 _WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {
     ".csv": _csv,
     ".mat": _mat,

@@ -44,7 +44,6 @@ def tune_command(
 def evaluate_command(
     drives: Sequence[str], outage_length: float, outage_seed: int, *, also: Collection[str] = ()
 ) -> tuple[str, str]:
-    """Return the command of an evaluation and a note."""
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
     options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], SWARM: ["--swarm"]}

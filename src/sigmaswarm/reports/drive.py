@@ -10,8 +10,7 @@ from matplotlib.transforms import Bbox
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.reports.style import BLUE, GREY, PURPLE, VERMILION
 
-Gaps = list[tuple[float, float]]
-"""Start and end of each gap in the fixes, s."""
+Gaps = list[tuple[float, float]]  # start and end of intervals without fixes, s
 
 
 def drive_figure(drive: Drive) -> Figure:

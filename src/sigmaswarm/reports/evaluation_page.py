@@ -33,7 +33,6 @@ from sigmaswarm.wording import in_order
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, FIXES, "imu_only", "raw_gps")
 """Series of the tracks, from top to bottom."""
 SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
-"""Series that are visible when the page opens."""
 VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
 """Verdicts on the consistency that the page shows as warnings."""
 BANK = (
@@ -45,7 +44,6 @@ BANK = (
 
 
 def evaluation_report(folder: Path) -> Report:
-    """Read the folder that `sigmaswarm evaluate --out` wrote."""
     file = load_record(TuningRecord, folder / FILE)
     view = read_view(folder, file)
     scores, setup, nees = view.scores, view.setup, not view.blind

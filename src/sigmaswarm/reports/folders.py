@@ -11,7 +11,6 @@ from sigmaswarm.reports.study_page import study_report
 from sigmaswarm.reports.tuning import tuning_report
 
 REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuning.toml": tuning_report}
-"""Reader of a folder, by the file that identifies it. The first file in the folder counts."""
 
 
 def read_report(folder: Path) -> Report:

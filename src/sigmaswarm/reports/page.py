@@ -73,8 +73,6 @@ class TrackView:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page: text, then tables, charts and tracks."""
-
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
@@ -134,7 +132,6 @@ def _plotly() -> str:
 
 
 def _packed(text: str) -> str:
-    """Compress a text for the page's script; base64 needs no escaping."""
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 

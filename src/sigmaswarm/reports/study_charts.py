@@ -43,7 +43,6 @@ DRAWN: dict[str, tuple[str, Look]] = {
     f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
     f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_LOOKS[f"honest-{MAIN}"]),
 }
-"""Labels and styles of the filters in the pictures of one drive, by series."""
 RULE = Look(SLATE, 1.0, "--")
 
 
@@ -221,7 +220,6 @@ def trajectory_chart(picture: Picture) -> Chart:
 
 
 def error_charts(picture: Picture) -> tuple[Chart, ...]:
-    """Draw position and heading error over time with 3 sigma, two charts per filter."""
 
     def chart(title: str, columns: Columns, look: Look, what: str, *, last: bool) -> Chart:
         def draw(ax: Axes) -> None:

@@ -14,8 +14,7 @@ from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, co
 from sigmaswarm.reports.style import STUDY_LOOKS
 
 RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
-CONSISTENT = 2.0
-"""Mean NIS of a consistent filter for a position in two axes."""
+CONSISTENT = 2.0  # mean NIS of a consistent filter
 BEYOND_CHANCE = (1.0, 4.0)
 """A mean NIS outside of these bounds shows wrong covariances, for any number of fixes."""
 UNLUCKY = 1.2
@@ -29,13 +28,10 @@ IN_CONDITIONS = (
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-"""Protocols and methods in the table of conditions."""
 SHOWN = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
-"""Series that are visible when the page opens."""
 
 
 def study_report(folder: Path) -> Report:
-    """Read the folder that `sigmaswarm study` wrote."""
     record = StudyRecord.read(folder)
     results = record.results
     searched = (tables.optimum_table(results), tables.trials_table(results))

@@ -26,7 +26,6 @@ ROWS = [
 ]
 """Protocol, method and the corresponding row of the paper, for each row of a table."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
-"""Names of filters in the run times, and their rows of the paper."""
 MANUAL = "ukf-datasheet"
 """Manually tuned filter that equation 5 refers to."""
 LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
@@ -36,7 +35,6 @@ AWAY = {
     DRIFT: "drift over 5 s, m",
     "outage_drift_30_s_m": "drift over 30 s, m",
 }
-"""Measures and titles in the tables of other drives and of learning curves."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
     "Each drive has one value, the mean over its trials. Drives on which one of the two methods failed are left out. "
@@ -74,7 +72,6 @@ def _digits(title: str, digits: int) -> Column:
 
 
 def _with_intervals(titles: Iterable[str], interval: str = "95%") -> list[Column]:
-    """Make a column of numbers and a column of intervals for each title."""
     return [column for title in titles for column in (_figures(title), _figures(interval, joined=True))]
 
 
@@ -236,7 +233,6 @@ def consistency_table(results: Results) -> Table:
 
 
 def comparison_table(results: Results, protocol: str, measure: str) -> Table:
-    """Compare the PSO-UKF of a protocol with every other method, drive by drive."""
     unit = "deg" if measure == HEADING else "m"
     columns = (Column("against"), *_paired_columns(f"difference, {unit}", "Wilcoxon p (Holm)"))
     rows = tuple(
@@ -317,7 +313,6 @@ def trials_table(results: Results) -> Table:
 
 
 def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
-    """Tabulate the parameters of the best trial, for all or some methods, and the parameters of the paper."""
     sigma = ("alpha", "beta", "kappa")
     o: dict[str, Any] = results.paper["table_1"]["optimum"]
     rows: list[Row] = [("paper", "", *(o[key] for key in sigma), f"{o['q']:g}", f"{o['r']:g}", None)]
@@ -367,7 +362,6 @@ def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> 
 
 
 def _gains_table(results: Results, rivals: RivalResults) -> Table:
-    """Tabulate the paired comparison of the filter with and without each network."""
     columns = (Column("network"), Column("measure"), *_paired_columns("difference", "Wilcoxon p"))
     rows = tuple(
         (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains

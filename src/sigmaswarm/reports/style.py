@@ -20,7 +20,6 @@ class Look:
 
     @property
     def line(self) -> dict[str, Any]:
-        """Return keywords of `Axes.plot`."""
         marker = {"marker": self.marker, "ms": self.size} if self.marker else {}
         return {"color": self.color, "lw": self.width, "ls": self.style, "alpha": self.opacity, **marker}
 

@@ -35,7 +35,6 @@ MEANINGS = {
     ),
     "rear_axle": "distance of the IMU in front of the rear axle; negative: behind the rear axle",
 }
-"""Explanations of parameters that name and unit do not explain."""
 SIGMA_POINTS = {"alpha", "beta", "kappa"}
 
 
@@ -90,7 +89,6 @@ def _convergence_chart(history: History, best_trial: int, objective: str) -> Cha
 
 
 def tuning_report(folder: Path) -> Report:
-    """Read the folder that `sigmaswarm tune` wrote."""
     file = load_record(TuningRecord, folder / FILE)
     result = file.result
     if result is None:
@@ -130,7 +128,6 @@ def tuning_report(folder: Path) -> Report:
 
 
 def filter_name(file: TuningRecord) -> str:
-    """Return model and filter type, for a title."""
     model = file.config.get("model", file.filter.get("model", "a filter"))
     if isinstance(model, dict):
         return str(model.get("name", "a custom model"))
@@ -182,7 +179,6 @@ def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
 
 
 def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
-    """Yield name, value, unit and density of every parameter."""
     names = {
         "process_noise": [f"q_{state}" for state in file.units.get("states", [])],
         "measurement_noise": ["r_x", "r_y"],

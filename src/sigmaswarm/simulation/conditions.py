@@ -17,11 +17,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
-"""Maneuvers of the paper."""
 
 
 def simulated_source(*what: Any, **options: Any) -> tuple[Drive, list[SigmaswarmWarning]]:
-    """Simulate a drive as the `Source` of a worker."""
     return simulate(*what, **options), []
 
 

@@ -23,13 +23,10 @@ from sigmaswarm.compilation import cached
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""Gravity, m/s2, as in CARLA."""
+GRAVITY = 9.81  # m/s2, as in CARLA
 STEP = 0.001  # s, of the integration
-STEPS_PER_LOOK = 10
-"""Number of integration steps per step of the driver."""
-AIR_DENSITY = 1.204
-"""Density of air at 20 degrees and sea level, kg/m3."""
+STEPS_PER_LOOK = 10  # integration steps per step of the driver
+AIR_DENSITY = 1.204  # kg/m3, at 20 degrees and sea level
 
 # Indices of the state. Each of WHEEL, KAPPA and ALPHA is the first of four wheels.
 X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)
@@ -236,7 +233,6 @@ def _wheel(
 
 @cached(nogil=True, error_model="numpy")
 def _swing(target: float, value: float, rate: float, frequency: float, damping: float) -> float:
-    """Return the second derivative of a second-order system."""
     return frequency**2 * (target - value) - 2.0 * damping * frequency * rate
 
 

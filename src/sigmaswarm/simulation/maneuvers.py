@@ -13,11 +13,9 @@ import numpy as np
 from sigmaswarm.simulation.dynamics import GRAVITY
 from sigmaswarm.simulation.planning import Leg
 
-KMH = 1 / 3.6
-"""1 km/h in m/s."""
+KMH = 1 / 3.6  # m/s
 QUARTER = math.pi / 2
-HARD_EASE = 0.2
-"""Time in which acceleration builds up in hard driving, s."""
+HARD_EASE = 0.2  # s, in which acceleration builds up in hard driving
 _LIMIT = 0.96  # share of the friction limit; the rest is for steering
 
 
@@ -38,8 +36,6 @@ class Road:
 
 @dataclass(frozen=True)
 class Maneuver:
-    """A route and its target values."""
-
     legs: list[Leg]
     target: dict[str, float]  # values of the paper, with units in the names
     # (start, end), s after the start of the maneuver itself, without fixes
@@ -48,7 +44,6 @@ class Maneuver:
 
 
 def straight(road: Road, length: float, kmh: float) -> Leg:
-    """Drive a straight leg with everyday accelerations."""
     return Leg(length, kmh * KMH, road.easy(2.5), road.easy(2.5))
 
 

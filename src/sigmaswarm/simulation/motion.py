@@ -46,10 +46,8 @@ FORCE_DENSITY = (0.06, 0.025, 0.04)
 """Density of the specific force, m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
 RATE_DENSITY = (0.002, 0.003, 0.0005)
 """Density of the angular rate, rad/s/sqrt(Hz), about the same axes. The only recording of the left axis has 0.010."""
-FULL_SPEED = 5.0
-"""Speed below which vibration is proportional to speed, m/s."""
-SPRINGS = 1.0
-"""Natural frequency of the body on its springs, Hz; an assumption."""
+FULL_SPEED = 5.0  # m/s; below, vibration is proportional to speed
+SPRINGS = 1.0  # Hz, natural frequency of the body on its springs; an assumption
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,8 @@ from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
-SPACING = 0.1
-"""Distance between points of a path, m."""
-LOOK = 0.01
-"""Interval of the driver's control, s."""
+SPACING = 0.1  # m, between points of a path
+LOOK = 0.01  # s, between steps of the driver
 RUN_OUT = 60.0
 """Straight road after the last leg, m, for the driver's preview and for longer stops."""
 SWAY_OFFSET, SWAY_SPEED = 0.10, 0.006
@@ -45,12 +43,10 @@ class Sway:
     wavelengths: Array  # (3,) m
 
     def waves(self, way: Array, row: int) -> Array:
-        """Return the waves, shape (3, n), at distances along the path (m)."""
         return np.sin(2 * np.pi * way / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(3)
 
 
 def draw_sway(rng: np.random.Generator) -> Sway:
-    """Draw a driver's sway, with wavelengths of 110 to 260 m."""
     return Sway(rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform([110, 150, 200], [150, 200, 260]))
 
 

@@ -12,8 +12,7 @@ from sigmaswarm.workbench.parts import Page, button, card, line, link, message, 
 from sigmaswarm.workbench.plots import agreement_plot, show_map, time_plot
 from sigmaswarm.workbench.state import CHECKED, LEFT_OUT, Workbench
 
-SHORTEST = 30.0
-"""Minimum length of a part that a button keeps, s."""
+SHORTEST = 30.0  # s, of a part that a button keeps
 Step = dict[str, Any]
 """``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s."""
 Agreements = dict[str, Agreement]
@@ -22,8 +21,6 @@ Checked = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 
 
 class CheckPage(Page):
-    """The checked drive: original, applied steps and remaining findings."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.stages: list[Drive] = []
@@ -35,7 +32,6 @@ class CheckPage(Page):
 
     @property
     def originals(self) -> list[str]:
-        """Drives that can be checked."""
         return [name for name in self.bench.drive_names if not name.endswith(CHECKED)]
 
     def content(self) -> None:
@@ -127,7 +123,6 @@ class CheckPage(Page):
         return stages, steps, sigmaswarm.diagnose(stages[-1]), _agreements(stages[-1])
 
     def _steps(self) -> None:
-        """Show the applied steps with buttons to undo them."""
         for number, step in enumerate(self.steps):
             if "repair" in step:
                 said = "repaired: " + ", ".join(step["repair"])

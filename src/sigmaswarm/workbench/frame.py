@@ -48,7 +48,6 @@ class Frame:
         }
 
     def register(self) -> None:
-        """Register the addresses of steps and files."""
         own = files("sigmaswarm.workbench")
         ui.add_css(own.joinpath("style.css").read_text(), shared=True)
         ui.add_head_html(f"<script>{own.joinpath('page.js').read_text()}</script>", shared=True)
@@ -99,7 +98,6 @@ class Frame:
         return sigmaswarm.report(folder, file)
 
     def _download(self, kind: str, name: str) -> Response:
-        """Return the folder of a result as a zip file."""
         path, wrong = attempt(self.bench.path, kind, name)
         if path is None or not path.is_dir():
             return PlainTextResponse(wrong or f"no {kind} {name}", 404)

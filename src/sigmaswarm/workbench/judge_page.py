@@ -11,8 +11,6 @@ from sigmaswarm.workbench.state import Workbench, attempt
 
 
 class JudgePage(Page):
-    """Choice of two filters and the drives, and the page of the evaluation."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}

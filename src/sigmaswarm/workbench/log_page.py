@@ -17,15 +17,12 @@ from sigmaswarm.workbench.table_panel import TablePanel
 
 
 class LogPage(OpenLog):
-    """Tables of the open log, and its conversion to a drive."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.panels: list[TablePanel] = []
         self.mounting = MountingPanel(self)
 
     def content(self) -> None:
-        """Show the step. Each part is updated separately."""
         if self.opened != self.bench.log:
             self.reread()
         self._pick()
@@ -110,7 +107,6 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _notes(self) -> None:
-        """Show assumptions of the import and its proposal for other columns."""
         if (look := self.look) is None:
             return
         with ui.element("div").classes("section"):
@@ -135,7 +131,6 @@ class LogPage(OpenLog):
 
     @ui.refreshable_method
     def _agreement(self) -> None:
-        """Plot measured and expected gravity, turn rate and acceleration."""
         if (drive := self.drive) is None:
             return
         with ui.element("div").classes("section"):

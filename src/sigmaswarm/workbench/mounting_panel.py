@@ -38,7 +38,6 @@ class MountingPanel:
 
     @property
     def state(self) -> tuple[bool, str]:
-        """Whether a log is open, and its mounting."""
         return self.page.look is not None, self.page.bench.log_choices.get("mount", "")
 
     @ui.refreshable_method
@@ -157,6 +156,5 @@ def _arrow(start: Array, end: Array, color: str, name: str) -> str:
 
 
 def _direction(axis: Array) -> str:
-    """Return the name of the vehicle's direction nearest to an axis."""
     k = int(np.argmax(np.abs(axis)))
     return DIRECTIONS[k][int(axis[k] < 0)]

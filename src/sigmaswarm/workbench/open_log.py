@@ -17,8 +17,6 @@ Reading = tuple[Look | None, Drive | None, tuple[Agreement, ...], str]
 
 
 class OpenLog(Page):
-    """The open log, the choices for it, and the drive."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.look: Look | None = None
@@ -38,20 +36,17 @@ class OpenLog(Page):
         message(self.done, "good")
 
     def choose(self, **choices: Any) -> None:
-        """Change choices for the open log and read it again."""
         self.bench.log_choices.update(choices)
         self.bench.save()
         self.reread()
         self.status.refresh()
 
     def assign(self, table: str, column: str, target: str | None) -> None:
-        """Use a column for another quantity."""
         if self.look:
             columns.assign(self.bench.log_choices, self.look, table, column, target or columns.UNUSED)
             self.choose()
 
     def express(self, target: str, expression: str) -> None:
-        """Use another expression for a column of the drive."""
         self.choose(maps={**self.bench.log_choices.get("maps", {}), target: expression})
 
     def reread(self) -> None:
@@ -65,7 +60,6 @@ class OpenLog(Page):
         self.refresh()
 
     def find_mounting(self) -> None:
-        """Estimate the mounting from the log."""
         if log := self.bench.log:
             choices = {**self.bench.log_choices, "mount": ""}
             self.start("looking for the mounting", partial(_mounting, log), choices, then=self._mounted)

@@ -72,7 +72,6 @@ def message(content: str, kind: str) -> None:
 
 
 def command(line: str) -> None:
-    """Show a command and a button that copies it."""
     with ui.element("div").classes("command"):
         text("pre", line)
         copy = ui.button("Copy as command", icon="content_copy").props("outline no-caps")
@@ -83,13 +82,11 @@ def command(line: str) -> None:
 
 @contextmanager
 def card(kind: str = ""):
-    """Frame a part of the page."""
     with ui.element("section").classes(f"card {kind}") as element:
         yield element
 
 
 def line(classes: str = "") -> ui.element:
-    """Make a row of elements that wraps."""
     return ui.element("div").classes(f"line {classes}")
 
 
@@ -116,7 +113,6 @@ def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], *
 
 
 def button(label: str, on_click: Callable[[], Any], icon: str = "", *, main: bool = False) -> ui.button:
-    """Make a button. ``main`` marks the next step."""
     made = ui.button(label, on_click=on_click, icon=icon or None)
     return made.props("unelevated" if main else "outline")
 

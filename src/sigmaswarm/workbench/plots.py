@@ -11,8 +11,7 @@ from sigmaswarm import Agreement, Drive
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
-PIXELS = 600
-"""Number of columns of a plot, each with two points."""
+PIXELS = 600  # columns of a plot, with two points each
 EAST = "east, m"
 """Label of the horizontal axis of a map, which marks a plot with equal scales."""
 MOST_PLACES, MOST_POINTS = 3000, 600
@@ -21,7 +20,6 @@ COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, BLACK)
 Series = tuple[Array, Array]
 """Times (n,), s, and values (n,); or east and north (n,), m."""
 Lines = list[dict[str, Any]]
-"""Traces of a plotly figure."""
 CONFIG = {"displayModeBar": False, "responsive": True, "doubleClick": "reset"}
 AXIS = {
     "gridcolor": "#e8ebee",
@@ -55,7 +53,6 @@ def envelope(series: Series, start: float = -np.inf, end: float = np.inf) -> Ser
 
 
 def thinned(x: Array, y: Array, most: int = MOST_PLACES) -> Series:
-    """Take every n-th point of a track."""
     step = max(-(-len(x) // most), 1)
     return x[::step], y[::step]
 
@@ -170,7 +167,6 @@ def _same(a: Series | None, b: Series) -> bool:
 
 
 def map_lines(drive: Drive, tracks: Mapping[str, Series] | None = None) -> Lines:
-    """Make the lines of a map: fixes, truth if known, and other tracks."""
     truth = {"truth": thinned(drive.truth.x, drive.truth.y)} if drive.truth else {}
     shown = {"fixes": thinned(drive.gps.x, drive.gps.y, MOST_POINTS)} | truth | {**(tracks or {})}
     return lines(shown, points=("fixes",))
@@ -181,7 +177,6 @@ def show_map(drive: Drive, title: str, height: int = 260) -> ui.plotly:
 
 
 def sparkline(values: Array, width: int = 120, height: int = 26) -> str:
-    """Draw a small line of values as SVG."""
     values = values[np.isfinite(values)]
     if len(values) < 2:
         return ""

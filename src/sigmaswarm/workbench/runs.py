@@ -38,7 +38,6 @@ class Run:
 
     @property
     def state(self) -> str:
-        """Word for the present state."""
         if self.error or self.ended:
             return "failed" if self.error else "done"
         if self.stopping:
@@ -65,7 +64,6 @@ class Run:
         self.stopping, self.version = True, self.version + 1
 
     def tune(self, drives: Sequence[Drive], options: Mapping[str, Any]) -> None:
-        """Tune until the end, a stop or an error."""
         try:
             sigmaswarm.tune(drives, progress=self.advance, **options)
         except TuningStopped:
@@ -77,8 +75,6 @@ class Run:
 
 
 class Runs:
-    """All tunings of this server, by name."""
-
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
         self.runs: dict[str, Run] = {}
@@ -87,7 +83,6 @@ class Runs:
     def begin(
         self, name: str, drives: Sequence[Drive], held: Sequence[Drive], options: Mapping[str, Any]
     ) -> None:
-        """Start or continue a tuning."""
         run, folder = Run(name, (held or drives)[0]), self.bench.path("tunings", name)
         if options.get("resume"):
             run.history = {n: list(best) for n, best in saved_history(folder).items()}

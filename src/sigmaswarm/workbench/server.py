@@ -76,7 +76,6 @@ class Guard:
 
 
 def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True) -> None:
-    """Serve the workbench of a folder until it is interrupted."""
     bench = Workbench(folder, logs)
     warnings.simplefilter("ignore", SigmaswarmWarning)  # the page shows notes and findings
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

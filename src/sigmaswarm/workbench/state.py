@@ -14,9 +14,7 @@ from sigmaswarm.files import make_folder, write_json
 
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"
-"""Files that identify the folders of drives and tunings."""
 LEFT_OUT = "leave it out"
-"""Choice for a drive in the plan of a tuning."""
 CHECKED = "-checked"
 """Suffix of the name of a repaired or cut copy; its drive.toml lists the ``steps``."""
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
@@ -73,7 +71,6 @@ class Workbench:
 
     @property
     def drive_names(self) -> list[str]:
-        """All drives, including checked copies and parts."""
         return self.names("drives", DRIVE)
 
     def read(self, name: str) -> Drive:
@@ -96,7 +93,6 @@ class Workbench:
 
     @property
     def log(self) -> Path | None:
-        """The open log."""
         chosen = self.choices.get("log")
         return next((path for path in self.sources if str(path) == chosen), None)
 

@@ -36,7 +36,6 @@ class TablePanel:
 
     @property
     def heading(self) -> str:
-        """Name of the table, and columns of a drive that it provides."""
         roles: dict[str, set[str]] = {}
         for (table_, _), found in self.uses.items():
             for target, _ in found if table_ == self.glance.table else ():
@@ -81,8 +80,6 @@ def _cell(value: Any) -> str:
 
 
 class ColumnRow:
-    """A column: name, plot, use, unit, expression and faults."""
-
     def __init__(self, panel: TablePanel, about: Range) -> None:
         self.panel, self.about = panel, about
         self.shown: Any = None

@@ -33,15 +33,12 @@ TARGETS = {
         "ros2 launch ekf.launch.py",
     ),
 }
-"""Name, requirements and next command of each target."""
 ENDINGS = {".csv": "CSV with standard deviations", ".tum": "TUM poses, for evo", ".kitti": "KITTI poses",
            ".mat": "MATLAB", ".geojson": "GeoJSON map", ".gpx": "GPX map", ".kml": "KML map",
            ".ros2": "ROS 2 bag"}  # fmt: skip
 
 
 class TakePage(Page):
-    """Choice of a filter, its exports and its trajectories."""
-
     def __init__(self, bench: Workbench) -> None:
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}

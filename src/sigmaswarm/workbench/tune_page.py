@@ -25,13 +25,10 @@ MODELS = {
 STARTING = "reading the drives, to tune on them"
 """Work that a change of a choice must not interrupt."""
 COMPARED = 6
-"""Number of the newest tunings whose convergence is shown."""
 Update = Callable[[], None]
 
 
 class TunePage(Page):
-    """Choice of drives and filter, and the tunings."""
-
     def __init__(self, bench: Workbench, runs: Runs) -> None:
         super().__init__(bench)
         self.runs = runs
@@ -120,7 +117,6 @@ class TunePage(Page):
         return {k: v for k, v in self.bench.choices.get("options", {}).items() if v not in ("", [])}
 
     def _explain(self) -> None:
-        """Explain which filter is tuned, and why."""
         self.start("reading the drives", self._reasons, then=self._explained)
 
     def _explained(self, why: list[str] | None) -> None:
