@@ -49,7 +49,7 @@ def rules_of(features: Mapping[str, bool]) -> str:
 
 @cache
 def _described(module: Any) -> dict[str, str]:
-    """Return the docstrings of a module's constants, which become comments in C."""
+    """Descriptions of a module's constants."""
     found = re.findall(r'^(\w+) = .*\n"""([^"]*)"""', inspect.getsource(module), re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in found}
 
